@@ -112,9 +112,10 @@ doc-commands: $(FOR_TEST)
 
 # Goes on where it was ended; when all is done, the table of the documentation is made again.
 faults: $(FOR_TEST)
-	@$(BIN)/python test/faults $(ARGS)
+	@$(BIN)/python -m pytest test/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
+	    -o faulthandler_timeout=1200 -o faulthandler_exit_on_timeout=true $(ARGS)
 ifeq ($(ARGS),)
-	@$(BIN)/python test/faults --table doc/faults.md
+	@$(BIN)/python test/faults/table.py runs/faults doc/faults.md
 endif
 
 # Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.

@@ -240,7 +240,7 @@ def _keys(parts: Mapping[str, Any]) -> str:
             texts = [accepted(one.low, one.high)]
         else:
             texts = []
-        return ", ".join([*texts, *(f"`{choice}`" for choice in one.choices if choice)])
+        return ", ".join([*texts, *(f"`{choice}`" for choice in one.among if choice)])
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
@@ -286,7 +286,7 @@ def drives() -> str:
     parts = []
     for path in sorted((shared_directory() / "config" / "drives").glob("*.yaml")):
         drive = drive_file.read_drive_file(path)
-        parts.append(f"### {drive.name}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
+        parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
         parts.append(markdown(
             ("source", "document", "read at"),
             ((one.title, one.document, one.where) for one in drive.sources),
@@ -338,7 +338,10 @@ def conditions() -> str:
     """Return each code that a status may have."""
     return markdown(
         ("code", "meaning", "what to do"),
-        ((f"`{code}`", *texts) for code, texts in CONDITIONS.items()),
+        (
+            (f"`{code}`", meaning, advice.format(node="/pump"))
+            for code, (meaning, advice) in CONDITIONS.items()
+        ),
     )
 
 

@@ -19,23 +19,17 @@ class Command:
     Attributes:
         module: in this package; has ``main`` and ``make_parser``.
         about: what it does or shows, for the help.
-        plant: of ``bringup``, which two commands share: its ``--plant``.
     """
 
     module: str
     about: str
-    plant: str = ""
 
 
 # By what a user wants to do, and by name.
 GROUPS = {
     "run the roof": {
-        "run": Command(
-            "bringup.__main__", "the node graph: simulated, or with a drive in the loop", "internal"
-        ),
-        "live": Command(
-            "bringup.__main__", "a site with sensors and a pump, until it is stopped", "external"
-        ),
+        "run": Command("bringup.__main__", "the node graph: simulated, or a drive in the loop"),
+        "live": Command("bringup.live", "a site with sensors and a pump, until it is stopped"),
     },
     "see what it does, or did": {
         "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
@@ -85,12 +79,8 @@ def main() -> None:
     name = _name(words)
     if name not in COMMANDS:
         _explain()
-    one, given = COMMANDS[name], words[len(name.split()):]
-    sys.argv = [f"greenroof {name}", *given]
-    if one.plant:
-        _refuse_plant(name, given)
-        sys.argv += ["--plant", one.plant]
-    importlib.import_module(f"greenroof_ros.{one.module}").main()
+    sys.argv = [f"greenroof {name}", *words[len(name.split()):]]
+    importlib.import_module(f"greenroof_ros.{COMMANDS[name].module}").main()
 
 
 def _name(words: list[str]) -> str:
@@ -108,16 +98,6 @@ def _explain() -> int:
         parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE
-
-
-def _refuse_plant(name: str, given: list[str]) -> None:
-    """Exit where the option is given that the name of the command stands for."""
-    parser = argparse.ArgumentParser(
-        prog=f"greenroof {name}", usage="%(prog)s [options]", add_help=False
-    )
-    parser.add_argument("--plant", nargs="?", const="")
-    if parser.parse_known_args(given)[0].plant is not None:
-        parser.error("--plant is of bringup: 'run' simulates, and 'live' is a site with sensors")
 
 
 def _complete() -> None:

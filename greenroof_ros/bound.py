@@ -17,7 +17,7 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site
 
@@ -142,7 +142,7 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Bound the total deviation of the run that the command line asks for."""
     arguments = make_parser().parse_args()
-    run = inputs_from_arguments(arguments)
+    run = run_from_arguments(arguments)
     block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
     try:
         with _note_if_slow(f"solving for {run.steps} ticks ..."):

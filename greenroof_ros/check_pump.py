@@ -23,6 +23,24 @@ _LIMIT = (
     "seen over topics, so look at the pump. Lockstep is played, one flow for each command; not a "
     "live graph, in which a driver must also stop for an input that falls silent."
 )
+# Options of a time (s): the name, which of the check's limits it is, least, default and meaning.
+_TIMES = (
+    (
+        "--period", "period", 0.001, 0.1, "least time between two commands; each is a tick of the "
+        "site; with a real pump its tau, 1",
+    ),
+    ("--answer-within", "answer", 0.001, 5.0, "how long a flow may take to answer a command"),
+    ("--start-within", "start", 0.001, 60.0, "how long the flow may take to become steady"),
+    (
+        "--stop-within", "stop", 0.001, 30.0, "how long the flow may take to become 0, whatever "
+        "the pump is to stop for; it may ramp down",
+    ),
+    (
+        "--silence", "silence", 0.001, 5.0, "how long no command comes; the pump must have stopped "
+        "then",
+    ),
+    ("--wait", "arrival", 0.0, 10.0, "how long the driver may take to be in the graph"),
+)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -40,7 +58,6 @@ def make_parser() -> argparse.ArgumentParser:
         "work",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    number = within(0.001, 3600.0)
     parser.add_argument(
         "--node", required=True, metavar="NAME",
         help="name of the driver's node, with its namespace where it has one: /site1/pump",
@@ -49,32 +66,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
         help="at which the pump is to run, a share of its maximum flow (default: 0.5)",
     )
-    parser.add_argument(
-        "--period", type=number, default=0.1, metavar="S",
-        help="least time between two commands; each is a tick of the site; with a "
-        "real pump its tau, 1 (default: 0.1)",
-    )
-    parser.add_argument(
-        "--answer-within", type=number, default=5.0, metavar="S",
-        help="how long a flow may take to answer a command (default: 5)",
-    )
-    parser.add_argument(
-        "--start-within", type=number, default=60.0, metavar="S",
-        help="how long the flow may take to become steady (default: 60)",
-    )
-    parser.add_argument(
-        "--stop-within", type=number, default=30.0, metavar="S",
-        help="how long the flow may take to become 0, whatever the pump is to stop for; it may "
-        "ramp down (default: 30)",
-    )
-    parser.add_argument(
-        "--silence", type=number, default=5.0, metavar="S",
-        help="how long no command comes; the pump must have stopped then (default: 5)",
-    )
-    parser.add_argument(
-        "--wait", type=within(0.0, 3600.0), default=10.0, metavar="S",
-        help="how long the driver may take to be in the graph (default: 10)",
-    )
+    for option, limit, least, default, meaning in _TIMES:
+        parser.add_argument(
+            option, dest=limit, type=within(least, 3600.0), default=default, metavar="S",
+            help=f"{meaning} (default: {default:g})",
+        )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site whose levels and ticks it is told (default: the paper's, config/site.yaml)",
@@ -91,11 +87,8 @@ def main() -> int:
     except ImportError as error:
         raise no_ros(error) from error
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    limits = Limits(
-        command=arguments.command, period=arguments.period, answer=arguments.answer_within,
-        start=arguments.start_within, stop=arguments.stop_within, silence=arguments.silence,
-        arrival=arguments.wait,
-    )
+    times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
+    limits = Limits(command=arguments.command, **times)
     findings = check_pump(arguments.node, site, limits)
     code = print_findings(f"pump driver {arguments.node}", findings)
     print(_LIMIT)

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, check_installed
@@ -51,7 +50,7 @@ def make_parser() -> argparse.ArgumentParser:
         "reaches it can run it (default: %(default)s)",
     )
     place.add_argument(
-        "--port", type=within(0, _LAST_PORT, int), default=_PORT,
+        "--port", type=within(0, _LAST_PORT - 1, int), default=_PORT,
         help="TCP port of the drive, 0 for a free one; of a gateway to its serial port where the "
         "make has none of its own (default: %(default)s)",
     )
@@ -107,11 +106,6 @@ def main() -> int:
     workbench = arguments.workbench
     if workbench is None:
         workbench = arguments.port + 1 if arguments.port else 0
-        if workbench > _LAST_PORT:
-            raise ConfigurationError(
-                "leaves no port after it for the workbench; name one with --workbench",
-                key="--port", value=arguments.port,
-            )
     own = Address(host=arguments.host, port=arguments.port)
     bench = DriveBench(
         file,

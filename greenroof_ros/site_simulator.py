@@ -10,7 +10,7 @@ from pathlib import Path
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.drives.modbus_line import Address, check_installed, parse_address
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
-from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import SITE_FAULTS
 
@@ -86,7 +86,7 @@ def main() -> int:
     drive = None
     if arguments.drive_at is not None:
         drive = parse_address(arguments.drive_at, "--drive-at")
-    run = inputs_from_arguments(arguments)
+    run = run_from_arguments(arguments)
     rain: Sequence[float] = run.series.precipitation
     evapotranspiration: Sequence[float] = run.series.evapotranspiration
     if arguments.rain is not None:

@@ -90,6 +90,7 @@ def _become(
     os.environ.update(env)
     sys.argv = [module, *arguments]
     code = 0
+    sys.modules.pop(module, None)  # imported as a room's own
     try:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     except SystemExit as end:

@@ -173,7 +173,10 @@ class Process:
                 continue
             for word in words:
                 if word.startswith("greenroof_ros.nodes."):
-                    found[word.removeprefix("greenroof_ros.nodes.")] = int(pid)
+                    name = word.removeprefix("greenroof_ros.nodes.")
+                    if name == "level_sensor":
+                        name = f"{words[words.index('--tank') + 1]}_sensor"
+                    found[name] = int(pid)
         return found
 
     def wait_for_ticks(self, size: int = 30_000) -> None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,11 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TABLE_I: dict[str, float] = {
     "a1": 25, "a2": 68.8, "a_pump": 0.01 * math.pi, "a_in": 0.305**2 * math.pi,
@@ -43,6 +48,32 @@ def paper_run(*options: str) -> Run:
     parser = argparse.ArgumentParser()
     add_run_arguments(parser, options)
     return run_from_arguments(parser.parse_args(options))
+
+
+def run_of_hours(
+    hours: Sequence[tuple[float, float, bool]], x1: float, x2: float, site: Site,
+    steps: int | None = None, fraction: float = 1.0,
+) -> Run:
+    """Build a run of plain on/off over hours of weather, or of fewer steps.
+
+    Args:
+        hours: rain (mm/h), evapotranspiration (mm/day), and whether there is frost, of each.
+        x1: initial volume in the cistern (m3).
+        x2: initial volume on the roof (m3).
+        site: its parameters.
+        steps: of the run; those of all hours unless given.
+        fraction: of on/off.
+    """
+    first = datetime.fromisoformat("2021-07-07T00:00-05:00")
+    rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
+    records = Records((Path("drawn.csv"),), first, {"precipitation": rain}, "drawn")
+    weather = Weather(records, rain, evapotranspiration, "drawn", frost)
+    steps = steps or round(len(hours) * 3600 / site.tau)
+    series = WeatherSeries(weather, site, first, steps)
+    return Run(
+        weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
+        find_controller("onoff"), {"fraction": fraction}, "custom", x1, x2,
+    )
 
 
 def site_with(**changes: float) -> Site:

@@ -175,6 +175,19 @@ class PumpRig:
         wait_for(ticked, seconds, f"{what} ({self.states[-3:]})")
         return time.monotonic() - began
 
+    def play(
+        self, values: dict[str, float], until: Callable[[], Any], what: str, seconds: float = 60
+    ) -> None:
+        """Publish values, as the peers of a live graph do, until a condition holds."""
+
+        def played() -> Any:
+            for name, value in values.items():
+                self.publish(name, value)
+            self.observer.until(lambda: True, 1, "")
+            return until()
+
+        wait_for(played, seconds, f"{what} ({self.states[-3:]})")
+
     def run(self, drive: SimulatedDrive, command: float = 0.5) -> None:
         """Command until the pump runs."""
         self.join()

@@ -76,7 +76,8 @@ def swap(rounds: int, *, plain: bool) -> int:
     from rclpy.serialization import deserialize_message
     from std_msgs.msg import Float64
 
-    from greenroof_ros.graph.domain import begin_to_listen, make_executor, waiting_in
+    from greenroof_ros.graph.domain import begin_to_listen, make_executor
+    from greenroof_ros.graph.rclpy_internals import waiting_in
 
     rclpy.init()
     node = rclpy.create_node("swapping")

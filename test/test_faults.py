@@ -24,15 +24,22 @@ SAMPLE = {
 }
 
 
+def campaign(domain: int, results: Path) -> subprocess.CompletedProcess[str]:
+    outside = {key: value for key, value in environment(domain).items()
+               if not key.startswith("PYTEST_")}
+    return subprocess.run(
+        [
+            sys.executable, "-m", "pytest", str(CHECKOUT / "test/faults/campaign.py"), "-q", "-n",
+            "2", "--dist", "loadgroup", "-p", "no:cacheprovider", "-k", " or ".join(SAMPLE),
+        ],
+        env={**outside, "FAULTS_RESULTS": str(results)}, cwd=CHECKOUT, timeout=240,
+        capture_output=True, text=True,
+    )
+
+
 def test_a_sample_of_the_campaign(domain: int, tmp_path: Path) -> None:
     """Each stops the pump within its bound, is named, and goes on as specified."""
-    done = subprocess.run(
-        [
-            sys.executable, str(CHECKOUT / "test" / "faults"), "--lanes", "2", "--results",
-            str(tmp_path), "--only", *SAMPLE,
-        ],
-        env=environment(domain), capture_output=True, text=True, timeout=240,
-    )
+    done = campaign(domain, tmp_path)
     assert done.returncode == 0, done.stdout
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
     results = {line["id"]: line for line in lines}
@@ -43,34 +50,4 @@ def test_a_sample_of_the_campaign(domain: int, tmp_path: Path) -> None:
         assert after in result["recovery"], result
         assert 0 < result["to_safe"] <= result["bound"], result
     # What is done is not done again.
-    again = subprocess.run(
-        [
-            sys.executable, str(CHECKOUT / "test" / "faults"), "--results", str(tmp_path),
-            "--only", *SAMPLE,
-        ],
-        env=environment(domain), capture_output=True, text=True, timeout=60,
-    )
-    assert again.stdout.startswith(f"0 of {len(SAMPLE)} cases to do"), again.stdout
-
-
-def test_a_smaller_campaign_still_has_every_kind_of_fault_in_each_way() -> None:
-    """And each target of a kind once before any comes twice."""
-    sys.path.insert(0, str(CHECKOUT / "test" / "faults"))
-    try:
-        from cases import WAYS, all_cases, sample
-    finally:
-        del sys.path[0]
-    cases = all_cases()
-    assert len(cases) >= 1000
-    every = {(case.way, case.fault) for case in cases}
-    assert {way for way, _ in every} == set(WAYS)
-    for divisor, seed in ((3, 1), (50, 2), (10**6, 3)):
-        chosen = sample(cases, divisor, seed)
-        assert {(case.way, case.fault) for case in chosen} == every
-        assert len(chosen) <= len(cases) / divisor + len(every)
-    assert len(sample(cases, 10**6, 1)) == len(every)
-    quarter = sample(cases, 4, 1)
-    for way, fault in every:
-        targets = {case.target for case in cases if (case.way, case.fault) == (way, fault)}
-        those = [case.target for case in quarter if (case.way, case.fault) == (way, fault)]
-        assert len(set(those)) == min(len(those), len(targets))
+    assert f"{len(SAMPLE)} skipped" in campaign(domain, tmp_path).stdout

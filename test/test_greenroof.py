@@ -16,7 +16,7 @@ from greenroof_ros.__main__ import COMMANDS, GROUPS
 # The module of ``python -m greenroof_ros.MODULE``.
 MODULES = {
     "run": "bringup",
-    "live": "bringup",
+    "live": "bringup.live",
     "simulate": "simulate",
     "bound": "bound",
     "study": "study",
@@ -102,20 +102,15 @@ def test_a_command_does_what_its_module_does(tmp_path: Path) -> None:
 
 
 def test_run_simulates_and_live_is_a_site(tmp_path: Path) -> None:
-    """Neither is turned into the other by bringup's option."""
+    """Neither has the other's options."""
     live = greenroof(tmp_path, "live")
     assert (live.returncode, live.stderr.partition(" is missing")[0]) == (
         2, "error: --sensors FILE:"
     )
-    run = greenroof(tmp_path, "run", "--sensors", "sensors.yaml")
-    assert (run.returncode, run.stderr) == (
-        2, "error: --sensors: is for a live site: greenroof live, or bringup --plant external\n"
-    )
-    for name, plant in (("live", "internal"), ("run", "external")):
-        for option in ("--plant", "--pla"):
-            done = greenroof(tmp_path, name, option, plant)
-            assert done.returncode == 2
-            assert f"greenroof {name}: error: --plant is of bringup" in done.stderr
+    for name, option in (("run", "--sensors"), ("live", "--hours")):
+        done = greenroof(tmp_path, name, option, "1")
+        assert done.returncode == 2
+        assert f"greenroof {name}: error: unrecognized arguments: {option} 1" in done.stderr
 
 
 def test_a_command_imports_what_it_needs(tmp_path: Path) -> None:

@@ -1,17 +1,21 @@
-"""The drive behind the pump node, on a live site and with hardware in the loop."""
+"""What ``run`` and ``live`` have in common: graph, and the drive behind the pump node."""
 
 from __future__ import annotations
 
 import argparse
 import re
+import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.command_line import EXIT_INTERRUPTED, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.common.namespace import namespace
+from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, parse_drive_address
@@ -19,7 +23,10 @@ from greenroof_ros.graph.domain import no_ros
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
+from greenroof_ros.watch.beside import watcher
 
+# What is somebody else's node.
+EXTERNAL = "external"
 _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
     "on; look at the pump, and stop it at the drive's panel or its switch"
@@ -108,8 +115,7 @@ class DriveChoice:
     def refuse_speed(self, speed: float, check: Callable[[], None]) -> None:
         """Refuse a speed other than real time but for the drive simulator, which is waited for.
 
-        Any other drive may turn a real motor, by levels that are made up, and start it as many
-        times more often as time goes faster.
+        The pump node looks again, on each of its connections.
 
         Args:
             speed: simulated time per wall time; 0 for as fast as it goes.
@@ -120,7 +126,7 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.drives.drive import why_no_simulator
+        from greenroof_ros.drives.drive import Drive, no_real_time
         from greenroof_ros.drives.modbus_line import DriveError
 
         file, address = self.read()
@@ -128,18 +134,19 @@ class DriveChoice:
         why: str | None = None
         while why is None:
             check()
+            drive = Drive(file, address)
             try:
-                why = why_no_simulator(file, address)
+                if address.is_here:
+                    drive.line.connect()
+                why = drive.why_no_simulator()
             except DriveError as error:
                 if time.monotonic() > until:
                     why = f"nobody answers there ({error})"
                 time.sleep(0.1)
+            finally:
+                drive.line.close()
         if why:
-            raise ConfigurationError(
-                "is for the drive simulator alone, at loopback or on a pseudo-terminal, since "
-                f"another drive may turn a real pump by made-up levels: {why}",
-                key="--speed", value=f"{speed:g}" if speed else "max",
-            )
+            raise no_real_time(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
         """Return what stops the drive without the pump node, of which it is told the process.
@@ -171,13 +178,39 @@ class DriveChoice:
         return stop
 
 
-def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a drive."""
+def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
+    """Add the options of any graph, and of its drive.
+
+    Args:
+        parser: of the command.
+        pump: the default of ``--pump``, which else can be ``external`` only.
+    """
+    group = parser.add_argument_group("the graph")
+    group.add_argument(
+        "--pump", choices=[*filter(None, [pump]), EXTERNAL], default=pump,
+        help="external: /pump/flow comes from a pump driver that you start yourself"
+        + (f" (default: {pump})" if pump else ""),
+    )
+    group.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="put the whole graph, its clock too, under /NAME, so that several run side by side "
+        "in one domain (default: none)",
+    )
+    group.add_argument(
+        "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
+        help="longest wait for a node, in wall time, 2 s at least: nodes that join listen for a "
+        "second (default: %(default)s s)",
+    )
+    group.add_argument(
+        "--watch", action="store_true",
+        help="show the graph on a page in a browser, whose address is printed. It ends with the "
+        "graph, which goes on without it; greenroof watch is a page that stays. Needs "
+        "greenroof_ros[watch]",
+    )
     group = parser.add_argument_group(
-        "hardware in the loop, and live",
+        "the drive",
         "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
-        "simulated. The site is simulated, at real time, or with the drive simulator at another\n"
-        "--speed; or it is live.",
+        "simulated.",
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",
@@ -203,6 +236,24 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         "Which drive there is and where, and where its state is kept, --drive, --drive-at and "
         "--state alone say",
     )
+
+
+def bring_up(
+    arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int]
+) -> int:
+    """Start a graph, with the page of it if it was asked for; return the exit code.
+
+    Args:
+        arguments: the command line.
+        site_file: of the site.
+        start: returns the exit code.
+    """
+    try:
+        with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
+            return start(Signals())
+    except InterruptedRun as error:  # before a node was started
+        print(error, file=sys.stderr)
+        return EXIT_INTERRUPTED
 
 
 def refuse(*rules: tuple[bool, str, object, str]) -> None:
@@ -231,7 +282,7 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
          "needs --drive, which says what the drive is like"),
         (drive is not None and at is None, "--drive", drive,
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0"),
-        (drive is not None and arguments.pump == "external", "--pump", "external",
+        (drive is not None and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
          "leaves the pump to somebody else's node, and --drive to the pump node; give one"),
     )
     return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at)
@@ -256,39 +307,10 @@ def own_parameters(
     if file is None:
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
-    _refuse_bringups(file, read_yaml(file), "")
     try:
         from greenroof_ros.graph.parameters import refuse_unknown_in
     except ImportError as error:
         raise no_ros(error) from error
     whole = {f"{arguments.namespace}/{name}": module for name, module in nodes.items()}
-    refuse_unknown_in(file, whole, controller)
+    refuse_unknown_in(file, whole, controller, _OF_BRINGUP)
     return [file]
-
-
-def _refuse_bringups(file: Path, content: YamlMapping, node: str) -> None:
-    """Refuse what only bringup says of drive and speed, in a parameter file or a part of it.
-
-    Args:
-        file: for the message.
-        content: of the file, or of what it says of a node or a namespace.
-        node: that name, with ``/`` between its parts; the last may be a wildcard.
-
-    Raises:
-        ConfigurationError: it is there.
-    """
-    for name, part in content.items():
-        if not isinstance(part, YamlMapping):
-            continue
-        if name != "ros__parameters":
-            _refuse_bringups(file, part, f"{node}/{name}" if node else name)
-            continue
-        for of, options in _OF_BRINGUP.items():
-            if node.rpartition("/")[2] not in (of, "*", "**"):
-                continue
-            for key in options.keys() & part.keys():
-                raise ConfigurationError(
-                    f"must not be given to the node {of} here: under bringup {options[key]} "
-                    "says it",
-                    file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
-                )

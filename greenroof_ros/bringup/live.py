@@ -1,4 +1,4 @@
-"""A live site kept up: its directory, its nodes, and what is said of it until it is stopped."""
+"""A live site kept up: its directory, its nodes, and what is said of it: ``greenroof live``."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
 
-from greenroof_ros.bringup.drive import own_parameters
-from greenroof_ros.bringup.live_site import EXTERNAL, LiveNode, LiveSite
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
+from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.signals import InterruptedRun, Signals
@@ -30,9 +31,18 @@ from greenroof_ros.common.systemd import notify
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, IncidentLog, with_incidents
+from greenroof_ros.experiment.incidents import (
+    INCIDENTS,
+    PROCESS,
+    IncidentLog,
+    parts_in,
+    with_incidents,
+)
+from greenroof_ros.experiment.options import parse_run_arguments
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
+from greenroof_ros.pumping.interlocks import advice_on
 
 # How often systemd is told (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
@@ -42,6 +52,8 @@ _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 _LISTED_S, _LATE_S = 1.0, 60.0
 # How long the end of a site waits for its summary to be written (s).
 _WRITTEN_S = 5.0
+# Decimal places of each level's metres.
+_PLACES = {"cistern": 3, "roof": 4}
 # Files that are in memory (Linux).
 _IN_MEMORY = "/dev/shm"
 
@@ -64,14 +76,14 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory,
     ):
-        record, start = _Record(site, state), _Start(nodes)
+        record, start = _Record(site, state), _Start()
         start.look({}, "starting")
         names = {node.name for node in nodes} | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
             state / "log", _configuration(site, own, state, Path(memory)), arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
-            record.add, silence_s=arguments.peer_limit, restarts=arguments.restarts,
+            record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
         )
         try:
             record.write(summary.RUNNING)
@@ -142,16 +154,14 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
 
 
 class _Start:
-    """What the site needs before it can pump: a line each with what to do, until all is there.
+    """What the site lacks before it can pump: a line each with what to do, until all is there.
 
-    The list is said when it has changed, by the codes of what is missing: their sentences have
-    numbers. Of what is lost later an incident tells.
+    It is what would be an incident if it lasted, but for warnings. What only follows from something
+    else is listed where nothing else holds the pump. The list is said when it has changed, by the
+    codes in it: their sentences have numbers. Of what is lost later an incident tells.
     """
 
-    def __init__(self, nodes: Sequence[LiveNode]) -> None:
-        self._expected = {
-            (node.name, part): it for node in nodes for part, it in node.expected.items()
-        }
+    def __init__(self) -> None:
         self._over = False
         self._late_until = time.monotonic() + _LATE_S
         # What is missing, by node, part and code: what is said, and what is seen since when.
@@ -172,32 +182,35 @@ class _Start:
         """
         if self._over:
             return
-        missing: list[tuple[str, ...]] = []
-        lines = []
-        needed = bool(inhibit)
-        for (node, part), it in self._expected.items():
-            level, message, code = reports.get(node, {}).get("diagnoses", {}).get(part, [""] * 3)
-            if level not in it.well:
-                why = message or f"nothing yet from {it.where}"
-                to_do = it.to_do if message else f"if it does not come, {it.to_do}"
-                lines.append(f"  {it.what}: {why}; {to_do}")
-                missing.append((node, part, code))
-                needed |= it.needed
-        levels = levels_of(reports)
-        if not needed and "unknown" not in levels:
-            self._over = True
-            say(f"running: {levels}")
-            return
-        if not lines and inhibit:
-            lines, missing = [f"  the pump is kept off: {inhibit}"], [(inhibit,)]
+        lost = [
+            part for part in parts_in(reports) if part.is_lost and part.said["level"] != "WARN"
+        ]
+        causes = {part.rule.holds for part in lost if not part.rule.follows}
+        listed = [part for part in lost if not (part.rule.follows and part.rule.holds in causes)]
+        missing: list[tuple[str, ...]] = [
+            (part.node, part.name, part.said["code"]) for part in listed
+        ]
+        lines = [
+            f"  {part.node}: {part.name}: {part.said['message']}. {advice_on(part.said['code'])}"
+            for part in listed
+        ]
+        pump, levels = reports.get(PUMP, {}), levels_of(reports)
+        why = inhibit or (pump.get("active") is False and str(pump.get("pump")))
+        held = any(part.rule.holds for part in listed)
+        if why and not held:
+            missing.append((why,))
+            lines.append(f"  the pump is kept off: {why}")
+        self._over = not (held or why or None in _levels(reports).values())
         now = time.monotonic()
         if missing != self._seen[0]:
             self._seen = missing, now
         title = "missing:" if self._said is None else "still missing:"
-        stands = self._said is None or now - self._seen[1] > _LISTED_S
+        stands = self._said is None or self._over or now - self._seen[1] > _LISTED_S
         if missing and missing != self._said and stands:
             self._said = missing
             say("\n".join([title, *lines]))
+        if self._over:
+            say(f"running: {levels}")
 
 
 class _Record:
@@ -239,16 +252,15 @@ class _Record:
                 how = "bringup was killed, or the power failed"
             say(f"the last time, since {before['began']}, {how}")
 
-    def add(self, node: str, what: str) -> None:
-        """Say and keep that a node failed, and what was done about it."""
-        self.log.begin(node, PROCESS, what)
-
     def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
         """Find what was lost, or has come back, since the last call; say and keep it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
-        disk = f"{self._state}: the disk takes nothing; logs and summary wait in memory"
-        own = {"diagnoses": {"disk": ["ERROR" if DISK.late else "OK", disk, ""]}}
+        disk = {
+            "level": "ERROR" if DISK.late else "OK", "code": "disk_hangs" if DISK.late else "",
+            "message": f"{self._state}: the disk takes nothing; logs and summary wait in memory",
+        }
+        own = {"diagnoses": {"disk": disk}}
         self.log.look({**supervisor.last, "bringup": own}, starting=starting)
         if self.log.changes != self._written:
             self.write(summary.RUNNING)
@@ -312,11 +324,16 @@ def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
     """Return both levels, as far as the nodes have said them."""
-    levels = []
-    for name, places in (("cistern", 3), ("roof", 4)):
-        level = _values(reports).get(f"{name}_level")
-        levels.append(f"{name} unknown" if level is None else f"{name} {level:.{places}f} m")
-    return ", ".join(levels)
+    return ", ".join(
+        f"{name} unknown" if level is None else f"{name} {level:.{_PLACES[name]}f} m"
+        for name, level in _levels(reports).items()
+    )
+
+
+def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
+    """Return both levels (m); None where no node has said one."""
+    values = _values(reports)
+    return {name: values.get(f"{name}_level") for name in _PLACES}
 
 
 def _values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -428,3 +445,15 @@ def _write_configuration(
         yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8"
     )
     return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own)]
+
+
+@command
+def main() -> int:
+    """Bring the site up, and keep it up until it is stopped."""
+    arguments = parse_run_arguments(make_parser())
+    site = live_site(arguments)
+    return bring_up(arguments, site.site_file, partial(run_live, site, arguments))
+
+
+if __name__ == "__main__":
+    main()

@@ -5,15 +5,21 @@ from __future__ import annotations
 import argparse
 import shlex
 import signal
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters, refuse
+from greenroof_ros.bringup.drive import (
+    EXTERNAL,
+    DriveChoice,
+    chosen_drive,
+    own_parameters,
+    refuse,
+)
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.standard_error import LINES, say
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
@@ -41,10 +47,10 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
     run = run_from_arguments(arguments)
-    if arguments.pump == "external" or arguments.drive is not None:
+    if arguments.pump == EXTERNAL or arguments.drive is not None:
         run.sensor_pump_errors.refuse_external_pump()
     no_drive = arguments.state is not None and arguments.drive is None
-    refuse((no_drive, "--state", None, "is of a drive, or a live site"))
+    refuse((no_drive, "--state", None, "is of a drive"))
     return run
 
 
@@ -84,7 +90,7 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
             directory, run,
             {
                 "speed": speed,
-                "pump": arguments.pump if drive is None else "external",
+                "pump": arguments.pump if drive is None else EXTERNAL,
                 "record": not arguments.no_record,
                 "peer_limit": arguments.peer_limit,
             },
@@ -94,9 +100,10 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
         (directory / "log").mkdir()
         supervisor = Supervisor(
             directory / "log", [parameters, *own], arguments.namespace, stop_drive,
-            lambda node, what: print(f"{node}: {what}", file=sys.stderr),
+            lambda node, what: say(f"{node}: {what}"),
         )
-        progress = RunProgress(run.steps, run.site.tau)
+        # The pump's permit is given from here: a terminal that hangs must not keep it back.
+        progress = RunProgress(run.steps, run.site.tau, LINES)
         log = IncidentLog(progress.say, directory / INCIDENTS)
         status, reason, code = summary.DONE, "", EXIT_DONE
         try:
@@ -111,11 +118,11 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
                 _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
         except InterruptedRun as error:
             signals.ignore()
-            print(error, file=sys.stderr)
+            say(str(error))
             status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
-            print(f"error: {error}", file=sys.stderr)
+            say(f"error: {error}")
             status, reason, code = summary.FAILED, error.reason, error.code
         except Exception as error:
             signals.ignore()
@@ -162,8 +169,8 @@ def _wait_for_drive(
         said = supervisor.last.get(PUMP, {})
         diagnoses = said.get("diagnoses", {})
         trouble = "; ".join(
-            diagnoses[part][1] for part in ("drive", "drive timeout", "state file")
-            if part in diagnoses and diagnoses[part][0] != "OK"
+            diagnoses[part]["message"] for part in ("drive", "drive timeout", "state file")
+            if part in diagnoses and diagnoses[part]["level"] != "OK"
         )
         progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
         _check(supervisor, START_LIMIT_S)
@@ -172,7 +179,7 @@ def _wait_for_drive(
                 f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
                 "and cable, and the address of --drive-at", "", EXIT_FAILED,
             )
-    latched = said.get("fault") or said.get("held")
+    latched = said.get("fault") or said.get("stop")
     if latched:
         progress.say(
             f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
@@ -278,8 +285,7 @@ def _say_unclosed_bag(supervisor: Supervisor) -> None:
     if recorder is not None and recorder.spoke and (
         recorder.process.returncode not in (EXIT_DONE, -signal.SIGALRM)
     ):
-        print("error: the recorder could not close its bag", file=sys.stderr)
-        print(supervisor.quoted(RECORDER), file=sys.stderr)
+        say(f"error: the recorder could not close its bag\n{supervisor.quoted(RECORDER)}")
 
 
 def _end(
@@ -335,4 +341,4 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
             f"{bag} was not closed; to restore its ticks and look at them:",
             f"  greenroof recover {run}", report,
         ]
-    print(*lines, sep="\n", file=sys.stderr)
+    say("\n".join(lines))

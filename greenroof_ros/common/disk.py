@@ -16,7 +16,7 @@ PATIENCE_S = 2.0
 
 
 class DiskThread:
-    """Does jobs that write, one after the other. What has waited for long is late.
+    """Does jobs that read or write, one after the other. What has waited for long is late.
 
     The thread is started with the first job and ends with the process, which does not wait for it.
 
@@ -33,11 +33,11 @@ class DiskThread:
         self.refused = 0
         self._room = room  # that is left (bytes)
         # What to do, how much room it has, and when it was asked for (steady clock, s).
-        self._jobs: deque[tuple[Callable[[], None], int, float]] = deque()
+        self._jobs: deque[tuple[Callable[[], object], int, float]] = deque()
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
-    def do(self, job: Callable[[], None], size: int = 0) -> bool:
+    def do(self, job: Callable[[], object], size: int = 0) -> bool:
         """Have a job done, and return whether there was room for it.
 
         Args:

@@ -1,4 +1,4 @@
-"""A few numbers in a file that outlive a process, and whose writing nothing waits for."""
+"""What outlives a process in a file, and whose writing nothing waits for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ _CLOSE_S = 2.0
 
 
 class Kept:
-    """The numbers in a file, by name; the disk's thread writes it, so that a disk may hang.
+    """A file of numbers by name, or of other text; the disk's thread writes it: a disk may hang.
 
     The file is replaced as a whole: after a power cut it is the old one or the new one.
     """
@@ -25,8 +25,13 @@ class Kept:
     def __init__(self, file: Path) -> None:
         """Take the file, which need not be there."""
         self._file = file
-        self._newest: dict[str, float] = {}
+        self._newest: Callable[[], str] = str
         self._problem = ""
+
+    @property
+    def problem(self) -> str:
+        """Why what was last given is not written; empty where it is, or soon will be."""
+        return "the disk takes nothing" if DISK.late else self._problem
 
     def read(self) -> dict[str, float]:
         """Return what was kept; nothing where there is no file.
@@ -46,10 +51,16 @@ class Kept:
             raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
         return content
 
-    def write(self, values: Mapping[str, float]) -> str:
-        """Have numbers written; return what went wrong with the last that were."""
-        self._newest = dict(values)
-        return self._problem if DISK.do(self._replace) else os.strerror(errno.ENOMEM)
+    def write(self, values: Mapping[str, float]) -> None:
+        """Have numbers written."""
+        kept = dict(values)
+        self.write_text(lambda: json.dumps(kept, indent=1))
+
+    def write_text(self, text: Callable[[], str]) -> None:
+        """Have a text written, which the disk's thread asks for."""
+        self._newest = text
+        if not DISK.do(self._replace):
+            self._problem = os.strerror(errno.ENOMEM)
 
     def close(self) -> None:
         """Wait two seconds at most for what is being written."""
@@ -61,7 +72,7 @@ class Kept:
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             with part.open("w", encoding="utf-8") as stream:
-                stream.write(json.dumps(self._newest, indent=1))
+                stream.write(self._newest())
                 stream.flush()
                 os.fsync(stream.fileno())
             part.replace(self._file)

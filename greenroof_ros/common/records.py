@@ -16,29 +16,13 @@ from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping
+from greenroof_ros.common.parameter import Parameter
 
 Record = TypeVar("Record")
 # A whole number that a file may write in hexadecimal, such as 0x047E.
 Word = NewType("Word", int)
 
 _HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,8}")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """What a key of a file means, and what it may hold.
-
-    Attributes:
-        meaning: for the documentation, and for who left the key away.
-        low: the least number.
-        high: the greatest number.
-        choices: the only texts.
-    """
-
-    meaning: str
-    low: float = -math.inf
-    high: float = math.inf
-    choices: tuple[str, ...] = ()
 
 
 def entry(
@@ -53,14 +37,14 @@ def entry(
     """Return the field of a dataclass that is a key of a file.
 
     Args:
-        meaning: see `Entry`, as the next three.
+        meaning: for the documentation, and for who left the key away.
         low: the least number.
         high: the greatest number.
         choices: the only texts.
         default: of a key that may be left away.
         factory: makes it, where it is a mapping.
     """
-    told = {"entry": Entry(meaning, low, high, choices)}
+    told = {"entry": Parameter("", None, "", low, high, meaning, among=choices)}
     made: Any = field(default=default, default_factory=factory, metadata=told)
     return made
 
@@ -71,7 +55,7 @@ class Key:
 
     name: str
     kind: Any
-    entry: Entry
+    entry: Parameter
     optional: bool
 
 
@@ -113,18 +97,27 @@ def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> Confi
         key: by names, and in lists by numbers that begin with 1.
         expected: what is wrong with what stands there, or is missing.
     """
+    line, place = find(content, key)
+    value = None if isinstance(place, (list, YamlMapping)) else place
+    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
+
+
+def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
+    """Return line and value of a key, by names, and in lists by numbers that begin with 1.
+
+    Where there is none: the line of the last part of it that there is, and None.
+    """
     place: Any = content
     line = None
     for part in key.split("."):
         if isinstance(place, YamlMapping) and part in place:
             line, place = place.lines[part], place[part]
-        elif isinstance(place, list) and part.isdecimal():
+        elif isinstance(place, list) and part.isdecimal() and 0 < int(part) <= len(place):
             place = place[int(part) - 1]
             line = min(place.lines.values()) if isinstance(place, YamlMapping) else line
         else:
             place = None
-    value = None if isinstance(place, (list, YamlMapping)) else place
-    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
+    return line, place
 
 
 class _Place:
@@ -164,7 +157,7 @@ def _record(kind: Any, value: Any, place: _Place) -> Any:
     return kind(**made)
 
 
-def _value(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
+def _value(kind: Any, value: Any, entry: Parameter, place: _Place) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (types.UnionType, Union):
         return _either(inner, value, entry, place)
@@ -188,32 +181,32 @@ def _value(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
     return _scalar(kind, value, entry, place)
 
 
-def _key(kind: Any, key: str, entry: Entry, place: _Place) -> Any:
+def _key(kind: Any, key: str, entry: Parameter, place: _Place) -> Any:
     """Return a mapping's key as what it was; `files.read_yaml` hands keys over as text."""
     if kind is str:
         return key
     return _scalar(kind, int(key) if key.isdecimal() else key, entry, place)
 
 
-def _either(inner: tuple[Any, ...], value: Any, entry: Entry, place: _Place) -> Any:
+def _either(inner: tuple[Any, ...], value: Any, entry: Parameter, place: _Place) -> Any:
     if value is None and types.NoneType in inner:
         return None
-    if isinstance(value, str) and str in inner and value in entry.choices:
+    if isinstance(value, str) and str in inner and value in entry.among:
         return value
     kinds = [kind for kind in inner if kind not in (types.NoneType, str)]
     return _value(kinds[0] if kinds else str, value, entry, place)
 
 
-def _scalar(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
+def _scalar(kind: Any, value: Any, entry: Parameter, place: _Place) -> Any:
     if kind is bool:
         if not isinstance(value, bool):
             raise place.error("must be true or false", value)
         return value
     if kind is str:
-        if not isinstance(value, str) or not (value.strip() or value in entry.choices):
+        if not isinstance(value, str) or not (value.strip() or value in entry.among):
             raise place.error("must be a text", value)
-        if entry.choices and value not in entry.choices:
-            raise place.error(f"must be one of {', '.join(filter(None, entry.choices))}", value)
+        if entry.among and value not in entry.among:
+            raise place.error(f"must be one of {', '.join(filter(None, entry.among))}", value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
@@ -222,7 +215,7 @@ def _scalar(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
         expected = "a whole number" if whole else "a number"
         if kind is Word:
             expected += ", such as 0x047E or 1150"
-        raise place.error(f"must be {' or '.join((expected, *entry.choices))}", value)
+        raise place.error(f"must be {' or '.join((expected, *entry.among))}", value)
     if not entry.low <= value <= entry.high:
         raise place.error(f"must be {span(entry.low, entry.high)}", value)
     return value if whole else float(value)

@@ -37,12 +37,23 @@ class Lines:
 
     def say(self, text: str) -> None:
         """Have a line written, or several; return at once."""
+        self.write(f"{text}\n")
+
+    def write(self, text: str) -> None:
+        """Have a text written; with the next two this is the file of a bar of progress."""
         with self._lock:
             if len(self._waiting) == self._most:
                 self._waiting.popleft()
                 self._dropped += 1
             self._waiting.append(text)
         self._thread.do(self._write)
+
+    def flush(self) -> None:
+        """All is written as soon as it can be."""
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal."""
+        return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
         """Wait until all is written, for so long at most (s); return whether it is."""
@@ -54,7 +65,7 @@ class Lines:
             with self._lock:
                 if not self._waiting:
                     return
-                text = f"{self._waiting.popleft()}\n"
+                text = self._waiting.popleft()
                 dropped, self._dropped = self._dropped, 0
             if dropped:
                 text = f"{dropped} lines were dropped: standard error took nothing\n{text}"

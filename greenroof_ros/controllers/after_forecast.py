@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
@@ -63,6 +66,30 @@ class AfterForecast:
         self._first_day = first_day / first_day.sum()
         self._gain = -math.expm1(-site.tau / _DAY_S)
         self._mean = math.nan
+
+    def checked(
+        self, rain: Sequence[Any], evapotranspiration: Sequence[float], most: int
+    ) -> tuple[Array, Array]:
+        """Return forecasts as arrays, of shape (members, steps) and (steps,).
+
+        Args:
+            rain: (m/s), of all members or of one.
+            evapotranspiration: (m3/s).
+            most: members at most.
+
+        Raises:
+            ConfigurationError: they are not of this shape.
+        """
+        rains = np.array(rain, dtype=float, order="C", ndmin=2)
+        evaporated = np.array(evapotranspiration, dtype=float)
+        if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
+            raise ConfigurationError(
+                f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
+                f"that of evapotranspiration {len(evaporated)}; there are {self.steps} steps to "
+                f"the horizon, and members at most {most}; give weather and controller the same "
+                "horizon, and only lookahead all members"
+            )
+        return rains, evaporated
 
     def pass_tick(self, evapotranspiration: Array) -> None:
         """Take a tick's forecast into the mean (m3/s, shape (steps,)); its first entry is now."""

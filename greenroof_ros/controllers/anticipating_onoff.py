@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
 from greenroof_ros.controllers.onoff import FRACTION
@@ -122,14 +121,8 @@ class AnticipatingOnOff:
         The forecasts are means over the steps of
         :func:`greenroof_ros.model.look_ahead.growing_steps`.
         """
-        site, steps = self._site, self._after.steps
-        if not len(precipitation) == len(evapotranspiration) == steps:
-            raise ConfigurationError(
-                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but there are {steps} steps to the horizon; give weather and "
-                "controller the same horizon, and only lookahead all members"
-            )
-        rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
+        site = self._site
+        rain, evaporated = self._after.checked(precipitation, evapotranspiration, most=1)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
@@ -142,11 +135,9 @@ class AnticipatingOnOff:
             dry = self._waited >= _LOOK_S and self._stays_dry(x2, rain, evaporated)
         command = self.fraction if dry else 0.0
         self._waited += site.tau
-        pumped = pump_flow(site, x1, x2, command)
-        self._regret_budget.move(
-            x1, x2, self.fraction, pumped, float(rain[0]), float(evaporated[0])
-        )
-        self._observer.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
+        pumped, now = pump_flow(site, x1, x2, command), (float(rain[0, 0]), float(evaporated[0]))
+        self._regret_budget.move(x1, x2, self.fraction, pumped, *now)
+        self._observer.predict(x2, *now, pumped)
         return command
 
     def skip(self) -> None:
@@ -159,7 +150,7 @@ class AnticipatingOnOff:
 
         Of a measured roof a time counts by the share of what is pumped now that is left then.
         """
-        rain, evaporated = self._after.lengthen(rain[None], evaporated)
+        rain, evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
         changes = self._soil.free_changes(x2, *weather)
         (inflow,) = changes

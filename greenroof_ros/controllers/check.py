@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterator
-from itertools import product
+from dataclasses import dataclass
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
-
-Array = NDArray[np.float64]
 
 # Levels (m) as shares of the cistern's outlet and of the roof's target, and rates of rain (m/s) and
 # evapotranspiration (m3/s): dry, usual, a cloudburst, and what a wrong sensor may read.
@@ -27,11 +26,58 @@ _CISTERN = (0.0, 0.2, 0.25, 0.8, 1.0, 1.5)
 _ROOF = (0.0, 0.5, 0.999, 1.0, 1.001, 2.0)
 _RAIN = (0.0, 1e-7, 2e-5)
 _EVAPOTRANSPIRATION = (0.0, 3e-6)
-_SOLVER_FIGURES = {"solves", "fallbacks", "mean_s", "p99_s", "max_s"}
 
 
 class _ProblemError(Exception):
     """A controller does not keep to a rule; the message says how."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A controller, and the site at which it is tried."""
+
+    choice: ControllerChoice
+    site: Site
+
+    @property
+    def steps(self) -> int:
+        """How many entries a forecast has."""
+        horizon = self.choice.defaults(self.site).get("horizon")
+        return self.site.M if horizon is None else len(growing_steps(horizon)) - 1
+
+    def forecast(self, rate: float, members: int = 1) -> Any:
+        """Return a forecast of rain from the second step on, in the shape that it gets."""
+        rates = np.full((members, self.steps), rate)
+        rates[:, 0] = 0.0
+        return rates if self.choice.ensemble else rates[0].tolist()
+
+    def inputs(self, each: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
+        """Yield levels and forecasts; of so many one."""
+        points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
+        for cistern, roof, rain, evaporated in islice(points, 0, None, each):
+            yield (
+                cistern * self.site.z_o, roof * self.site.z_veg, self.forecast(rain),
+                [evaporated] * self.steps,
+            )
+
+    def made(self, **changes: float) -> Controller:
+        """Make one with its defaults, but for these parameters."""
+        return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
+
+
+# Each check by what it finds out, in the order in which a user should repair them.
+_CHECKS: dict[str, Callable[[_Trial], None]] = {}
+_Check = Callable[[_Trial], None]
+
+
+def _finds_out(what: str) -> Callable[[_Check], _Check]:
+    """Make a function a check, which raises :class:`_ProblemError` where that is not so."""
+
+    def added(check: _Check) -> _Check:
+        _CHECKS[what] = check
+        return check
+
+    return added
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
@@ -52,44 +98,16 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
     """
     _ = choice.kind
     findings = []
-    for title, check in _CHECKS.items():
+    for what, check in _CHECKS.items():
         problem = ""
         try:
-            check(choice, site)
+            check(_Trial(choice, site))
         except _ProblemError as error:
             problem = str(error)
         except Exception as error:  # whatever a user's class raises
             problem = f"raises {type(error).__name__}: {error}"
-        findings.append(Finding(title, problem))
+        findings.append(Finding(what, problem))
     return findings
-
-
-def _inputs(choice: ControllerChoice, site: Site) -> Iterator[tuple[float, float, Any, Any]]:
-    """Yield levels and forecasts in the shape that the controller gets."""
-    target = site.z_veg
-    for cistern, roof, rain, evaporated in product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION):
-        rates = _forecast(choice, site, rain)
-        yield (
-            cistern * site.z_o, roof * target, rates,
-            np.full(np.shape(rates)[-1], evaporated).tolist(),
-        )
-
-
-def _steps(choice: ControllerChoice, site: Site) -> int:
-    """Return how many entries a forecast has."""
-    horizon = choice.defaults(site).get("horizon")
-    return site.M if horizon is None else len(growing_steps(horizon)) - 1
-
-
-def _forecast(choice: ControllerChoice, site: Site, rate: float, members: int = 1) -> Any:
-    """Return a forecast of rain from the second step on."""
-    rates = np.full((members, _steps(choice, site)), rate)
-    rates[:, 0] = 0.0
-    return rates if choice.ensemble else rates[0].tolist()
-
-
-def _made(choice: ControllerChoice, site: Site, **changes: float) -> Controller:
-    return choice.make(site, {**choice.defaults(site), **changes})
 
 
 def _asked(controller: Controller, *inputs: Any) -> float:
@@ -106,11 +124,14 @@ def _asked(controller: Controller, *inputs: Any) -> float:
     return float(command)
 
 
-def _parameters(choice: ControllerChoice, site: Site) -> None:
-    names = [parameter.name for parameter in choice.kind.parameters]
+@_finds_out(
+    "its parameters have distinct names, units, meanings, and defaults within their ranges"
+)
+def _parameters(trial: _Trial) -> None:
+    names = [parameter.name for parameter in trial.choice.kind.parameters]
     if len(set(names)) < len(names):
         raise _ProblemError(f"two parameters have one name: {', '.join(names)}")
-    for parameter in choice.kind.parameters:
+    for parameter in trial.choice.kind.parameters:
         if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
             raise _ProblemError(f"{parameter.name!r} is no name of a parameter: lower case and _")
         if not (parameter.unit and parameter.meaning):
@@ -121,151 +142,127 @@ def _parameters(choice: ControllerChoice, site: Site) -> None:
             )
 
 
-def _constructor(choice: ControllerChoice, site: Site) -> None:
-    _made(choice, site)
+@_finds_out("it is made with the site and a value for each parameter")
+def _constructor(trial: _Trial) -> None:
+    trial.made()
 
 
-def _commands(choice: ControllerChoice, site: Site) -> None:
-    controller = _made(choice, site)
-    for inputs in _inputs(choice, site):
+@_finds_out("its commands are finite and not negative, at all levels and forecasts")
+def _commands(trial: _Trial) -> None:
+    controller = trial.made()
+    for inputs in trial.inputs():
         _asked(controller, *inputs)
 
 
-def _whole_range(choice: ControllerChoice, site: Site) -> None:
-    for parameter in choice.kind.parameters:
+@_finds_out("so they are with each parameter at either end of its range")
+def _whole_range(trial: _Trial) -> None:
+    for parameter in trial.choice.kind.parameters:
         if parameter.name == "horizon":
             continue  # another one needs another forecast
         for value in (parameter.low, parameter.high):
-            controller = _made(choice, site, **{parameter.name: value})
-            for inputs in list(_inputs(choice, site))[::7]:
-                try:
+            controller = trial.made(**{parameter.name: value})
+            try:
+                for inputs in trial.inputs(each=7):
                     _asked(controller, *inputs)
-                except _ProblemError as error:
-                    raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
+            except _ProblemError as error:
+                raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
-def _deterministic(choice: ControllerChoice, site: Site) -> None:
-    first, second = _made(choice, site), _made(choice, site)
-    for inputs in _inputs(choice, site):
+@_finds_out("two of it give the same commands to the same inputs")
+def _deterministic(trial: _Trial) -> None:
+    first, second = trial.made(), trial.made()
+    for inputs in trial.inputs():
         one, other = _asked(first, *inputs), _asked(second, *inputs)
         if one != other:
             raise _ProblemError(f"two controllers command {one!r} and {other!r} on equal inputs")
 
 
-def _inputs_kept(choice: ControllerChoice, site: Site) -> None:
-    controller = _made(choice, site)
-    for cistern, roof, rain, evaporated in _inputs(choice, site):
-        rain_before, evaporated_before = np.array(rain), np.array(evaporated)
-        _asked(controller, cistern, roof, rain, evaporated)
-        if not (
-            np.array_equal(rain_before, rain) and np.array_equal(evaporated_before, evaporated)
-        ):
+@_finds_out("it leaves the forecasts that it gets as they are")
+def _inputs_kept(trial: _Trial) -> None:
+    controller = trial.made()
+    for inputs in trial.inputs():
+        before = [np.array(forecast) for forecast in inputs[2:]]
+        _asked(controller, *inputs)
+        if not all(map(np.array_equal, before, inputs[2:])):
             raise _ProblemError("command() changes the forecasts that it gets; copy them first")
 
 
-def _skip(choice: ControllerChoice, site: Site) -> None:
-    controller = _made(choice, site)
+@_finds_out("a tick may be skipped, at first and later, and commands are as before after it")
+def _skip(trial: _Trial) -> None:
+    controller = trial.made()
     controller.skip()
-    for inputs in list(_inputs(choice, site))[::5]:
+    for inputs in trial.inputs(each=5):
         _asked(controller, *inputs)
         controller.skip()
         controller.skip()
 
 
-def _wrong_forecasts(choice: ControllerChoice, site: Site) -> None:
+@_finds_out(
+    "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else"
+)
+def _wrong_forecasts(trial: _Trial) -> None:
+    choice, steps = trial.choice, trial.steps
+    levels = 0.8 * trial.site.z_o, 0.5 * trial.site.z_veg
     empty: Any = np.empty((1, 0)) if choice.ensemble else []
-    steps = _steps(choice, site)
-    unknown = _forecast(choice, site, math.nan)
     for rain, evaporated in (
-        (empty, []), (_forecast(choice, site, 0.0), [0.0] * (steps + 1)),
-        (unknown, [math.nan] * steps),
+        (empty, []), (trial.forecast(0.0), [0.0] * (steps + 1)),
+        (trial.forecast(math.nan), [math.nan] * steps),
     ):
-        controller = _made(choice, site)
+        controller = trial.made()
         try:
-            _asked(controller, 0.8 * site.z_o, 0.5 * site.z_veg, rain, evaporated)
+            _asked(controller, *levels, rain, evaporated)
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
             raise _ProblemError("with needs_forecast = False it must command without one") from None
     if choice.ensemble:
-        controller = _made(choice, site)
+        controller = trial.made()
         for members in (1, 3):
-            _asked(
-                controller, 0.8 * site.z_o, 0.5 * site.z_veg,
-                _forecast(choice, site, 1e-6, members), [0.0] * steps,
-            )
+            _asked(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
 
 
-def _may_change(choice: ControllerChoice, site: Site) -> None:
-    for parameter in choice.kind.parameters:
+@_finds_out("a parameter that may change is an attribute, and it may")
+def _may_change(trial: _Trial) -> None:
+    for parameter in trial.choice.kind.parameters:
         if not parameter.may_change:
             continue
-        controller = _made(choice, site)
-        if getattr(controller, parameter.name, None) != choice.defaults(site)[parameter.name]:
-            raise _ProblemError(f"it has no attribute {parameter.name} with the parameter's value")
+        name, controller = parameter.name, trial.made()
+        if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
+            raise _ProblemError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
-            setattr(controller, parameter.name, value)
-            for inputs in list(_inputs(choice, site))[::11]:
+            setattr(controller, name, value)
+            for inputs in trial.inputs(each=11):
                 _asked(controller, *inputs)
 
 
-def _outputs(choice: ControllerChoice, site: Site) -> None:
+@_finds_out("each of its outputs is a topic of the interface and has its value after a command")
+def _outputs(trial: _Trial) -> None:
     try:
-        topics = optional_topics(choice.outputs)
+        topics = optional_topics(trial.choice.outputs)
     except ConfigurationError as error:
         raise _ProblemError(str(error)) from error
-    controller = _made(choice, site)
-    _asked(controller, *next(_inputs(choice, site)))
+    controller = trial.made()
+    _asked(controller, *next(trial.inputs()))
     for topic, attribute in topics:
-        value = getattr(controller, attribute, None)
-        if not isinstance(topic.undecided, array):
-            if not isinstance(value, (int, float)):
-                raise _ProblemError(
-                    f"{topic.name}: there is no number in the attribute {attribute}"
-                )
-            continue
-        columns = len(topic.undecided)
-        if not isinstance(value, np.ndarray) or value.dtype != float or (
-            value.shape[1:] != (columns,)
-        ):
+        value, expected = getattr(controller, attribute, None), "number"
+        right = isinstance(value, (int, float))
+        if isinstance(topic.undecided, array):
+            columns = len(topic.undecided)
+            expected = f"numpy array of floats, of shape (n, {columns}),"
+            right = isinstance(value, np.ndarray) and (
+                (value.dtype, value.shape[1:]) == (float, (columns,))
+            )
+        if not right:
             raise _ProblemError(
-                f"{topic.name}: there is no numpy array of floats, of shape (n, {columns}), in the "
-                f"attribute {attribute}"
+                f"{topic.name}: there is no {expected} in the attribute {attribute}"
             )
 
 
-def _statistics(choice: ControllerChoice, site: Site) -> None:
-    controller = _made(choice, site)
-    _asked(controller, *next(_inputs(choice, site)))
+@_finds_out("its statistics are None, or the figures of its solver")
+def _statistics(trial: _Trial) -> None:
+    controller = trial.made()
+    _asked(controller, *next(trial.inputs()))
     found = controller.statistics()
-    if found is not None and set(found) != _SOLVER_FIGURES:
-        raise _ProblemError(
-            f"statistics() must be None or have {', '.join(sorted(_SOLVER_FIGURES))}"
-        )
-
-
-# In the order in which a user should repair them.
-_CHECKS: dict[str, Callable[[ControllerChoice, Site], None]] = {
-    "its parameters have distinct names, units, meanings, and defaults within their ranges":
-        _parameters,
-    "it is made with the site and a value for each parameter":
-        _constructor,
-    "its commands are finite and not negative, at all levels and forecasts":
-        _commands,
-    "so they are with each parameter at either end of its range":
-        _whole_range,
-    "two of it give the same commands to the same inputs":
-        _deterministic,
-    "it leaves the forecasts that it gets as they are":
-        _inputs_kept,
-    "a tick may be skipped, at first and later, and commands are as before after it":
-        _skip,
-    "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else":
-        _wrong_forecasts,
-    "a parameter that may change is an attribute, and it may":
-        _may_change,
-    "each of its outputs is a topic of the interface and has its value after a command":
-        _outputs,
-    "its statistics are None, or the figures of its solver":
-        _statistics,
-}
+    figures = TickTimes().statistics(0, 0)
+    if found is not None and found.keys() != figures.keys():
+        raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")

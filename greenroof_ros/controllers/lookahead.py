@@ -11,18 +11,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
-from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy
-from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.controllers.scenario_tree import halved_by_rain
 from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust, leave
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -55,7 +52,7 @@ class Lookahead:
     of an ensemble of forecasts or for a single one, over steps that grow, and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`). What is known of
     the members' future is that of
-    :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
+    :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
     It plans again when the plan is an hour old, or a 48th of the horizon, and when a member's rain
@@ -197,7 +194,10 @@ class Lookahead:
         """
         started = time.perf_counter()
         site = self._site
-        rain, evaporated = self._checked(precipitation, evapotranspiration)
+        rain, evaporated = np.empty((1, 0)), np.empty(0)
+        if np.size(precipitation) or np.size(evapotranspiration):
+            given = precipitation, evapotranspiration
+            rain, evaporated = self._after.checked(*given, MOST_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
@@ -246,28 +246,7 @@ class Lookahead:
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
-        return solver_statistics(self.solves, 0, self.solve_seconds)
-
-    def _checked(
-        self, precipitation: Sequence[Any], evapotranspiration: Sequence[float]
-    ) -> tuple[Array, Array]:
-        """Return the forecasts as arrays, rain of shape (members, steps).
-
-        Raises:
-            ConfigurationError: they are neither empty nor of the right shape.
-        """
-        rain = np.array(precipitation, dtype=float, order="C", ndmin=2)
-        evaporated = np.array(evapotranspiration, dtype=float)
-        if not rain.size and not evaporated.size:
-            return rain, evaporated
-        steps = self._after.steps
-        if rain.shape[1] != steps or evaporated.shape != (steps,) or len(rain) > MOST_MEMBERS:
-            raise ConfigurationError(
-                f"the forecasts of rain have {len(rain)} members of {rain.shape[1]} entries, that "
-                f"of evapotranspiration {len(evaporated)}; the plan has {steps} steps, and at most "
-                f"{MOST_MEMBERS} members; give weather and controller the same horizon"
-            )
-        return rain, evaporated
+        return self.solve_seconds.statistics(self.solves, 0)
 
     def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
         """Whether the plan is old, or the forecast another than it was."""
@@ -353,13 +332,9 @@ class Lookahead:
             rain: in the present tick (m/s).
             evaporated: in the present tick (m3/s).
         """
-        site = self._site
-        kept = self._soil.kept_share(x2)
-        stays = kept * maximum_pump_flow(site, x1)
-        if stays <= 0:
-            return 0.0
-        inflow = rain * site.a2 * kept - evaporated * self._soil.water_stress(x2)
-        share = ((level - _BELOW_M3 - x2) / site.tau - inflow) / stays
+        share = command_to(
+            self._site, self._soil, x1, x2, level - _BELOW_M3, rain, evaporated
+        )
         share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
         return share if self._flow else self._start(share)
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
@@ -209,7 +208,7 @@ class Mpc:
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
-        return solver_statistics(len(self.solve_seconds), self.fallbacks, self.solve_seconds)
+        return self.solve_seconds.statistics(len(self.solve_seconds), self.fallbacks)
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command of the program's solution and its objective.

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.tick_times import TickTimes
 
 
 class Controller(Protocol):
@@ -93,22 +92,6 @@ class ControllerClass(Protocol):
         ...
 
 
-def takes_ensemble(kind: ControllerClass) -> bool:
-    """Whether a class takes all members of an ensemble; the others get the first."""
-    return bool(getattr(kind, "ensemble", False))
-
-
-def needs_forecast(kind: ControllerClass) -> bool:
-    """Whether a class needs a forecast to decide; one that does not say so does."""
-    return bool(getattr(kind, "needs_forecast", True))
-
-
-def outputs_of(kind: ControllerClass) -> Mapping[str, str]:
-    """Return the attribute of each topic that a controller's node publishes beside the command."""
-    outputs: Mapping[str, str] = getattr(kind, "outputs", {})
-    return outputs
-
-
 def learned_by(controller: Controller) -> dict[str, float] | None:
     """Return what a controller has learned; None of one that learns nothing."""
     learned: dict[str, float] | None = getattr(controller, "learned", None)
@@ -122,20 +105,3 @@ def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
         KeyError: something is missing.
     """
     controller.learned = learned
-
-
-def solver_statistics(solves: int, fallbacks: int, times: TickTimes) -> dict[str, float]:
-    """Return a solver's figures for :meth:`Controller.statistics`.
-
-    Args:
-        solves: how many programs were solved, or tried.
-        fallbacks: how many of them had no solution.
-        times: wall time of each tick.
-    """
-    return {
-        "solves": solves,
-        "fallbacks": fallbacks,
-        "mean_s": times.mean,
-        "p99_s": times.percentile(99),
-        "max_s": times.largest,
-    }

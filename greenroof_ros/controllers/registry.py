@@ -15,14 +15,9 @@ from typing import cast
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, number, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.protocol import (
-    Controller,
-    ControllerClass,
-    needs_forecast,
-    outputs_of,
-    takes_ensemble,
-)
+from greenroof_ros.controllers.protocol import Controller, ControllerClass
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import soil_of
 
 # Other packages add to these by an entry point of this group: NAME = package.module:Class.
 GROUP = "greenroof_ros.controllers"
@@ -103,18 +98,18 @@ class ControllerChoice:
 
     @property
     def ensemble(self) -> bool:
-        """Whether it takes all members of an ensemble of forecasts."""
-        return takes_ensemble(self.kind)
+        """Whether it takes all members of an ensemble of forecasts; the others get the first."""
+        return bool(getattr(self.kind, "ensemble", False))
 
     @property
     def needs_forecast(self) -> bool:
-        """Whether it needs a forecast to decide."""
-        return needs_forecast(self.kind)
+        """Whether it needs a forecast to decide; one that does not say so does."""
+        return bool(getattr(self.kind, "needs_forecast", True))
 
     @property
     def outputs(self) -> dict[str, str]:
         """Topics that its node publishes beside the command, each with its attribute."""
-        return dict(outputs_of(self.kind))
+        return dict(getattr(self.kind, "outputs", {}))
 
     @property
     def source(self) -> str:
@@ -143,9 +138,10 @@ class ControllerChoice:
 
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return its parameters, each with the default that it has on a site's roof."""
-        measured = site.field_capacity is not None
+        if not soil_of(site).measured:
+            return list(self.kind.parameters)
         return [
-            replace(one, default=one.measured) if measured and one.measured is not None else one
+            one if one.measured is None else replace(one, default=one.measured)
             for one in self.kind.parameters
         ]
 

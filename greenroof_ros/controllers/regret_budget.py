@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow, pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.soil import left_after_tick, soil_of
 
 _log = logging.getLogger(__name__)
 
@@ -170,9 +170,8 @@ class RegretBudget:
 
     def _left(self, x2: float, arriving: float, evapotranspiration: float) -> float:
         """Return what a roof of x2 (m3) has at the end of a tick; flows are in m3/s."""
-        tau, soil = self._site.tau, self._soil
-        lost = soil.drained(x2, arriving, tau) + evapotranspiration * soil.water_stress(x2)
-        return max(0.0, x2 + tau * (arriving - lost))
+        left = left_after_tick(self._soil, self._site.tau, x2, arriving, evapotranspiration)
+        return max(0.0, left)
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""

@@ -7,7 +7,7 @@ from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.soil import left_after_tick, soil_of
 
 # Where all readings of so long (s), and so many at least, are further (m) off what was predicted,
 # and to the same side, that is no noise but something that the model does not know of: pumps of
@@ -99,9 +99,8 @@ class RoofObserver:
         Returns:
             The volume that is expected then (m3).
         """
-        site, soil = self._site, self._soil
-        into = precipitation * site.a2 + pumped
-        evaporated = evapotranspiration * soil.water_stress(x2)
-        drained = soil.drained(x2, into, site.tau)
-        self._predicted = x2 + site.tau * (into - evaporated - drained)
+        arriving = precipitation * self._site.a2 + pumped
+        self._predicted = left_after_tick(
+            self._soil, self._site.tau, x2, arriving, evapotranspiration
+        )
         return self._predicted

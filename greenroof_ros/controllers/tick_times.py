@@ -9,10 +9,10 @@ _MOST_KEPT = 65_536
 
 
 class TickTimes:
-    """Wall times of ticks (s): their number, mean and largest, and percentiles.
+    """Wall times of ticks (s): their number, mean and largest, and the 99th percentile.
 
     Up to 65,536 are kept. Of more, every second, then every fourth and so on is, of which the
-    percentiles are; mean and largest are of all.
+    percentile is; mean and largest are of all.
     """
 
     def __init__(self) -> None:
@@ -38,16 +38,17 @@ class TickTimes:
         self._sum += seconds
         self._largest = max(self._largest, seconds)
 
-    @property
-    def mean(self) -> float:
-        """The mean (s); 0 of no ticks."""
-        return self._sum / max(1, self._count)
+    def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
+        """Return a solver's figures, for a controller's; the times are 0 of no ticks.
 
-    @property
-    def largest(self) -> float:
-        """The largest (s); 0 of no ticks."""
-        return self._largest
-
-    def percentile(self, share: float) -> float:
-        """Return what so many per cent of the ticks take at most (s); 0 of no ticks."""
-        return float(np.percentile(self._kept or [0.0], share))
+        Args:
+            solves: how many programs were solved, or tried.
+            fallbacks: how many of them had no solution.
+        """
+        return {
+            "solves": solves,
+            "fallbacks": fallbacks,
+            "mean_s": self._sum / max(1, self._count),
+            "p99_s": float(np.percentile(self._kept or [0.0], 99)),
+            "max_s": self._largest,
+        }

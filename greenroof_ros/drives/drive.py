@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.lock import LockedError, take_lock
 from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
+from greenroof_ros.model.pump_speed import STANDS
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05
-# Slower than this share of rated speed a pump stands.
-_STANDS = 0.01
-# A speed so little below 0 (share of rated speed) is noise of a pump at rest.
-_NOISE = 0.02
 # Where the locks are.
 _DIRECTORIES = (Path("/run/lock"), Path("/tmp"))
 _LOCAL = "; it is in local control: hand it over to the bus at its panel"
@@ -56,7 +54,7 @@ class DriveStatus:
     @property
     def stands(self) -> bool:
         """Whether the pump does not turn."""
-        return abs(self.speed) < _STANDS
+        return abs(self.speed) <= STANDS
 
     def __str__(self) -> str:
         parts = [f"speed {self.speed:.1%}", "running" if self.running else "off"]
@@ -75,7 +73,6 @@ class Drive:
     Attributes:
         file: what the drive is like.
         line: the connection.
-        timeout_note: why its own communication timeout counts as off; empty where it does not.
         stopped: whether the last `stop` on this connection was written; None where there was none.
     """
 
@@ -88,9 +85,8 @@ class Drive:
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         self.file, self.line = file, file.line(address, timeout_s)
-        self.timeout_note = ""
         self.stopped: bool | None = None
-        self._timeout, self._interface = file.timeout.over(address), address.interface
+        self._address, self._timeout = address, file.timeout.over(address)
         self._full_scale: dict[str, float] = {}
         # What the drive was left in by somebody else is not known.
         self._prepared = False
@@ -118,10 +114,10 @@ class Drive:
             parts.append(f"{self.file.registers[plate.register].meaning}: {text}")
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
-    def timeout(self) -> float | None:
-        """Return the drive's own communication timeout (s) on this connection, None for off.
+    def timeout(self) -> tuple[float | None, str]:
+        """Return its own communication timeout (s) on this connection; for off None, and why.
 
-        Off is also one after which the drive would not stop; `timeout_note` then says why.
+        Off is also one after which the drive would not stop.
 
         Raises:
             DriveError: it cannot be read, or the drive's file tells of none for this interface.
@@ -131,26 +127,23 @@ class Drive:
             raise self.line.error(
                 "answer",
                 f"{self.file.path} tells of none by which a connection there is guarded "
-                f"(timeout.{self._interface}); if a gateway to the drive's serial port is there, "
-                "the address is gateway://HOST:PORT",
+                f"(timeout.{self._address.interface}); if a gateway to the drive's serial port is "
+                "there, the address is gateway://HOST:PORT",
             )
-        self.timeout_note = ""
         raw = self._raw(own.register)
         seconds = self._scaled(own.register, raw)
         if raw in own.off_values or seconds is None or seconds <= 0:
-            self.timeout_note = f"{self._named(own.register)} is {raw}: off"
-            return None
+            return None, f"{self._named(own.register)} is {raw}: off"
         for setting in (own.action, own.mode):
             if setting is None:
                 continue
             chosen = self._number(setting.register)
             if chosen not in setting.stops:
                 text = setting.runs_on.get(chosen, "not known to the drive's file")
-                self.timeout_note = (
+                return None, (
                     f"{self._named(setting.register)} is {chosen}: {text}; the pump might run on"
                 )
-                return None
-        return seconds
+        return seconds, ""
 
     def read(self) -> DriveStatus:
         """Return what the drive says of itself.
@@ -171,7 +164,7 @@ class Drive:
                 raw = self._number(self.file.warnings.register)
                 warning = self.file.warnings.text(raw) or warning
         speed = self._known("speed")
-        if -_NOISE <= speed <= 0:
+        if -STANDS <= speed <= 0:
             speed = 0.0
         elif speed < 0:
             backwards = f"the pump turns backwards (speed {speed:.1%})"
@@ -282,6 +275,27 @@ class Drive:
             f"0x{word:04X}, and 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
+    def why_no_simulator(self) -> str:
+        """Return why it is not, for certain, the drive simulator; empty where it is.
+
+        Nothing is written to it, and nothing at all is sent to one that is not at loopback or a
+        pseudo-terminal.
+
+        Raises:
+            DriveError: nobody answers there, of the kind ``connection``.
+        """
+        if not self._address.is_here:
+            return f"{self._address} is neither at loopback nor a pseudo-terminal"
+        try:
+            named = self.line.identification()
+        except DriveError as error:
+            if error.kind == "connection":
+                raise
+            return f"what is there does not identify itself as that ({error})"
+        if named == SIMULATOR:
+            return ""
+        return f"what is at {self._address} identifies itself as {named[0]!r}, {named[1]!r}"
+
     def forget_full_scales(self) -> None:
         """Have the registers that others are divided by read again when they are next needed."""
         self._full_scale.clear()
@@ -371,7 +385,7 @@ class Drive:
         if raw == register.missing:
             return None
         value = raw * self._factor(register)
-        low = min(register.low, -_NOISE) if name == "speed" else register.low
+        low = min(register.low, -STANDS) if name == "speed" else register.low
         if not math.isfinite(value) or not low <= value <= register.high:
             raise self.line.error(
                 "answer",
@@ -497,27 +511,19 @@ class DriveLock:
         )
 
 
-def why_no_simulator(file: DriveFile, address: Address, timeout_s: float = 0.5) -> str:
-    """Return why a drive is not, for certain, the drive simulator; empty where it is.
+def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
+    """Return that a speed other than real time is refused.
 
-    Nothing is written to it, and nothing at all is sent to one that is not at loopback or a
-    pseudo-terminal.
+    Any other drive than the simulator may turn a real motor, by levels that are made up, and start
+    it as many times more often as time goes faster.
 
-    Raises:
-        DriveError: nobody answers there, of the kind ``connection``.
+    Args:
+        why: it is not the simulator; see `Drive.why_no_simulator`.
+        key: what says the speed, for the message.
+        speed: simulated time per wall time; 0 for as fast as it goes.
     """
-    if not address.is_here:
-        return f"{address} is neither at loopback nor a pseudo-terminal"
-    line = file.line(address, timeout_s)
-    try:
-        line.connect()
-        named = line.identification()
-    except DriveError as error:
-        if error.kind == "connection":
-            raise
-        return f"what is there does not identify itself as that ({error})"
-    finally:
-        line.close()
-    if named == SIMULATOR:
-        return ""
-    return f"what is at {address} identifies itself as {named[0]!r}, {named[1]!r}"
+    return ConfigurationError(
+        "is for the drive simulator alone, at loopback or on a pseudo-terminal, since another "
+        f"drive may turn a real pump by made-up levels: {why}",
+        key=key, value=f"{speed:g}" if speed else "max",
+    )

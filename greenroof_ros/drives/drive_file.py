@@ -10,7 +10,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.records import Word, entry, error_at, read_record
+from greenroof_ros.common.records import Word, entry, error_at, find, read_record
 from greenroof_ros.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
@@ -250,11 +250,6 @@ class DriveFile:
     warnings: Codes | None = entry("warning codes", default=None)
     path: Path = Path()
 
-    @property
-    def name(self) -> str:
-        """How options name it."""
-        return self.path.stem
-
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
@@ -385,7 +380,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
     for name, register in registers.items():
         if register.full_scale:
             full = registers[register.full_scale]
-            if not 0 < full.low <= full.high < math.inf or full.full_scale:
+            if full.low <= 0 or math.isinf(full.high) or full.full_scale:
                 yield f"registers.{register.full_scale}", (
                     f"must have low, above 0, and high, and no full_scale: {name} is divided by it"
                 )
@@ -399,7 +394,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
                 yield f"{key}.stops.{value}", "stands in stops and in runs_on, too"
     yield from _sequence_mistakes(drive)
     for number, key in enumerate(drive.unverified, start=1):
-        if not _stands(key, content):
+        if find(content, key)[1] is None:
             yield f"unverified.{number}", "names no key of this file"
 
 
@@ -441,15 +436,3 @@ def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
         yield "sequences.run", "must write the speed"
     if run[-1].write != "control":
         yield "sequences.run", "must end with the register control"
-
-
-def _stands(key: str, content: Any) -> bool:
-    """Tell whether there is something under a key, such as ``sequences.run.2``."""
-    for part in key.split("."):
-        if isinstance(content, YamlMapping) and part in content:
-            content = content[part]
-        elif isinstance(content, list) and part.isdecimal() and 0 < int(part) <= len(content):
-            content = content[int(part) - 1]
-        else:
-            return False
-    return True

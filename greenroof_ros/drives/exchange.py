@@ -28,8 +28,6 @@ RUNS_ON_AGAIN_S = 60.0
 # For how long orders may still go to a drive whose speed cannot be read (s), before the silence in
 # which its own timeout can fall.
 UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
-# Above this share of rated speed a pump that is told to stop turns: more than noise at rest.
-TURNS = 0.02
 # How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: its
 # ramp, and what asking takes. It must fit into the 40 s that bringup gives the pump node to end,
 # and twice, one after the other, into the 120 s that examples/greenroof.service has.
@@ -74,7 +72,11 @@ class Snapshot(Known):
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
         unguarded: why the drive is kept off although it is connected: its own timeout may not guard
-            yet; empty where it does.
+            yet, or it is not known to be the simulator that it must be; empty for nothing.
+        no_simulator: why it is not, for certain, the drive simulator; empty where it is, None where
+            that is not known.
+        second_master: that somebody else orders the drive about, and since then it is kept off;
+            empty where nobody does.
         errors: how often anything went wrong.
     """
 
@@ -85,6 +87,8 @@ class Snapshot(Known):
     timeout_known: bool = False
     timeout_note: str = ""
     unguarded: str = ""
+    no_simulator: str | None = None
+    second_master: str = ""
     errors: int = 0
 
     @property
@@ -157,7 +161,7 @@ class Obedience:
             RunsOnError: the fault was to be seen for long enough.
         """
         fall, said_at, self._said_at = self._fall, self._said_at, math.inf
-        if fall is None or abs(status.speed) <= TURNS or not status.remote:
+        if fall is None or status.stands or not status.remote:
             self._fall, self._left_until = None, -math.inf
             return status
         still_s = fall.still_s(status, now)
@@ -270,6 +274,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
+        self._simulator_only = False
 
     def close(self) -> None:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
@@ -305,6 +310,10 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._reset_until = time.monotonic() + RESET_S
         self._wake.set()
 
+    def only_simulator(self) -> None:
+        """Run nothing but the drive simulator from now on: the time of the graph is not real."""
+        self._simulator_only = True
+
     # --- in the thread ----------------------------------------------------------------------------
 
     def _fail(self, problem: str, **changes: Any) -> None:
@@ -322,6 +331,8 @@ class DriveExchange(DeviceThread[Snapshot]):
 
         Since the connection before, it may have been without power, which looks like a cut cable.
         """
+        if self._simulator_only and (why := self._snapshot.no_simulator) != "":
+            return why or "whether it is the drive simulator is not known yet"
         if time.monotonic() >= self._guarded_from:
             return ""
         return (
@@ -386,6 +397,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             return
         self._drive = drive = Drive(self._file, self._address, self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
+        self._update(no_simulator=None)
         drive.line.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
@@ -426,16 +438,17 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _read_settings(self) -> None:
         """Read what somebody may change at the panel, and on which safety rests."""
         self._drive.forget_full_scales()
-        seconds, known = None, False
         try:
-            seconds = self._drive.timeout()
-            known, note = True, self._drive.timeout_note
+            (seconds, note), known = self._drive.timeout(), True
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            note = str(error)
+            seconds, note, known = None, str(error), False
+        no_simulator = self._drive.why_no_simulator() if self._simulator_only else None
         self._settings_at = time.monotonic()
-        self._update(timeout_s=seconds, timeout_known=known, timeout_note=note)
+        self._update(
+            timeout_s=seconds, timeout_known=known, timeout_note=note, no_simulator=no_simulator
+        )
 
     def _round(self) -> None:
         """Write what is asked for, and read what the drive says."""
@@ -443,7 +456,8 @@ class DriveExchange(DeviceThread[Snapshot]):
         try:
             runs, problem = self._order()
             status = self._read()
-            if time.monotonic() - self._settings_at > SETTINGS_S:
+            unknown = self._simulator_only and self._snapshot.no_simulator is None
+            if unknown or time.monotonic() - self._settings_at > SETTINGS_S:
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1
@@ -504,9 +518,11 @@ class DriveExchange(DeviceThread[Snapshot]):
             if intruder:
                 pause_s = INTRUDER_PAUSE_S
                 self._obedience.forget()  # it may be the other one whom the drive obeys
-                raise DriveError(
-                    "drive", f"{intruder}; stopped until {pause_s:g} s after the last such word"
-                )
+                why = f"{intruder}; stopped until {pause_s:g} s after the last such word"
+                self._update(second_master=why)
+                raise DriveError("drive", why)
+            if self._snapshot.second_master and time.monotonic() >= self._paused_until:
+                self._update(second_master="")
             if time.monotonic() < self._reset_until:
                 self._reset_until = -math.inf
                 self._paused_until = -math.inf

@@ -305,7 +305,7 @@ class ModbusLine:
         Raises:
             DriveError: no answer, or a wrong one.
         """
-        what = f"reading register {address}" + (f" and {count - 1} more" if count > 1 else "")
+        what = f"reading register {address}"
         client = self._client
         read = client.read_input_registers if inputs else client.read_holding_registers
         answer = self._ask(what, 4 if inputs else 3, read, address, count=count)

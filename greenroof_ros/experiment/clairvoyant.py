@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.experiment.roof_range import ROUNDING, roof_range
+from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 from greenroof_ros.model.soil import soil_of
 
@@ -57,28 +57,6 @@ class Bound:
     def gap(self) -> float | None:
         """How far the plan is above the bound, as a share of it; None where the bound is 0."""
         return self.plan_m3 / self.bound_m3 - 1 if self.bound_m3 > 0 else None
-
-
-@dataclass(frozen=True, eq=False)
-class _Limits:
-    """What every run keeps to, whatever the controller; volumes in m3.
-
-    Attributes:
-        floor: least volume on the roof, shape (N+1,).
-        ceiling: largest volume on the roof, shape (N+1,).
-        least: least change of the roof's volume in a tick, shape (N,); where there is a slope, of
-            the volume after it less slope times that before.
-        greatest: largest of the same, shape (N,).
-        still: change without pumping, drainage or a dry roof, shape (N,).
-        slope: of a measured roof, shape (N,).
-    """
-
-    floor: Values
-    ceiling: Values
-    least: Values
-    greatest: Values
-    still: Values
-    slope: Values | None
 
 
 def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
@@ -130,10 +108,10 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     )
     if block is None:
         block = max(1, round(_BLOCK_S / run.site.tau))
-    limits = _limits(run, max_command)
+    still, limits = _limits(run, max_command)
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
-    plan = _Plan(run, _targets(run, limits, edges, deviation), max_command)
+    plan = _Plan(run, _targets(run, still, edges, deviation), max_command)
     metrics = Metrics()
     flows = array("d")
     for tick in closed_loop(run, plan, metrics):
@@ -150,8 +128,13 @@ def _sums(first: float, changes: Values) -> Values:
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 
-def _limits(run: Run, max_command: float) -> _Limits:
-    """Return what every run keeps to; :func:`clairvoyant_bound` says why."""
+def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
+    """Return what every run keeps to; :func:`clairvoyant_bound` says why.
+
+    Returns:
+        How the volume on the roof changes in each tick without pumping, drainage or a dry roof
+        (m3), shape (N,); and its range and changes.
+    """
     site, tau = run.site, run.site.tau
     rain, evapotranspiration, frost = (
         np.frombuffer(series[: run.steps])
@@ -171,13 +154,11 @@ def _limits(run: Run, max_command: float) -> _Limits:
     supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], given])
     # The plant adds up in another order, so its last digits differ.
     slack = ROUNDING * (site.x2_star + roof.high.max())
-    return _Limits(
-        roof.low - slack, np.minimum(roof.high, supplied) + slack, roof.least, roof.greatest, still,
-        roof.slope,
-    )
+    high = np.minimum(roof.high, supplied) + slack
+    return still, roof._replace(low=roof.low - slack, high=high)
 
 
-def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
+def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
     """Solve the program of :func:`clairvoyant_bound`.
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it is to
@@ -211,7 +192,7 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
     def means(volumes: Values) -> Values:
         return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
 
-    floor, ceiling = means(limits.floor), means(limits.ceiling)
+    floor, ceiling = means(limits.low), means(limits.high)
     if limits.slope is None:
         factors = np.ones(len(edges))
         least = np.diff(means(_sums(run.x2, limits.least)), prepend=0)
@@ -244,7 +225,7 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
 
 
 def _changes(
-    limits: _Limits, slope: Values, edges: NDArray[np.int64]
+    limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
     """Return by what the means of a measured roof's blocks follow from those before, shape (B,).
 
@@ -253,7 +234,7 @@ def _changes(
         before (m3). The factor is 0 of blocks that do not follow from one of the same length; then
         these are the limits of the volume.
     """
-    floor, ceiling = limits.floor, limits.ceiling
+    floor, ceiling = limits.low, limits.high
     sizes = np.diff(edges, append=len(floor))
     factors = np.zeros(len(edges))
     least, greatest = (
@@ -280,38 +261,19 @@ def _composed(
 ) -> tuple[Values, Values, Values]:
     """Return slope, least and greatest of so many ticks in a row, from each tick on.
 
-    They are put together from stretches of 1, 2, 4 ... ticks. Slopes are not negative, so that the
-    least comes of the least.
+    Slopes are not negative, so that the least comes of the least.
     """
-    power = slope, least, greatest
-    result: tuple[Values, Values, Values] | None = None
-    length, done = 1, 0
-    while True:
-        if ticks & length:
-            result = power if result is None else _after(result, power, done)
-            done += length
-        if done == ticks:
-            assert result is not None
-            return result
-        power = _after(power, power, length)
-        length *= 2
-
-
-def _after(
-    first: tuple[Values, Values, Values], then: tuple[Values, Values, Values], ticks: int
-) -> tuple[Values, Values, Values]:
-    """Return a stretch of so many ticks and what follows it as one, from each tick on."""
-    count = len(then[0]) - ticks
-    slope, least, greatest = (part[:count] for part in first)
-    next_slope, next_least, next_greatest = (part[ticks:] for part in then)
-    return (
-        next_slope * slope, next_slope * least + next_least,
-        next_slope * greatest + next_greatest,
-    )
+    factor, low, high = slope, least, greatest
+    for done in range(1, ticks):
+        following = slope[done:]
+        factor = following * factor[:-1]
+        low = following * low[:-1] + least[done:]
+        high = following * high[:-1] + greatest[done:]
+    return factor, low, high
 
 
 def _targets(
-    run: Run, limits: _Limits, edges: NDArray[np.int64], deviation: Values
+    run: Run, still: Values, edges: NDArray[np.int64], deviation: Values
 ) -> Values:
     """Return the roof's volume (m3) that the plan aims at in each tick, shape (N+1,).
 
@@ -322,7 +284,7 @@ def _targets(
     from hour to hour, comes on top.
     """
     site = run.site
-    weather = _sums(run.x2, limits.still)
+    weather = _sums(run.x2, still)
     ticks = np.diff(edges, append=run.steps + 1)
     added = site.x2_star + deviation - np.add.reduceat(weather, edges) / ticks
     middles, added = np.append(0, edges + (ticks - 1) / 2), np.append(0, added)
@@ -357,18 +319,12 @@ class _Plan:
         evapotranspiration: Sequence[float],
     ) -> float:
         """Decide from the levels (m) and the present weather, the first of the forecast."""
-        site, soil = self._site, self._soil
-        x2 = site.roof_volume(roof_level)
-        kept = soil.kept_share(x2)
-        missing = self._targets[self.tick + 1] - x2
-        gain = (
-            kept * precipitation[0] * site.a2 - soil.water_stress(x2) * evapotranspiration[0]
+        site = self._site
+        command = command_to(
+            site, self._soil, site.cistern_volume(cistern_level), site.roof_volume(roof_level),
+            self._targets[self.tick + 1], precipitation[0], evapotranspiration[0],
         )
-        flow: float = missing / site.tau - gain
-        full = kept * maximum_pump_flow(site, site.cistern_volume(cistern_level))
-        if flow <= 0 or full <= 0:
-            return 0.0
-        return min(flow / full, self._max_command)
+        return min(command, self._max_command)
 
     def skip(self) -> None:
         """Do nothing: whoever runs the plan keeps the tick."""

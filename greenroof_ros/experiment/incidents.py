@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from greenroof_ros.common.disk import DISK
 
@@ -21,45 +21,67 @@ MOST = 200
 # The part that stands for a node's own process.
 PROCESS = "process"
 
-# The part of the weather node, and of a controller that misses what it publishes.
-_FORECAST, _WEATHER = "forecast", "weather"
 _LOST = frozenset({"ERROR", "STALE"})
 _NOT_GOOD = _LOST | {"WARN"}
-# Parts of nodes whose loss is an incident: the levels of a diagnosis at which they are lost, and
-# how long that must last (s). A sensor's value counts for some seconds, so that one bad answer
-# changes nothing.
-_LOSSES: dict[str, tuple[frozenset[str], float]] = {
-    "drive": (_LOST, 0.0),
-    "pump": (_LOST, 0.0),
-    "state file": (_LOST, 0.0),
-    "suspend": (_LOST, 0.0),
-    "recording": (_LOST, 0.0),
-    "disk": (_LOST, 0.0),
-    "sensor": (_LOST, 3.0),
-    _FORECAST: (_NOT_GOOD, 3.0),
-    "rain gauge": (_NOT_GOOD, 3.0),
-    "thermometer": (_NOT_GOOD, 3.0),
+
+
+class Rule(NamedTuple):
+    """When a part of a node is lost.
+
+    Attributes:
+        at: levels of its diagnosis at which it is.
+        lasts_s: how long that must last to be an incident (s).
+        follows: whether it is lost because of something else, as a rule: an incident of its own
+            only where nothing else is lost.
+        holds: whether the pump stands meanwhile.
+    """
+
+    at: frozenset[str] = _LOST
+    lasts_s: float = 0.0
+    follows: bool = False
+    holds: bool = True
+
+
+# By a part, or by a code of it, which then counts. A sensor's value counts for some seconds, so
+# that one bad answer changes nothing; and inputs count again some time after a loss.
+_RULES = {
+    **dict.fromkeys(("drive", "pump", "state file", "suspend"), Rule()),
+    **dict.fromkeys(("recording", "disk"), Rule(holds=False)),
+    "sensor": Rule(lasts_s=3.0),
+    **dict.fromkeys(("forecast", "rain gauge", "thermometer"), Rule(_NOT_GOOD, 3.0, holds=False)),
+    **dict.fromkeys(("levels", "inputs", "command", "frost"), Rule(lasts_s=30.0, follows=True)),
+    "no_forecast": Rule(_NOT_GOOD, 30.0, follows=True, holds=False),
 }
-# Parts that are bad because of something else, as a rule: incidents of their own only where nothing
-# else is lost, and for longer than inputs take to count again after a loss (s).
-_FOLLOWERS: dict[str, tuple[frozenset[str], float]] = {
-    "levels": (_LOST, 30.0),
-    "inputs": (_LOST, 30.0),
-    "command": (_LOST, 30.0),
-}
 
 
-def misses_forecast(node: str, part: str) -> bool:
-    """Whether a part of a node says that it misses the forecast, which the weather node lost."""
-    return part == _FORECAST and node != _WEATHER
+class Part(NamedTuple):
+    """A part of a node whose loss would be an incident, as it was said last.
+
+    Attributes:
+        node: that says so.
+        name: of the part.
+        said: its diagnosis.
+        rule: by which it is lost.
+    """
+
+    node: str
+    name: str
+    said: Mapping[str, str]
+    rule: Rule
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it is lost now."""
+        return self.said["level"] in self.rule.at
 
 
-def _rule(node: str, part: str) -> tuple[frozenset[str], float, bool] | None:
-    """Return when a part of a node is lost, and whether that follows from something else."""
-    if misses_forecast(node, part):
-        return _NOT_GOOD, 30.0, True
-    rule = _LOSSES.get(part) or _FOLLOWERS.get(part)
-    return None if rule is None else (*rule, part in _FOLLOWERS)
+def parts_in(reports: Mapping[str, Mapping[str, Any]]) -> Iterator[Part]:
+    """Yield those parts that the nodes speak of in their last reports."""
+    for node, report in reports.items():
+        for name, said in report.get("diagnoses", {}).items():
+            rule = _RULES.get(said["code"]) or _RULES.get(name)
+            if rule is not None:
+                yield Part(node, name, said, rule)
 
 
 @dataclass(frozen=True)
@@ -75,6 +97,7 @@ class Incident:
         ended: the same; None while it lasts.
         began_tick: of simulated time; None on a live site.
         ended_tick: the same; None while it lasts, too.
+        code: for programs; of :data:`greenroof_ros.pumping.interlocks.CONDITIONS`.
     """
 
     number: int
@@ -85,6 +108,7 @@ class Incident:
     ended: str | None = None
     began_tick: int | None = None
     ended_tick: int | None = None
+    code: str = ""
 
     @property
     def what(self) -> str:
@@ -161,14 +185,6 @@ class IncidentLog:
         """Whether something is lost now."""
         return bool(self._open)
 
-    def keeps(self, node: str, part: str) -> bool:
-        """Whether the loss of a part is said here, now: it needs no other line."""
-        rule = _rule(node, part)
-        if rule is None:
-            return False
-        *_, follows = rule
-        return self.lasting or not follows
-
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the newest incidents for a summary."""
         return [asdict(incident) for incident in self.incidents]
@@ -202,43 +218,35 @@ class IncidentLog:
             tick: of simulated time; None on a live site.
             starting: only what was good before can be lost; the rest has not come yet.
         """
-        for node, report in reports.items():
-            for part, (level, message, _) in report.get("diagnoses", {}).items():
-                rule = _rule(node, part)
-                if rule is None:
-                    continue
-                about, (lost, lasts_s, follows) = (node, part), rule
-                if level == "OK":
-                    self._good.add(about)
-                if level not in lost:
-                    self._pending.pop(about, None)
-                    self.end(node, part, tick)
-                elif about not in self._open and (not starting or about in self._good):
-                    self._suspect(about, message, tick, lasts_s, follows=follows)
+        for part in parts_in(reports):
+            about = part.node, part.name
+            if part.said["level"] == "OK":
+                self._good.add(about)
+            if not part.is_lost:
+                self._pending.pop(about, None)
+                self.end(*about, tick)
+            elif about not in self._open and (not starting or about in self._good):
+                self._suspect(about, part, tick)
 
-    def _suspect(
-        self, about: tuple[str, str], cause: str, tick: int | None, lasts_s: float, *,
-        follows: bool,
-    ) -> None:
+    def _suspect(self, about: tuple[str, str], part: Part, tick: int | None) -> None:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
-        node, part = about
-        began = _now()
+        cause, began = part.said["message"], _now()
         if tick is None and about not in self._good:
             cause, began = f"since the start: {cause}", self._began
-        seen, incident = self._pending.setdefault(
-            about, (now, Incident(0, node, part, cause, began, began_tick=tick))
-        )
-        if follows and self.lasting:
+        seen, incident = self._pending.setdefault(about, (now, Incident(
+            0, *about, cause, began, began_tick=tick, code=part.said["code"],
+        )))
+        if part.rule.follows and self.lasting:
             self._pending.pop(about)
-        elif now - seen >= lasts_s:
+        elif now - seen >= part.rule.lasts_s:
             del self._pending[about]
             self._begin(incident)
 
-    def begin(self, node: str, part: str, cause: str, tick: int | None = None) -> None:
-        """Begin an incident; one that lasts of the same part ends."""
-        self.end(node, part, tick)
-        self._begin(Incident(0, node, part, cause, _now(), began_tick=tick))
+    def fail(self, node: str, cause: str) -> None:
+        """Begin the incident of a node's own process; one that lasts ends."""
+        self.end(node, PROCESS)
+        self._begin(Incident(0, node, PROCESS, cause, _now(), code="node_failed"))
 
     def _begin(self, incident: Incident) -> None:
         self.count += 1

@@ -1,15 +1,16 @@
-"""The options that decide a run, the same for ``simulate`` and ``bringup``."""
+"""The options that decide a run, the same for ``simulate`` and ``run``."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
     DEFAULT,
@@ -37,7 +38,7 @@ from greenroof_ros.model.initial_state import (
     default_state,
     initial_state,
 )
-from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
@@ -49,9 +50,7 @@ _PARAMETER = "parameter_"  # begins the names of the controller's parameters amo
 def add_run_arguments(
     parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 ) -> None:
-    """Add the options that decide a run's numbers, the same for ``simulate`` and ``bringup``.
-
-    The controller's parameters are options, too; so the command line is looked at for its name.
+    """Add the options that decide a run's numbers, the same for ``simulate`` and ``run``.
 
     Args:
         parser: of the command.
@@ -61,15 +60,35 @@ def add_run_arguments(
         ConfigurationError: there is no such controller.
     """
     group = parser.add_argument_group("the run")
+    add_controller_arguments(parser, group, arguments)
+    add_site_arguments(group)
+    _add_forecast_arguments(parser)
+    _add_parameters(
+        parser.add_argument_group("errors of sensor and pumps (default: none)"),
+        PARAMETERS.values(),
+    )
+
+
+def add_controller_arguments(
+    parser: argparse.ArgumentParser, group: argparse._ArgumentGroup,
+    arguments: Sequence[str] | None = None,
+) -> None:
+    """Add the option that names the controller, and those of its parameters, which it decides.
+
+    Args:
+        parser: of the command.
+        group: of the controller's name; its parameters are a group of their own.
+        arguments: the command line, in which its name is looked for; ``sys.argv`` if None.
+
+    Raises:
+        ConfigurationError: there is no such controller.
+    """
     group.add_argument(
         "--controller", default=DEFAULT, metavar="NAME",
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
-    add_site_arguments(group)
     _add_parameter_arguments(parser, _named_controller(arguments))
-    _add_forecast_arguments(parser)
-    _add_sensor_pump_arguments(parser)
 
 
 def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
@@ -91,13 +110,20 @@ def _add_parameter_arguments(
         "--parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
     )
-    for parameter in controller.kind.parameters:
-        low, high = parameter.low, parameter.high
-        unit = "" if parameter.unit == "1" else f"{parameter.unit}, "
+    _add_parameters(group, controller.kind.parameters, _PARAMETER)
+
+
+def _add_parameters(
+    group: argparse._ArgumentGroup, parameters: Iterable[Parameter], prefix: str = ""
+) -> None:
+    """Add an option for each parameter; its argument has a name that begins with the prefix."""
+    for one in parameters:
+        low, high = one.low, one.high
+        unit = "" if one.unit in ("", "1") else f"{one.unit}, "
         group.add_argument(
-            _option(parameter.name), dest=f"{_PARAMETER}{parameter.name}", metavar="X",
-            type=within(int(low), int(high), int) if parameter.whole else within(low, high),
-            help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
+            _option(one.name), dest=f"{prefix}{one.name}", metavar="X",
+            type=within(int(low), int(high), int) if one.whole else within(low, high),
+            help=f"{one.meaning} ({unit}default: {one.default:g})",
         )
 
 
@@ -171,23 +197,16 @@ def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that some kinds of forecast have."""
-    default = ForecastChoice()
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
         help="errors, ensemble: how good they are. real: as those of weather services; better: as "
         "real ones of half the lead; worse: of twice the lead; a file: as it says "
-        f"(default: {default.skill})",
+        f"(default: {ForecastChoice().skill})",
     )
+    _add_parameters(group, (NUMBERS["seed"], NUMBERS["members"]))
+    delay = NUMBERS["delay"]
     group.add_argument(
-        "--forecast-seed", type=within(*NUMBERS["seed"], int), metavar="N",
-        help=f"errors, ensemble: seed of the errors (default: {default.seed})",
-    )
-    group.add_argument(
-        "--forecast-members", type=within(*NUMBERS["members"], int), metavar="M",
-        help=f"ensemble: number of its members (default: {default.members})",
-    )
-    group.add_argument(
-        "--forecast-delay", type=within(*NUMBERS["delay"]), metavar="H",
+        "--forecast-delay", type=within(delay.low, delay.high), metavar="H",
         help="errors, ensemble, a file: hours after its nominal time from which an issue is known "
         f"(default: of errors and ensemble {SERVICE_DELAY_H:g}, of a file what is usual of its "
         "kind; 0 in this project's form, which says when it was known)",
@@ -197,38 +216,6 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
         help="a file: instead of each forecast an ensemble of what fell after similar ones, by "
         "FILE.csv that 'greenroof verify --dress' made of an archive and a record; forecasts less "
         "than ten days from an issue are left out, so that none is dressed by its own weather",
-    )
-
-
-def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that make the site less perfect than the paper's."""
-    group = parser.add_argument_group("errors of sensor and pumps (default: none)")
-    default = SensorPumpErrors()
-    group.add_argument(
-        "--roof-noise", type=within(*RANGES["roof_noise"]), default=default.roof_noise,
-        metavar="M",
-        help="standard deviation of the roof's level sensor (m), independent each tick",
-    )
-    group.add_argument(
-        "--roof-offset", type=within(*RANGES["roof_offset"]), default=default.roof_offset,
-        metavar="M",
-        help="what that sensor reads above the true level (m)",
-    )
-    low, high = RANGES["noise_seed"]
-    group.add_argument(
-        "--noise-seed", type=within(int(low), int(high), int), default=default.noise_seed,
-        metavar="N", help="seed of the noise (default: %(default)s)",
-    )
-    group.add_argument(
-        "--minimum-on", type=within(*RANGES["minimum_on"]), default=default.minimum_on,
-        metavar="S",
-        help="once on, the pumps stay on for so long (s), but not in frost, on a full roof or in "
-        "an empty cistern",
-    )
-    group.add_argument(
-        "--minimum-off", type=within(*RANGES["minimum_off"]), default=default.minimum_off,
-        metavar="S",
-        help="once off, the pumps stay off for so long (s)",
     )
 
 
@@ -306,48 +293,22 @@ def controller_from_arguments(
 def run_from_arguments(arguments: argparse.Namespace) -> Run:
     """Build and check the run that a command line asks for.
 
-    Raises:
-        ConfigurationError: an option, or a file that it names, is wrong.
-    """
-    site_file, site = _site(arguments)
-    controller, parameters = controller_from_arguments(arguments, site)
-    return _run(
-        arguments, site_file, site, controller, parameters,
-        forecast_from_arguments(arguments, arguments.forecast, "--forecast"),
-        SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
-    )
-
-
-def inputs_from_arguments(arguments: argparse.Namespace) -> Run:
-    """Build and check a run of which only site, weather and initial state matter.
+    Of a command without ``--controller`` only site, weather and initial state matter.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    site_file, site = _site(arguments)
-    controller = find_controller("onoff")
-    return _run(
-        arguments, site_file, site, controller, controller.defaults(site), ForecastChoice(),
-        SensorPumpErrors(),
-    )
-
-
-def _site(arguments: argparse.Namespace) -> tuple[Path, Site]:
-    """Return the site file that a command line asks for, and what is in it."""
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-    return site_file, read_site(site_file)
-
-
-def _run(
-    arguments: argparse.Namespace,
-    site_file: Path,
-    site: Site,
-    controller: ControllerChoice,
-    parameters: dict[str, float],
-    choice: ForecastChoice,
-    sensor_pump_errors: SensorPumpErrors,
-) -> Run:
-    """Build a run in the place and time that a command line asks for."""
+    site = read_site(site_file)
+    if "controller" in arguments:
+        controller, parameters = controller_from_arguments(arguments, site)
+        choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
+        given = {name: getattr(arguments, name) for name in PARAMETERS}
+        errors = SensorPumpErrors(**{key: one for key, one in given.items() if one is not None})
+    else:
+        controller = find_controller("onoff")
+        parameters, choice = controller.defaults(site), ForecastChoice()
+        errors = SensorPumpErrors()
     if (arguments.cistern is None) != (arguments.roof is None):
         raise ConfigurationError("must be given together", key="--cistern and --roof")
     if arguments.cistern is not None:
@@ -371,7 +332,7 @@ def _run(
     return build_run(
         site_file, site, weather, arguments.start or DEFAULT_START,
         count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
-        choice, sensor_pump_errors,
+        choice, errors,
     )
 
 

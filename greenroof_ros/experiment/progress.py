@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -15,12 +16,13 @@ INTERVAL_S = 0.2
 class RunProgress:
     """Shows simulated time, both levels, the command and the speed of a run."""
 
-    def __init__(self, steps: int, tau: float) -> None:
+    def __init__(self, steps: int, tau: float, file: Any = None) -> None:
         """Make the bar.
 
         Args:
             steps: N, the last tick.
             tau: duration of a tick (s).
+            file: where it is drawn; standard error if None.
         """
         self._steps = steps
         self._tau = tau
@@ -31,7 +33,7 @@ class RunProgress:
             BarColumn(bar_width=None),
             TextColumn("{task.percentage:>3.0f} %"),
             TextColumn("{task.fields[state]}"),
-            console=Console(stderr=True),
+            console=Console(stderr=True, file=file),
             # Redrawn when there is news, not by a thread that would take its share of two cores.
             auto_refresh=False,
         )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, soil_of
+from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, left_after_tick, soil_of
 
 Values = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def _of_measured(
     The volume after a tick rises with that before by about the slope of the chord over the range:
     less that, what is left to choose is little.
     """
-    ends = [x2 + _change(site, soil, x2, rain, asked) for x2 in (low, high)]
+    ends = [left_after_tick(soil, site.tau, x2, rain, asked) for x2 in (low, high)]
     slope = 1.0
     if high - low > ROUNDING * site.z_cap:
         slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
@@ -147,20 +147,6 @@ def _of_measured(
         max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
         max(reached[slope][1], -slope * low), max(ends[0] - low, -low), slope,
     )
-
-
-def _change(site: Site, soil: MeasuredSoil, x2: float, arriving: float, asked: float) -> float:
-    """Return by how much a measured roof holding x2 (m3) changes in a tick (m3).
-
-    Args:
-        site: its parameters.
-        soil: of the site.
-        x2: volume in the substrate (m3).
-        arriving: rain and pumped water (m3/s).
-        asked: evapotranspiration of plants that do not lack water (m3/s).
-    """
-    drained = soil.drained(x2, arriving, site.tau)
-    return site.tau * (arriving - drained - asked * soil.water_stress(x2))
 
 
 def _ends(
@@ -192,4 +178,4 @@ def _ends(
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
                 found.append(vertex)
-    return [x2 + _change(site, soil, x2, arriving, asked) - line * x2 for x2 in found]
+    return [left_after_tick(soil, site.tau, x2, arriving, asked) - line * x2 for x2 in found]

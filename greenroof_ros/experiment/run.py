@@ -122,23 +122,10 @@ def build_run(
         ("/weather/evapotranspiration", series.evapotranspiration.largest),
     ):
         _check_range(topics[name], largest)
+    forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)
     return Run(
-        site_file=site_file,
-        site=site,
-        weather=weather,
-        series=series,
-        forecast=make_forecast(
-            weather, series, site, first, horizon, choice, controller.ensemble
-        ),
-        start=first,
-        steps=steps,
-        controller=controller,
-        parameters=parameters,
-        initial=initial,
-        x1=x1,
-        x2=x2,
-        forecast_choice=choice,
-        sensor_pump_errors=sensor_pump_errors or SensorPumpErrors(),
+        site_file, site, weather, series, forecast, first, steps, controller, parameters, initial,
+        x1, x2, choice, sensor_pump_errors or SensorPumpErrors(),
     )
 
 

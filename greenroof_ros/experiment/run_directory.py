@@ -86,32 +86,19 @@ def _write_configuration(
     configuration: Path, run: Run, nodes: dict[str, object],
     others: Mapping[str, dict[str, object]],
 ) -> Path:
-    site_file = configuration / "site.yaml"
-    shutil.copyfile(run.site_file, site_file)
-    weather = configuration / "weather"
-    weather.mkdir()
+    site_file = _copy(run.site_file, configuration / "site.yaml")
     weather_files: list[str] = []
     for file in run.weather.files:
-        copy = weather / unique_name(file, [Path(name).name for name in weather_files])
-        shutil.copyfile(file, copy)
-        weather_files.append(str(copy))
+        name = unique_name(file, [Path(other).name for other in weather_files])
+        weather_files.append(str(_copy(file, configuration / "weather" / name)))
     choice = run.forecast_choice
     if choice.file is not None:
-        copy = configuration / "forecast" / choice.file.resolve().name
-        if choice.file.is_dir():
-            shutil.copytree(choice.file, copy)
-        else:
-            copy.parent.mkdir()
-            shutil.copyfile(choice.file, copy)
-        choice = replace(choice, file=copy)
+        name = choice.file.resolve().name
+        choice = replace(choice, file=_copy(choice.file, configuration / "forecast" / name))
     if choice.skill_file is not None:
-        skill_file = configuration / "skill.yaml"
-        shutil.copyfile(choice.skill_file, skill_file)
-        choice = replace(choice, skill=str(skill_file))
+        choice = replace(choice, skill=str(_copy(choice.skill_file, configuration / "skill.yaml")))
     if choice.dressed is not None:
-        dressed = configuration / "dressed.csv"
-        shutil.copyfile(choice.dressed, dressed)
-        choice = replace(choice, dressed=dressed)
+        choice = replace(choice, dressed=_copy(choice.dressed, configuration / "dressed.csv"))
     common = {"site_file": str(site_file)}
     span = {"start": run.start.isoformat(), "run_length": run.steps}
     parameters = {
@@ -146,3 +133,13 @@ def _write_configuration(
         encoding="utf-8",
     )
     return file
+
+
+def _copy(source: Path, copy: Path) -> Path:
+    """Copy a file, or a directory of files, and return where it is then."""
+    copy.parent.mkdir(exist_ok=True)
+    if source.is_dir():
+        shutil.copytree(source, copy)
+    else:
+        shutil.copyfile(source, copy)
+    return copy

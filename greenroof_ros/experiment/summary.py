@@ -43,8 +43,10 @@ def build(
         incidents: what was lost in the run while it went on.
     """
     return {
-        **_status(DONE, None, run.steps),
-        **_setting(run),
+        **build_unfinished(
+            run, DONE, last_tick=run.steps, refused=refused, parameter_changes=parameter_changes,
+            incidents=incidents,
+        ),
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
@@ -53,10 +55,6 @@ def build(
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,
         "messages": dict(messages or {}),
-        "refused": dict(refused or {}),
-        "parameter_changes": parameter_changes or [],
-        "incidents": incidents or [],
-        "versions": versions(),
     }
 
 
@@ -82,17 +80,15 @@ def build_unfinished(
         incidents: what was lost in the run while it went on.
     """
     return {
-        **_status(status, reason, last_tick),
+        "status": status,
+        "reason": reason,
+        "last_tick": last_tick,
         **_setting(run),
         "refused": dict(refused or {}),
         "parameter_changes": parameter_changes or [],
         "incidents": incidents or [],
         "versions": versions(),
     }
-
-
-def _status(status: str, reason: str | None, last_tick: int | None) -> dict[str, Any]:
-    return {"status": status, "reason": reason, "last_tick": last_tick}
 
 
 def _setting(run: Run) -> dict[str, Any]:

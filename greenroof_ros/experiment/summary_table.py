@@ -49,88 +49,74 @@ def table(summary: Mapping[str, Any]) -> Table:
     grid.add_column(style="bold")
     grid.add_column(justify="right")
     grid.add_column()
-    parameters = ", ".join(
-        f"{key} {value:g}" for key, value in summary["parameters"].items() if value is not None
+    for row in _rows(summary):
+        grid.add_row(*row)
+    return grid
+
+
+def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of :func:`table`: a word, a number, and what it is."""
+    given = {key: value for key, value in summary["parameters"].items() if value is not None}
+    yield "controller", summary["controller"], _listed(given)
+    yield "from", *_initial(summary["initial"])
+    yield (
+        "length", f"{summary['steps']} ticks",
+        f"of {summary['tau_s']:g} s, evapotranspiration {summary['evapotranspiration_method']}",
     )
-    rows: list[tuple[str, str, str]] = [
-        ("controller", summary["controller"], parameters),
-        ("from", *_initial(summary["initial"])),
-        (
-            "length", f"{summary['steps']} ticks",
-            f"of {summary['tau_s']:g} s, evapotranspiration {summary['evapotranspiration_method']}",
-        ),
-        *_metric_rows(summary),
-    ]
+    yield from _metric_rows(summary)
     solver = summary["solver"]
     if solver is not None:
-        rows.append(
-            (
-                "solver",
-                f"{solver['mean_s'] * 1e6:.0f} us",
-                f"mean; p99 {solver['p99_s'] * 1e6:.0f} us; "
-                f"{solver['solves']} solves, {solver['fallbacks']} fallbacks",
-            )
+        yield (
+            "solver", f"{solver['mean_s'] * 1e6:.0f} us",
+            f"mean; p99 {solver['p99_s'] * 1e6:.0f} us; {solver['solves']} solves, "
+            f"{solver['fallbacks']} fallbacks",
         )
-    if summary["refused"]:
-        topics = ", ".join(f"{count} on {topic}" for topic, count in summary["refused"].items())
-        rows.append(("REFUSED", str(sum(summary["refused"].values())), f"values: {topics}"))
+    refused = summary["refused"]
+    if refused:
+        topics = ", ".join(f"{count} on {topic}" for topic, count in refused.items())
+        yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
     for change in summary["parameter_changes"]:
         tick = change["tick"]
-        rows.append(
-            (
-                "CHANGED", change["parameter"],
-                f"{_limit(change['before'])} -> {_limit(change['value'])} at "
-                f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
-            )
+        yield (
+            "CHANGED", change["parameter"],
+            f"{_limit(change['before'])} -> {_limit(change['value'])} at "
+            f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
         )
-    rows += map(_incident_row, summary["incidents"], repeat(summary["tau_s"]))
+    yield from map(_incident_row, summary["incidents"], repeat(summary["tau_s"]))
     if summary["frost_hours"]:
-        rows.append(
-            (
-                "FROST",
-                f"{summary['frost_hours']:.1f} h",
-                "at or below 0 degC, nothing pumped; "
-                f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
-            )
+        yield (
+            "FROST", f"{summary['frost_hours']:.1f} h",
+            "at or below 0 degC, nothing pumped; "
+            f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
         )
     for note in summary["weather_notes"]:
-        rows.append(("weather", "moved", note))
+        yield "weather", "moved", note
     for quantity, hours in summary["filled"].items():
-        rows.append(("FILLED", quantity, ", ".join(hours)))
+        yield "FILLED", quantity, ", ".join(hours)
     for rain in summary["suspicious"]:
-        rows.append(("SUSPICIOUS", "rain", f"{rain}; taken as it is"))
+        yield "SUSPICIOUS", "rain", f"{rain}; taken as it is"
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
     if model != PERFECT:
-        rows.append(
-            ("forecast", model, ", ".join(f"{key} {value}" for key, value in forecast.items()))
-        )
+        yield "forecast", model, _listed(forecast)
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
-        rows.append(("forecast", "ends", f"at {repeats_from}; what follows is assumed"))
+        yield "forecast", "ends", f"at {repeats_from}; what follows is assumed"
     if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
-        rows.append(
-            (
-                "sensor and pump", "",
-                ", ".join(
-                    f"{key.replace('_', ' ')} {value:g}"
-                    for key, value in summary["sensor_pump_errors"].items()
-                ),
-            )
-        )
-    if summary["messages"]:
-        rows.append(
-            (
-                "messages",
-                str(sum(summary["messages"].values())),
-                f"in the bag, of {len(summary['messages'])} topics",
-            )
-        )
+        yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])
+    messages = summary["messages"]
+    if messages:
+        yield "messages", str(sum(messages.values())), f"in the bag, of {len(messages)} topics"
     factor = f"{summary['times_real_time']:.0f} times real time"
-    rows.append(("wall time", f"{summary['wall_s']:.1f} s", factor))
-    for row in rows:
-        grid.add_row(*row)
-    return grid
+    yield "wall time", f"{summary['wall_s']:.1f} s", factor
+
+
+def _listed(values: Mapping[str, Any]) -> str:
+    """Return names and values in one line."""
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in values.items()
+    )
 
 
 def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
@@ -24,8 +25,19 @@ MODELS: dict[str, tuple[str, ...]] = {
 
 _OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 
-# Range of each option that is a number; those with whole ends are whole numbers.
-NUMBERS = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS), "delay": (0.0, 48.0)}
+NUMBERS = {
+    "seed": Parameter(
+        "forecast_seed", 0, "", 0, 2**31 - 1, "errors, ensemble: seed of the errors"
+    ),
+    "members": Parameter(
+        "forecast_members", 10, "", 1, MOST_MEMBERS, "ensemble: number of its members"
+    ),
+    "delay": Parameter(
+        "forecast_delay", -1.0, "h", 0.0, 48.0,
+        "errors, ensemble, a file: time after its nominal time from which an issue is known",
+    ),
+}
+"""the options that are numbers, by name; of a delay there is none by default"""
 
 OPTIONS = ("skill", *NUMBERS)
 

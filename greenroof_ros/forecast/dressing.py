@@ -52,6 +52,7 @@ from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.archive import Archive, read_archive, refuse_between_hours
 from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import HOUR, PRECIPITATION
 from greenroof_ros.weather.series import Weather
@@ -67,6 +68,8 @@ little like the issue; with issues of ten months they score 2 % better."""
 _ENDS = (6, 12, 24, 48, 72, 120, 240)
 # Between analogs of one issue (h).
 _APART = 48
+# Between issues that a live site adds (h).
+_ISSUES_APART = 6
 # Between the end of a member and the issue, or the other way round (h): longer than a spell of
 # weather.
 _BETWEEN = 120
@@ -88,7 +91,8 @@ class Dressing:
         edges: of the blocks (h of lead), the first 0, shape (blocks + 1,).
         issued: hours since 1970, shape (issues,).
         forecast: rain in each block (mm), shape (issues, blocks).
-        fell: rain in each hour from the issue on (mm/h), shape (issues, hours).
+        fell: rain in each hour from the issue on (mm/h), shape (issues, hours). NaN where it was
+            not measured, or not yet; such an issue is no analog.
     """
 
     source: str
@@ -100,11 +104,52 @@ class Dressing:
     @property
     def hours(self) -> int:
         """Of a member."""
-        return len(self.fell[0])
+        return int(self.fell.shape[1])
 
     def usable(self, issued: int) -> NDArray[np.intp]:
         """Return which issues are far enough from one (hours since 1970) to say nothing of it."""
-        return np.flatnonzero(np.abs(self.issued - issued) >= self.hours + _BETWEEN)
+        far = np.abs(self.issued - issued) >= self.hours + _BETWEEN
+        return np.flatnonzero(far & ~np.isnan(self.fell).any(axis=1))
+
+    def with_issue(self, issue: Issue) -> Dressing:
+        """Return it with one more issue, whose hours are still to come.
+
+        One that is too short for the blocks, or less than six hours after the last, is left out.
+        """
+        issued = hours_since_1970(issue.issued)
+        last = self.issued[-1] if self.issued.size else issued - _ISSUES_APART
+        if issue.hours < self.edges[-1] or issued < last + _ISSUES_APART:
+            return self
+        forecast = block_sums(issue.rain[:, : self.edges[-1]].mean(axis=0), self.edges)
+        return replace(
+            self, issued=np.append(self.issued, issued),
+            forecast=np.vstack([self.forecast, forecast]),
+            fell=np.vstack([self.fell, np.full(self.hours, np.nan)]),
+        )
+
+    def with_hour(self, hour: int, rain: float) -> Dressing:
+        """Return it with what fell in an hour, for all issues that it follows.
+
+        What is known already stays, whatever the clock says since.
+
+        Issues that end with it are whole: gaps of up to 12 h are bridged as :func:`learn` does. An
+        issue with a longer one is forgotten, and one that begins or ends in a gap.
+
+        Args:
+            hour: hours since 1970.
+            rain: mm/h; NaN where it was not measured.
+        """
+        fell, lead = self.fell.copy(), hour - self.issued
+        follows = np.flatnonzero((lead >= 0) & (lead < self.hours))
+        known = fell[follows, lead[follows]]
+        fell[follows, lead[follows]] = np.where(np.isnan(known), rain, known)
+        ended = lead >= self.hours - 1
+        for index in np.flatnonzero(ended & np.isnan(fell).any(axis=1)):
+            fell[index] = _bridged(fell[index])
+        stays = ~(ended & np.isnan(fell).any(axis=1))
+        return replace(
+            self, issued=self.issued[stays], forecast=self.forecast[stays], fell=fell[stays]
+        )
 
     @cached_property
     def _come(self) -> Array:
@@ -253,17 +298,27 @@ def dress(archive: Archive, dressing: Dressing) -> Archive:
     Raises:
         ConfigurationError: an issue has too few analogs.
     """
-    issues = []
-    for issue in archive.issues:
-        issues.append(replace(
-            issue,
-            rain=dressing.members(hours_since_1970(issue.issued), issue.rain),
-            evapotranspiration=issue.evapotranspiration_at(np.arange(dressing.hours)),
-            temperature=None,
-        ))
+    issues = [dress_issue(issue, dressing) for issue in archive.issues]
     return replace(
         archive, kind=f"{archive.kind}, dressed by {dressing.source}", issues=tuple(issues),
         verified=tuple(issues), finest_lead=1,
+    )
+
+
+def dress_issue(issue: Issue, dressing: Dressing) -> Issue:
+    """Return an issue as the ensemble of its analogs; temperature only as far as it is known.
+
+    Raises:
+        ConfigurationError: it has too few analogs.
+    """
+    temperature = issue.temperature
+    if temperature is not None:
+        temperature = np.append(temperature, np.full(dressing.hours, np.nan))[: dressing.hours]
+    return replace(
+        issue,
+        rain=dressing.members(hours_since_1970(issue.issued), issue.rain),
+        evapotranspiration=issue.evapotranspiration_at(np.arange(dressing.hours)),
+        temperature=temperature,
     )
 
 
@@ -280,7 +335,7 @@ def dressing_text(dressing: Dressing) -> str:
     values = np.concatenate([dressing.forecast, dressing.fell], axis=1).tolist()
     for issued, row in zip(dressing.issued.tolist(), values, strict=True):
         time = from_epoch_ns(issued * 3600 * 10**9).isoformat()
-        lines.append(",".join([time, *(f"{value:.6g}" for value in row)]))
+        lines.append(",".join([time, *("" if math.isnan(x) else f"{x:.6g}" for x in row)]))
     return "\n".join([*lines, ""])
 
 
@@ -290,7 +345,8 @@ def read_dressing(path: Path) -> Dressing:
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``, the
     forecast's blocks, each beginning where the one before ends, and the hours from 0 on. Each
     further line is an issue: its time (ISO 8601 with the offset from UTC), later than that above;
-    rain as forecast in each block (mm), and as observed in each hour from then on (mm).
+    rain as forecast in each block (mm), and as observed in each hour from then on (mm), which is
+    empty where it was not measured, or not yet.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -307,7 +363,8 @@ def read_dressing(path: Path) -> Dressing:
         issued.append(time)
         forecast.append([_amount(row, column) for column in blocks])
         fell.append([
-            row.value(column, PRECIPITATION, Unit("mm")) for column in table.header[len(edges) :]
+            row.value(column, PRECIPITATION, Unit("mm"), missing=("",))
+            for column in table.header[len(edges) :]
         ])
     return Dressing(
         str(path), edges, np.array(issued), np.array(forecast), np.array(fell).reshape(-1, hours)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
 from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.forecast.live_dressing import LiveDressing
 from greenroof_ros.forecast.own_csv import read_forecasts
 from greenroof_ros.forecast.resampling import (
     Rain,
@@ -60,6 +61,7 @@ class ForecastFile:
     Attributes:
         issues: of the newest file that could be read; empty before the first.
         problem: what is wrong with the file as it is now; empty where nothing is.
+        count: how often another file was read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,6 +73,7 @@ class ForecastFile:
         """
         self.issues: list[Issue] = []
         self.problem = ""
+        self.count = 0
         self._path = path
         self._seen: tuple[int, ...] | None = None
 
@@ -99,6 +102,7 @@ class ForecastFile:
             return False
         self.issues = issues
         self.problem = ""
+        self.count += 1
         return True
 
 
@@ -110,7 +114,8 @@ class LiveForecast:
     """
 
     def __init__(
-        self, file: ForecastFile, site: Site, horizon: float, limit: float, all_members: bool
+        self, file: ForecastFile, site: Site, horizon: float, limit: float, all_members: bool,
+        dressing: LiveDressing | None = None,
     ) -> None:
         """Prepare.
 
@@ -120,8 +125,10 @@ class LiveForecast:
             horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
             limit: how old the newest issue may be (s).
             all_members: of an ensemble; otherwise the first.
+            dressing: that makes an ensemble of each issue; None for forecasts as they are issued.
         """
         self.file = file
+        self._dressing = dressing
         self._area = site.a2
         self._ends = look_ahead_ends(site, horizon)
         self._lengths = np.diff(self._ends)
@@ -139,6 +146,29 @@ class LiveForecast:
             NoForecastError: there is none that is new enough and reaches as far as it must.
         """
         issue = self._newest(now)
+        if self._dressing is not None:
+            issue = self._dressing.dress(issue)
+        self._refuse_short(issue, now)
+        return self._outlook(issue, now, observed_rain)
+
+    def of_record(
+        self, now: datetime, evapotranspiration: float | None, observed_rain: float | None = None
+    ) -> Outlook | None:
+        """Return an outlook that no forecast is needed for: what fell in spells of the record.
+
+        None where nothing is dressed, where one member alone would be looked at, or where the
+        record or the usual evapotranspiration (m3/s) is not known.
+        """
+        if self._dressing is None or not self._all_members or evapotranspiration is None:
+            return None
+        try:
+            issue = self._dressing.climate(now, evapotranspiration / self._area * 1000 * 86400)
+            self._refuse_short(issue, now)
+        except (ConfigurationError, NoForecastError):
+            return None
+        return self._outlook(issue, now, observed_rain)
+
+    def _outlook(self, issue: Issue, now: datetime, observed_rain: float | None) -> Outlook:
         rates = self._rates(issue, now, observed_rain)
         into = (now - issue.issued).total_seconds() % _HOUR_S
         means = means_of_hours(rates, sums_of_hours(rates), into + self._ends, self._lengths)
@@ -170,7 +200,7 @@ class LiveForecast:
         """Return the newest issue at a time.
 
         Raises:
-            NoForecastError: it is too old, or too short, or there is none.
+            NoForecastError: it is too old, or there is none.
         """
         issues = self.file.issues
         if not issues:
@@ -186,6 +216,14 @@ class LiveForecast:
                 f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
                 f"{self._limit / HOUR:g} h"
             )
+        return issue
+
+    def _refuse_short(self, issue: Issue, now: datetime) -> None:
+        """Refuse an issue that ends before the look-ahead does.
+
+        Raises:
+            NoForecastError: it does.
+        """
         end = issue.issued + issue.hours * HOUR
         if now + timedelta(seconds=float(self._ends[-1])) > end:
             raise NoForecastError(
@@ -193,4 +231,3 @@ class LiveForecast:
                 f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead; "
                 f"a horizon of at most {(end - now) // HOUR} h would do now"
             )
-        return issue

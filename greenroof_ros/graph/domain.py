@@ -21,6 +21,7 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.lock import LockedError, take_lock
+from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Names the file of profiles; Fast DDS 3 (ROS 2 Kilted) has another name, and warns of the old one.
@@ -206,8 +207,7 @@ def begin_to_listen(executor: Any, node: Any) -> None:
 
     rmw_fastrtps counts the messages that wait, and listens for others after that; of one that comes
     in between nothing is said until the next, which in lockstep never comes. ``test/swaps.py``
-    measures how often. rclpy has no public way to take what waits: ``handle.take_message`` is
-    private, and ``test/graph/test_domain.py`` fails where an rclpy has it no more.
+    measures how often.
 
     Args:
         executor: that is to serve the node.
@@ -219,10 +219,3 @@ def begin_to_listen(executor: Any, node: Any) -> None:
         if subscription.raw:
             for message, _ in waiting_in(subscription):
                 subscription.callback(message)
-
-
-def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
-    """Take the messages that wait, serialised, each with what rclpy says of it."""
-    with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-            yield taken

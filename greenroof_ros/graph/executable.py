@@ -36,6 +36,7 @@ from greenroof_ros.graph.domain import (
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.site import Site
 
 
@@ -194,7 +195,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
     try:
         node = make()
         refuse_unknown(node, sys.argv)
-        if not node.live:
+        if not node.live and node.role != PUMP:
             _run_in_batches()
         executor = SingleThreadedExecutor() if node.live else make_executor()
         begin_to_listen(executor, node)
@@ -225,11 +226,11 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
 
 
 def _run_in_batches() -> None:
-    """Have the process preempt no other when it is woken: only in a simulation, which waits anyway.
+    """Have the process preempt no other when it is woken: only what is simulated, and can wait.
 
     Whoever wakes a peer then goes on until it has said all it has to say. Being preempted by each
     of those that it wakes costs a third more of processor time per tick. A live node must be in
-    time, also beside a process that computes for hours.
+    time, also beside a process that computes for hours; so must one that runs a drive.
     """
     for thread in Path("/proc/self/task").iterdir():
         with suppress(ProcessLookupError):  # it has just ended

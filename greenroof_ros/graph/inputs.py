@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
 from greenroof_ros.graph.supervision import ROLES
 from greenroof_ros.pumping.input_rules import Verdict
@@ -67,7 +66,7 @@ class Publishers:
         self._depth = topic.qos.depth if not live else _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # by lease
         self._unfit_since = -math.inf  # when the middleware last said that one is not heard
-        self._unheard_since: dict[str, float] = {}
+        self._unheard_since = math.inf
         self._names: list[str] = []
 
     def profile(self) -> QoSProfile:
@@ -116,12 +115,9 @@ class Publishers:
         """
         count = self.count
         if self._unfit_since > -math.inf or (count > 1 and not self._by_lease):
-            unheard = sorted({call_node(one.node_name) for one in self._unheard()})
+            unheard = self._unheard_problem()
             if unheard:
-                return (
-                    f"has a publisher that cannot be heard ({', '.join(unheard)}): end it, or make "
-                    f"it {requirements(self.required)}"
-                )
+                return unheard
             if now - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it went
         if count < 2 or len(self._known()) < 2:
@@ -136,41 +132,32 @@ class Publishers:
         problem = self.problem(now)
         return f"{self.full_name} {problem}" if problem else ""
 
-    def warnings(self, now: float) -> list[str]:
-        """Return a sentence on each that cannot be heard, once what it is has been discovered.
-
-        DDS connects no publisher to a subscription that asks for more than it offers, and says so
-        of one of the policies that differ. What each end has is known, and so all are said at once.
+    def warning(self, now: float) -> str:
+        """Return a sentence on what cannot be heard, once all of it has been discovered.
 
         Args:
             now: of the steady clock (s).
         """
-        unheard = {one.node_name: one.qos_profile for one in self._unheard()}
-        self._unheard_since = {name: self._unheard_since.get(name, now) for name in unheard}
-        return [
-            self._warning(name, profile) for name, profile in unheard.items()
-            if now - self._unheard_since[name] >= DISCOVERY_S
-        ]
+        problem = self._unheard_problem()
+        self._unheard_since = min(self._unheard_since, now) if problem else math.inf
+        return f"{self.full_name} {problem}" if now - self._unheard_since >= DISCOVERY_S else ""
 
-    def _warning(self, name: str, offered: QoSProfile) -> str:
-        who = call_node(name) if name == _UNKNOWN_NAME else f"node {name}"
+    def _unheard_problem(self) -> str:
+        """Say who cannot be heard, and why; empty where everybody can.
+
+        DDS connects no publisher to a subscription that asks for more than it offers, and says so
+        of one of the policies that differ. What each end has is known, and so all are said at once.
+        """
+        unheard = self._unheard()
+        if not unheard:
+            return ""
         wanted = replace(self.required, lease_s=self.topic.qos.lease_s)
-        sentence = (
-            f"{self.full_name}: what {who} publishes does not arrive: it "
-            f"{' and '.join(lacks(offered, wanted))}, and must be "
-            f"{requirements(self.topic.qos)} (doc/real-pump.md)"
+        names = sorted({call_node(one.node_name) for one in unheard})
+        why = dict.fromkeys(word for one in unheard for word in lacks(one.qos_profile, wanted))
+        return (
+            f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
+            f"and must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
         )
-        read = self._node.get_subscriptions_info_by_topic
-        lossy = [
-            self._node.resolve_topic_name(topic.graph_name)
-            for topic in read_topics().values() if topic.per_tick
-            for one in read(topic.graph_name) if one.node_name == name
-            and lacks(one.qos_profile, replace(topic.qos, lease_s=math.inf))
-        ]
-        if lossy:
-            sentence += f"; so must its subscription to {', '.join(lossy)}, or it misses messages"
-        roles = " or ".join(self.topic.publishers)
-        return f"{sentence}; a graph has exactly one publisher of it, {roles}"
 
     def _known(self) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
@@ -209,7 +196,7 @@ class Input:
     """
 
     def __init__(
-        self, publishers: Publishers, logger: RcutilsLogger, *,
+        self, publishers: Publishers, logger: Any, *,
         optional: bool = False, tolerates_second: bool = False,
     ) -> None:
         """Start with the value 0.

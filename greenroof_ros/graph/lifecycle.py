@@ -1,10 +1,8 @@
 """A node with the states of a ROS 2 lifecycle, which lives on whatever transition it is asked for.
 
-``rclpy.lifecycle`` ends the node with an exception where the present state lacks a transition, a
-second *activate* perhaps (rclpy issue 1209), and keeps from ``on_error`` what the error was. Here
-such a request is answered with ``success=false`` and a warning, and a transition that fails leaves
-its reason. What is private in rclpy and used here is the service, to answer so, and the state,
-which has no public way to be read.
+A transition that the present state lacks is answered with ``success=false`` and a warning, where
+``rclpy.lifecycle`` ends the node; one that fails leaves its reason, which that keeps from
+``on_error``.
 """
 
 from __future__ import annotations
@@ -17,6 +15,8 @@ from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+
+from greenroof_ros.graph.rclpy_internals import lifecycle_state, wrap_change_state
 
 UNCONFIGURED, INACTIVE, ACTIVE = (
     State.PRIMARY_STATE_UNCONFIGURED, State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE,
@@ -73,13 +73,12 @@ class Lifecycle(LifecycleNodeMixin):
         """Open the services; the node itself must be initialised already."""
         self.refusal = ""
         LifecycleNodeMixin.__init__(self)
-        self._answer = self._service_change_state.callback
-        self._service_change_state.callback = self._on_request
+        wrap_change_state(self, self._answered)
 
     @property
     def lifecycle_state(self) -> int:
         """The present one: ``UNCONFIGURED``, ``INACTIVE``, ``ACTIVE``, or *finalized*."""
-        return int(self._state_machine.current_state[0])
+        return lifecycle_state(self)
 
     def on_asked(self) -> None:
         """Note that somebody asked for a transition."""
@@ -91,14 +90,16 @@ class Lifecycle(LifecycleNodeMixin):
         self.refusal = why
         return TransitionCallbackReturn.SUCCESS
 
-    def _on_request(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
-        """Answer ``change_state``, also where the state lacks the transition."""
-        self.on_asked()
-        try:
-            return self._answer(request, response)
-        except RuntimeError as error:  # of rcl
-            cast(Node, self).get_logger().warning(" ".join(str(error).split()))
-            response.success = False
-            return response
+    def _answered(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Have ``change_state`` answered also where the state lacks the transition."""
+
+        def on_request(request: ChangeState.Request, response: ChangeState.Response) -> Any:
+            self.on_asked()
+            try:
+                return answer(request, response)
+            except RuntimeError as error:  # of rcl
+                cast(Node, self).get_logger().warning(" ".join(str(error).split()))
+                response.success = False
+                return response
+
+        return on_request

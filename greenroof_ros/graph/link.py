@@ -367,12 +367,13 @@ class LinkedNode(Node):
             self._report(now)
 
     def _warn(self, now: float) -> None:
-        """Warn of each publisher that is not heard, once."""
-        for publishers in self._heard:
-            for sentence in publishers.warnings(now):
-                if sentence not in self._warnings:
-                    self._warnings.append(sentence)
-                    self.get_logger().warning(sentence)
+        """Warn of each publisher that is not heard, once; live, for as long as it is there."""
+        before = self._warnings
+        said = [sentence for each in self._heard if (sentence := each.warning(now))]
+        new = [sentence for sentence in said if sentence not in before]
+        self._warnings = said if self.live else [*before, *new]
+        for sentence in new:
+            self.get_logger().warning(sentence)
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""

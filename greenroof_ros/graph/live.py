@@ -32,7 +32,7 @@ from greenroof_ros.pumping.input_rules import (
 
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what
 # comes may have waited.
-_PAUSE_S = 1.0
+PAUSE_S = 1.0
 
 RECOVERY = Parameter(
     "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
@@ -221,8 +221,8 @@ class Live:
     def _note_pause(self, now: float) -> None:
         """Forget all inputs if the process itself stood still."""
         passed, self._looked = now - self._looked, now
-        if passed > _PAUSE_S:
-            self._deaf_until = now + _PAUSE_S
+        if passed > PAUSE_S:
+            self._deaf_until = now + PAUSE_S
             for _, rules in self._inputs.values():
                 rules.paused(now, passed)
             self.judge()

@@ -23,9 +23,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
-
-from rclpy.impl.rcutils_logger import RcutilsLogger
+from typing import Any, NamedTuple, Protocol
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Topic
@@ -48,10 +46,12 @@ class RunIdentity(NamedTuple):
     Attributes:
         identity: a random number of the plant's.
         last_tick: N.
+        speed: simulated per wall time; 0 for as fast as it goes.
     """
 
     identity: float
     last_tick: float
+    speed: float
 
     @property
     def values(self) -> array[float]:
@@ -79,7 +79,7 @@ class LockstepNode(Protocol):
     def all_arrived(self) -> bool:
         """Whether all that the node said has come to who hears it."""
 
-    def get_logger(self) -> RcutilsLogger:
+    def get_logger(self) -> Any:
         """Return what it logs to."""
 
     def count_publishers(self, topic_name: str) -> int:
@@ -145,6 +145,12 @@ class Lockstep:
 
     def hear_run(self, values: array[float]) -> None:
         """Take part in a run; with another plant another run begins, and this one has ended."""
+        if len(values) != len(RunIdentity._fields):
+            self._node.error = self._node.error or LockstepError(
+                f"{RUN} has {len(values)} numbers and not {len(RunIdentity._fields)}: the plant is "
+                "of another version"
+            )
+            return
         run = RunIdentity(*values)
         if self.run is not None and self.run != run:
             self._node.error = self._node.error or LockstepError(

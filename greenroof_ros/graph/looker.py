@@ -16,7 +16,8 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.domain import TAKING_DOWN_S, join, waiting_in
+from greenroof_ros.graph.domain import TAKING_DOWN_S, join
+from greenroof_ros.graph.rclpy_internals import waiting_in
 
 # How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
 _DEPTH = 64

@@ -163,9 +163,10 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
 
 
 def refuse_unknown_in(
-    file: Path, nodes: Mapping[str, str], controller: ControllerChoice
+    file: Path, nodes: Mapping[str, str], controller: ControllerChoice,
+    options: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Refuse what no node of a graph would take from a parameter file.
+    """Refuse what no node of a graph would take from a parameter file, or not from there.
 
     Of a section for several nodes each name must be known to one of them.
 
@@ -173,6 +174,7 @@ def refuse_unknown_in(
         file: a ROS 2 parameter file.
         nodes: of each node's name, with its namespace, the module.
         controller: of the graph.
+        options: of a node's last name and of parameters that bringup alone decides, its option.
 
     Raises:
         ConfigurationError: there is such a name or section, or one without ``ros__parameters``.
@@ -182,9 +184,9 @@ def refuse_unknown_in(
         pattern = re.escape(f"/{section.removeprefix('/')}")
         # As rcl reads it: two stars are any number of names, one is one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
-        here = [names for node, names in known.items() if re.fullmatch(pattern, node)]
+        here = [node for node in known if re.fullmatch(pattern, node)]
+        last = [node.rpartition("/")[2] for node in here or known]
         if not here:
-            last = [node.rpartition("/")[2] for node in known]
             raise ConfigurationError(
                 "bringup starts no such node; the closest is "
                 f"/**/{_closest(section.rpartition('/')[2], last)}; it starts "
@@ -195,8 +197,15 @@ def refuse_unknown_in(
                 "must hold parameters, NAME: VALUE", file=file, line=line,
                 key=f"{section}: {_SECTION}", value=content,
             )
-        names = set().union(*here)
+        names = set().union(*(known[node] for node in here))
         for name, value in content.items():
+            for node in last:
+                if name in options.get(node, ()):
+                    raise ConfigurationError(
+                        f"must not be given to the node {node} here: under bringup "
+                        f"{options[node][name]} says it", file=file, line=content.lines[name],
+                        key=f"{section}: {name}", value=value,
+                    )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
                 raise ConfigurationError(
                     f"{_no_such(name, sorted(names))}; --help of the node lists all", file=file,

@@ -66,6 +66,8 @@ _WATER = 1.5
 _LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
+# By the word with which /pump/state begins, a pump is on; what comes behind a colon is for people.
+_ON = ("starting", "running")
 # How many checks there are, for who waits.
 _CHECKS = 22
 _NOT_RUNNING = "not tried: the pump does not run"
@@ -287,8 +289,9 @@ class PumpCheck:
         self._node.create_subscription(
             Float64, flow.graph_name, self._on_flow, qos_profile(flow.qos)
         )
+        state = self._interface["/pump/state"]
         self._node.create_subscription(
-            String, "pump/state", self._on_state, qos_profile(self._interface["/diagnostics"].qos)
+            String, state.graph_name, self._on_state, qos_profile(state.qos)
         )
         for name in _PLAYED:
             topic = self._interface[name]
@@ -426,14 +429,14 @@ class PumpCheck:
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
         self._hold_to_one(0)
-        state = self._state
+        state = self._state.partition(":")[0]
         after = self._answer({})
         if after > _AT_REST * before:
             raise _ProblemError(
                 f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} "
                 f"s of silence, and was {before:.3g} before: the pump had not stopped"
             )
-        if state.startswith(("starting", "running")):
+        if state in _ON:
             raise _ProblemError(f"/pump/state says {state!r} at the end of the silence")
         self._came = f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
 

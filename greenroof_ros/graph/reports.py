@@ -45,6 +45,11 @@ class Diagnosis:
     cause: str
     since: float
 
+    def for_programs(self) -> dict[str, str]:
+        """Return its code, since when it has it (ISO 8601), and its cause; each may be empty."""
+        since = datetime.fromtimestamp(self.since, timezone.utc).isoformat(timespec="seconds")
+        return {"code": self.code, "since": since if self.code else "", "cause": self.cause}
+
 
 class Reports:
     """Says a node's state.
@@ -52,7 +57,9 @@ class Reports:
     /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
     node's fully qualified name, and its values are written as JSON. The status of a part has the
     part's name behind it: ``/mpc: inputs``. Name and hardware of a status are the same after a
-    restart: tools take them for the identity of what they show.
+    restart: tools take them for the identity of what they show. A status that is not OK has a code
+    of :data:`greenroof_ros.pumping.interlocks.CONDITIONS`: programs go by that, and none by a
+    sentence.
 
     Attributes:
         state: of the node.
@@ -74,6 +81,7 @@ class Reports:
         self.diagnoses: dict[str, Diagnosis] = {}
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
+        self._own: Diagnosis | None = None  # of the node itself
         self._node = node
         self._role = role
         self._machine = socket.gethostname()
@@ -89,10 +97,8 @@ class Reports:
     def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
         """Keep how a part is, and return whether that is another diagnosis than before."""
         before = self.diagnoses.get(part)
-        since = time.time() if before is None or before.code != code else before.since
-        now = Diagnosis(level, message, code, cause, since)
-        self.diagnoses[part] = now
-        return now != before
+        self.diagnoses[part] = _dated(before, level, message, code, cause)
+        return self.diagnoses[part] != before
 
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values.
@@ -101,8 +107,14 @@ class Reports:
         The stamp is the node's time; until simulated time begins, that of the system: tools take 0
         for a stamp that was forgotten.
         """
-        level = ERROR if "failure" in values else WARN if values["warnings"] else OK
-        values = {"role": self._role, "process": self._process, **values}
+        level, code = OK, ""
+        if "failure" in values:
+            level, code = ERROR, "node_failed"
+        elif values["warnings"]:
+            level, code = WARN, "input_publishers"
+        self._own = own = _dated(self._own, level, self.state, code)
+        of_code = {key: text for key, text in own.for_programs().items() if text}
+        values = {"role": self._role, "process": self._process, **of_code, **values}
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
             level=level, name=name, message=self.state, hardware_id=self._machine,
@@ -125,7 +137,9 @@ class Reports:
             # said again a moment later.
             if self.diagnoses:
                 values["diagnoses"] = {
-                    part: [LEVELS[one.level], one.message, one.code]
+                    part: {
+                        "level": LEVELS[one.level], "message": one.message, **one.for_programs()
+                    }
                     for part, one in self.diagnoses.items()
                 }
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
@@ -133,10 +147,16 @@ class Reports:
                 os.write(self._pipe, f"{line}\n".encode())
 
 
+def _dated(
+    before: Diagnosis | None, level: bytes, message: str, code: str, cause: str = ""
+) -> Diagnosis:
+    """Return a diagnosis that goes on since the one before it began, where its code is the same."""
+    since = time.time() if before is None or before.code != code else before.since
+    return Diagnosis(level, message, code, cause, since)
+
+
 def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
-    """Return what a status says to programs: a code where not all is well, and its numbers."""
+    """Return what the status of a part says to programs: its code, and its numbers."""
     values = {key: f"{number:.6g}" for key, number in numbers.items() if number is not None}
-    if diagnosis.code:
-        since = datetime.fromtimestamp(diagnosis.since, timezone.utc).isoformat(timespec="seconds")
-        values |= {"code": diagnosis.code, "since": since, "cause": diagnosis.cause}
+    values |= diagnosis.for_programs()
     return [KeyValue(key=key, value=value) for key, value in values.items() if value]

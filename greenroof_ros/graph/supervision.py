@@ -47,17 +47,22 @@ def _is_list(value: object) -> bool:
     return isinstance(value, list) and all(map(_is_text, value))
 
 
+def _is_diagnosis(value: object) -> bool:
+    """Whether it is how a part is; see :class:`greenroof_ros.graph.reports.Diagnosis`."""
+    keys = ("level", "message", "code", "cause", "since")
+    return isinstance(value, dict) and all(_is_text(value.get(key)) for key in keys)
+
+
 # What its readers take for granted of what a report says.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "held"), _is_text),
+    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "stop"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
     "tick": lambda value: type(value) is int,
     "refused": lambda value: isinstance(value, dict)
     and all(type(count) is int for count in value.values()),
-    "diagnoses": lambda value: isinstance(value, dict)
-    and all(_is_list(said) and len(said) == 3 for said in value.values()),
+    "diagnoses": lambda value: isinstance(value, dict) and all(map(_is_diagnosis, value.values())),
 }
 
 
@@ -156,7 +161,7 @@ class PermitReader:
             return "bringup has ended"
         if self._at is None:
             return "bringup has given no permit yet"
-        if now - self._at > _GREATEST_AGE_S:
+        if not 0 <= now - self._at <= _GREATEST_AGE_S:  # nor of a time to come, or of none
             return f"bringup has given no permit for {_GREATEST_AGE_S:g} s"
         return self._inhibit
 

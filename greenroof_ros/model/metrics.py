@@ -117,14 +117,14 @@ def _sums(before: Values | float, values: Values) -> Values:
     return np.asarray(np.cumsum(np.column_stack((first, values)), axis=1)[:, -1])
 
 
-def _hourly_sums(before: Values | float, values: Values) -> Values:
-    """Add up each row but the first, which is the hour in which each sample counts."""
-    hours = values[0].astype(np.intp)
+def _sums_by(before: Values | float, values: Values) -> Values:
+    """Add up each row but the first, which is the hour or week in which each sample counts."""
+    places = values[0].astype(np.intp)
     known = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
-    sums = np.zeros((len(known), max(known.shape[1], int(hours.max()) + 1)))
+    sums = np.zeros((len(known), max(known.shape[1], int(places.max()) + 1)))
     sums[:, : known.shape[1]] = known
     for row, amounts in zip(sums, values[1:], strict=True):
-        np.add.at(row, hours, amounts)  # one after the other, as _sum
+        np.add.at(row, places, amounts)  # one after the other, as _sum
     return sums
 
 
@@ -293,17 +293,17 @@ METRICS = (
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", "of the rain on the roof, what did not drain off it",
-        _roof_water, _hourly_sums, ".1%", finish=_kept,
+        _roof_water, _sums_by, ".1%", finish=_kept,
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
         "the same, of hours with more than 20 mm, within the hour",
-        _roof_water, _hourly_sums, ".1%", finish=partial(_kept, above=20.0),
+        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
         "the same, of any 24 hours with more than 10 mm",
-        _roof_water, _hourly_sums, ".1%", finish=partial(_kept, above=10.0, hours=24),
+        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=10.0, hours=24),
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
@@ -440,7 +440,7 @@ class Metrics:
     def __init__(self) -> None:
         """Begin with pumps that stand still."""
         self._totals: dict[str, Any] = {}
-        self._weeks: list[float] = []
+        self._weeks: Values | float = 0.0
         self._done = 0  # ticks that are in the totals
         self._ticks = bytearray()
         self._pumping = False
@@ -479,52 +479,45 @@ class Metrics:
         A bad fortnight of a season does not show in the season's sum. The last week may be short;
         the last tick of all counts in it, so that the weeks make up the total.
         """
-        last = float(_deviation(self._site, self._end())[0])
-        *whole, begun = self._weeks or [0.0]
-        return [*whole, begun + last]
+        return [float(week) for week in self._weekly(self._end())[0]]
 
     def _end(self) -> Samples:
-        """Add up all ticks, and return the state in which the run ends."""
+        """Add up all ticks, and return the state in which the run ends.
+
+        It counts in the hour and week of the tick before it: none begins with it.
+        """
         if self._ticks:
             self._add_ticks()
         state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
-        end = self._samples(state)
+        end = self._samples(state, max(0, self._done - 1))
         return end if end.mains is None else replace(end, mains=np.zeros(1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
         return self.results()[name]
 
-    def _mains(self, columns: Values) -> Values | None:
-        """Return what the mains give in ticks, of which these are the columns (m3/s)."""
-        if self._site.mains_level is None:
-            return None
-        return mains_flows(self._site, columns[_TICK.index("cistern")])
-
-    def _samples(self, ticks: bytes | bytearray) -> Samples:
-        columns = np.frombuffer(ticks).reshape(-1, len(_TICK)).T
+    def _samples(self, ticks: bytes | bytearray, first: int) -> Samples:
+        columns = dict(zip(_TICK, np.frombuffer(ticks).reshape(-1, len(_TICK)).T, strict=True))
+        count, site = len(columns["roof"]), self._site
         return Samples(
-            duration=np.full(columns.shape[1], self._site.tau), pumping_before=self._pumping,
-            earlier_starts=self._starts, mains=self._mains(columns),
-            time=self._site.tau * (self._done + np.arange(columns.shape[1], dtype=float)),
-            **dict(zip(_TICK, columns, strict=True)),
+            duration=np.full(count, site.tau), pumping_before=self._pumping,
+            earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
+            mains=None if site.mains_level is None else mains_flows(site, columns["cistern"]),
+            **columns,
         )
 
     def _add_ticks(self) -> None:
-        samples = self._samples(self._ticks)
+        samples = self._samples(self._ticks, self._done)
         self._totals = _add(self._totals, self._site, samples)
-        self._add_weeks(samples)
+        self._weeks = self._weekly(samples)
+        self._done += len(samples.roof)
         self._pumping = bool(samples.pump[-1] > 0)
         starts = _start_times(self._site, samples) - float(samples.duration.sum())
         self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()
 
-    def _add_weeks(self, samples: Samples) -> None:
-        """Add the deviations of these ticks to their weeks."""
-        ticks = self._done + np.arange(len(samples.roof))
-        self._done += len(ticks)
-        week = (ticks * self._site.tau // _WEEK_S).astype(np.intp)
-        self._weeks += [0.0] * (int(week[-1]) + 1 - len(self._weeks))
-        sums = np.bincount(week - week[0], _deviation(self._site, samples))
-        for number, deviation in enumerate(sums.tolist(), start=int(week[0])):
-            self._weeks[number] += deviation
+    def _weekly(self, samples: Samples) -> Values:
+        """Return the deviation of each week, with that of further samples, shape (1, weeks)."""
+        assert samples.time is not None
+        week = (samples.time + self._site.tau / 2) // _WEEK_S
+        return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.soil import Soil, soil_of
 
 WATER_DENSITY = 1000.0
 """kg/m3"""
@@ -77,6 +77,28 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
     if x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.suction_level:
         return 0.0
     return command * maximum_pump_flow(site, x1)
+
+
+def command_to(
+    site: Site, soil: Soil, x1: float, x2: float, wanted: float, rain: float, asked: float
+) -> float:
+    """Return the command that leads a roof from x2 to a volume in a tick; 0 where none does.
+
+    Args:
+        site: its parameters.
+        soil: of the site.
+        x1: in the cistern (m3).
+        x2: on the roof (m3).
+        wanted: on it at the end of the tick (m3).
+        rain: in the tick (m/s).
+        asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+    """
+    kept = soil.kept_share(x2)
+    stays = kept * maximum_pump_flow(site, x1)
+    if stays <= 0:
+        return 0.0
+    inflow = rain * site.a2 * kept - asked * soil.water_stress(x2)
+    return max(0.0, ((wanted - x2) / site.tau - inflow) / stays)
 
 
 def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:

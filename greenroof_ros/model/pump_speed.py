@@ -15,6 +15,9 @@ from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
 
+STANDS = 0.02
+"""up to this share of its rated speed, backwards too, a pump stands: noise of a drive's reading"""
+
 
 def flow_at(site: Site, speed: float, cistern_level: float) -> float:
     """Return the flow (m3/s) of pumps at a speed; 0 where they lift no water to the roof.

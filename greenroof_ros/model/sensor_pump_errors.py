@@ -12,16 +12,31 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import Plant
 
-# Range of each, in its unit.
-RANGES = {
-    "roof_noise": (0.0, 1.0),
-    "roof_offset": (-1.0, 1.0),
-    "noise_seed": (0, 2**31 - 1),
-    "minimum_on": (0.0, 86_400.0),
-    "minimum_off": (0.0, 86_400.0),
+PARAMETERS = {
+    one.name: one for one in (
+        Parameter(
+            "roof_noise", 0.0, "m", 0.0, 1.0,
+            "standard deviation of the roof's level sensor, independent each tick",
+        ),
+        Parameter(
+            "roof_offset", 0.0, "m", -1.0, 1.0, "what that sensor reads above the true level"
+        ),
+        Parameter("noise_seed", 0, "", 0, 2**31 - 1, "seed of the noise"),
+        Parameter(
+            "minimum_on", 0.0, "s", 0.0, 86_400.0,
+            "once on, the pumps stay on for so long, but not in frost, on a full roof or in an "
+            "empty cistern",
+        ),
+        Parameter(
+            "minimum_off", 0.0, "s", 0.0, 86_400.0, "once off, the pumps stay off for so long"
+        ),
+    )
 }
+"""of :class:`SensorPumpErrors`, by name"""
+
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
 # A time that is a whole number of ticks but for a rounding has no further tick.
@@ -62,7 +77,7 @@ class SensorPumpErrors:
         return self.exact_sensor and self.instant_pump
 
     def values(self) -> dict[str, float]:
-        """Return each of :data:`RANGES` with its value."""
+        """Return each of :data:`PARAMETERS` with its value."""
         return asdict(self)
 
     def refuse_external_pump(self) -> None:
@@ -121,7 +136,6 @@ class Pump:
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
         """Take the minimum times, and the duration of a tick (s), of which they last whole ones."""
-        self._instant = sensor_pump_errors.instant_pump
         self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False
@@ -136,8 +150,6 @@ class Pump:
             command: the controller's (share of the maximum flow).
             frost: whether there is frost.
         """
-        if self._instant:
-            return plant.pump_flow(command)
         flow = plant.pump_flow(self._switched(command, frost))
         if (flow > 0) != self._on:
             self._on = flow > 0

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import YamlMapping, number, read_yaml
+from greenroof_ros.common.files import number, read_yaml
 from greenroof_ros.common.interface import read_topics
 
-_MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
-_MOST_TICKS = {"M": 1000, "N": 2**40}
 # No parameter of any site is beyond these, and nothing computed from them overflows.
-_LEAST, _LARGEST = 1e-12, 1e9
+_POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
-_WHOLE = {"pumps_in_series", "pumps_in_parallel"}
 # Eq. (4) has what the soil does not hold stand on it until it drains. No more stands there than the
 # most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
 _MOST_PONDED = 1.825
@@ -37,48 +34,14 @@ _FOLLOW = {
 }
 # A line of a site file up to the end of its number.
 _LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
-# What may be left out, with its range: the runoff coefficient, what a measured roof has and the
-# paper's soil has not, a mains top-up and a low outlet of the cistern, what a run begins with, how
-# many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
-# which only the electric energy does, their starts, which only lookahead, pump and a warning do,
-# and the place, which only a computed evapotranspiration does.
-_OPTIONAL = {
-    "runoff_coefficient": (0.01, 1.0),
-    "field_capacity": (0.01, 0.9),
-    "wilting_point": (0.0, 0.5),
-    "depletion_fraction": (0.0, 0.95),
-    "drainage_storage": (0.0001, 1.0),
-    "drainage_time": (1.0, 1e6),
-    "mains_level": (0.01, 100.0),
-    "mains_flow": (1e-6, 1.0),
-    "low_outlet_level": (0.001, 100.0),
-    "low_outlet_radius": (0.001, 1.0),
-    "initial_cistern": (0.0, 1e9),
-    "initial_roof": (0.0, 1e9),
-    "initial_layer": (0.0, 1e9),
-    "pumps_in_series": (1, 100),
-    "pumps_in_parallel": (1, 100),
-    "pump_efficiency": (0.001, 1.0),
-    "starts_per_hour": (1.0, 3600.0),
-    "latitude": (-66.0, 66.0),
-    "longitude": (-180.0, 180.0),
-    "elevation": (-430.0, 6000.0),
-    "utc_offset": (-12.0, 14.0),
-    "albedo": (0.0, 1.0),
-    "k_Rs": (0.1, 0.25),
-    "wind_height": (0.5, 100.0),
-    "crop_coefficient": (0.01, 3.0),
-}
-# The site climate, and the most that a month's mean may be (mm/day).
 _CLIMATE = "monthly_evapotranspiration"
-_LARGEST_MONTH = 20.0
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
 )
 """What the weather of a site depends on, computed evapotranspiration included."""
-# Of them these belong together: each needs the others of its line. A roof without a drainage layer
-# may be a measured one, too.
+# Of what may be left out these belong together: each needs the others of its line. A roof without a
+# drainage layer may be a measured one, too.
 _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
@@ -88,138 +51,146 @@ _TOGETHER = (
 )
 
 
-def _parameter(unit: str, meaning: str) -> Any:
-    """Return the field of a parameter that every site file must give."""
-    return field(metadata={"unit": unit, "meaning": meaning})
+def _parameter(unit: str, low: float, high: float, meaning: str, default: Any = MISSING) -> Any:
+    """Return the field of a parameter; with a default a site file may leave it out.
 
-
-def _may_be_left_out(default: float | None, unit: str, meaning: str) -> Any:
-    """Return the field of a parameter with a default; None where nothing would be right."""
-    return field(default=default, metadata={"unit": unit, "meaning": meaning})
+    The default is None where nothing would be right.
+    """
+    return field(
+        default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning}
+    )
 
 
 @dataclass(frozen=True)
 class Site:
     """The parameters of Table I under the paper's symbols, and what may be left out.
 
-    Unit and meaning of each stand beside it, and :func:`site_parameters` lists them.
+    Unit, range and meaning of each stand beside it, and :func:`site_parameters` lists them.
     """
 
-    a1: float = _parameter("m2", "bottom surface area of the cistern")
+    a1: float = _parameter("m2", *_POSITIVE, "bottom surface area of the cistern")
     a_in: float = _parameter(
-        "m2", "area whose rain flows into the cistern; in Table I that of its inlet"
+        "m2", *_POSITIVE, "area whose rain flows into the cistern; in Table I that of its inlet",
     )
-    z_o: float = _parameter("m", "elevation of the cistern's outlet")
-    r_o: float = _parameter("m", "radius of the cistern's outlet")
-    c_d: float = _parameter("1", "discharge coefficient of the outlets")
-    a2: float = _parameter("m2", "bottom surface area of the rooftop vegetation")
-    z_veg: float = _parameter("m", "desired water depth on the roof")
+    z_o: float = _parameter("m", *_POSITIVE, "elevation of the cistern's outlet")
+    r_o: float = _parameter("m", *_POSITIVE, "radius of the cistern's outlet")
+    c_d: float = _parameter("1", *_POSITIVE, "discharge coefficient of the outlets")
+    a2: float = _parameter("m2", *_POSITIVE, "bottom surface area of the rooftop vegetation")
+    z_veg: float = _parameter("m", *_POSITIVE, "desired water depth on the roof")
     x2_star: float = _parameter(
-        "m3", "desired water volume on the roof: a2 z_veg; leave it out and it is computed"
+        "m3", *_POSITIVE, "desired water volume on the roof: a2 z_veg; leave it out and it is "
+        "computed",
     )
-    z_soil: float = _parameter("m", "soil depth of the roof")
+    z_soil: float = _parameter("m", *_POSITIVE, "soil depth of the roof")
     z_cap: float = _parameter(
-        "m3", "water that the soil holds before it drains: a2 z_soil, of a measured roof a2 z_soil "
-        "field_capacity; leave it out and it is computed"
+        "m3", *_POSITIVE, "water that the soil holds before it drains: a2 z_soil, of a measured "
+        "roof a2 z_soil field_capacity; leave it out and it is computed",
     )
-    K: float = _parameter("m/s", "saturated hydraulic conductivity")
-    a_hat: float = _parameter("s2/m5", "coefficient of the pump curve, negative, Eq. (3b)")
-    c_hat: float = _parameter("m", "coefficient of the pump curve, Eq. (3b)")
-    a_pump: float = _parameter("m2", "area of flow through the pump")
-    d: float = _parameter("m", "elevation of the vegetation relative to the cistern")
-    D: float = _parameter("m", "diameter of the pipe")
-    F: float = _parameter("1", "friction factor of the pipe")
-    k_L: float = _parameter("1", "minor loss coefficient of the pipe")
-    l: float = _parameter("m", "length of the pipe")  # noqa: E741 - the paper's symbol
-    z_pump: float = _parameter("m", "elevation of the pumps above the cistern's base")
-    z_H: float = _parameter("m", "least water level above the pumps' base that they need")
-    g: float = _parameter("m/s2", "acceleration due to gravity")
-    epsilon: float = _parameter("1", "steepness of the smooth model's sigmoids")
-    tau: float = _parameter("s", "duration of a tick")
-    M: int = _parameter("ticks", "look-ahead of the controller")
-    N: int = _parameter("ticks", "length of a run")
-    runoff_coefficient: float = _may_be_left_out(
-        1.0, "1", "share of the rain on a_in that reaches the cistern",
+    K: float = _parameter("m/s", *_POSITIVE, "saturated hydraulic conductivity")
+    a_hat: float = _parameter(
+        "s2/m5", *_NEGATIVE, "coefficient of the pump curve, negative, Eq. (3b)",
     )
-    field_capacity: float | None = _may_be_left_out(
-        None, "1", "water that the substrate holds against gravity, per volume of it; makes the "
-        "roof a measured one, without it the roof drains by Eq. (4)",
+    c_hat: float = _parameter("m", *_POSITIVE, "coefficient of the pump curve, Eq. (3b)")
+    a_pump: float = _parameter("m2", *_POSITIVE, "area of flow through the pump")
+    d: float = _parameter("m", *_POSITIVE, "elevation of the vegetation relative to the cistern")
+    D: float = _parameter("m", *_POSITIVE, "diameter of the pipe")
+    F: float = _parameter("1", *_POSITIVE, "friction factor of the pipe")
+    k_L: float = _parameter("1", *_NOT_NEGATIVE, "minor loss coefficient of the pipe")
+    l: float = _parameter("m", *_POSITIVE, "length of the pipe")  # noqa: E741 - the paper's symbol
+    z_pump: float = _parameter(
+        "m", *_NOT_NEGATIVE, "elevation of the pumps above the cistern's base",
     )
-    wilting_point: float | None = _may_be_left_out(
-        None, "1", "water that plants cannot take, per volume of the substrate",
+    z_H: float = _parameter(
+        "m", *_NOT_NEGATIVE, "least water level above the pumps' base that they need",
     )
-    depletion_fraction: float | None = _may_be_left_out(
-        None, "1", "p of FAO-56 Eq. 84: share of the water between field capacity and wilting "
-        "point that plants take before they evaporate less",
+    g: float = _parameter("m/s2", *_POSITIVE, "acceleration due to gravity")
+    epsilon: float = _parameter("1", *_POSITIVE, "steepness of the smooth model's sigmoids")
+    tau: float = _parameter("s", 0.001, 3600.0, "duration of a tick")
+    M: int = _parameter("ticks", 1, 1000, "look-ahead of the controller")
+    N: int = _parameter("ticks", 1, 2**40, "length of a run")
+    runoff_coefficient: float = _parameter(
+        "1", 0.01, 1.0, "share of the rain on a_in that reaches the cistern", 1.0,
     )
-    drainage_storage: float | None = _may_be_left_out(
-        None, "m", "depth of water in the full drainage layer below the substrate; without it the "
-        "roof has none",
+    field_capacity: float | None = _parameter(
+        "1", 0.01, 0.9, "water that the substrate holds against gravity, per volume of it; makes "
+        "the roof a measured one, without it the roof drains by Eq. (4)", None,
     )
-    drainage_time: float | None = _may_be_left_out(
-        None, "s", "time constant of the full drainage layer: its storage over its outflow",
+    wilting_point: float | None = _parameter(
+        "1", 0.0, 0.5, "water that plants cannot take, per volume of the substrate", None,
     )
-    mains_level: float | None = _may_be_left_out(
-        None, "m", "cistern level below which a valve lets mains water in; without it there is "
-        "none",
+    depletion_fraction: float | None = _parameter(
+        "1", 0.0, 0.95, "p of FAO-56 Eq. 84: share of the water between field capacity and wilting "
+        "point that plants take before they evaporate less", None,
     )
-    mains_flow: float | None = _may_be_left_out(None, "m3/s", "flow of that valve")
-    low_outlet_level: float | None = _may_be_left_out(
-        None, "m", "elevation of a second, throttled outlet of the cistern, below the first: it "
-        "empties the detention volume above it between storms; without it there is none",
+    drainage_storage: float | None = _parameter(
+        "m", 0.0001, 1.0, "depth of water in the full drainage layer below the substrate; without "
+        "it the roof has none", None,
     )
-    low_outlet_radius: float | None = _may_be_left_out(None, "m", "radius of that outlet")
-    initial_cistern: float | None = _may_be_left_out(
-        None, "m3", "in the cistern when a run begins; without it low-low of Table II",
+    drainage_time: float | None = _parameter(
+        "s", 1.0, 1e6, "time constant of the full drainage layer: its storage over its "
+        "outflow", None,
     )
-    initial_roof: float | None = _may_be_left_out(None, "m3", "the same on the roof")
-    initial_layer: float = _may_be_left_out(
-        0.0, "m3", "in the drainage layer when a run begins, in whatever state of the rest",
+    mains_level: float | None = _parameter(
+        "m", 0.01, 100.0, "cistern level below which a valve lets mains water in; without it there "
+        "is none", None,
     )
-    pumps_in_series: int = _may_be_left_out(
-        1, "pumps", "one behind another, for whose summed head the pump curve stands",
+    mains_flow: float | None = _parameter("m3/s", 1e-6, 1.0, "flow of that valve", None)
+    low_outlet_level: float | None = _parameter(
+        "m", 0.001, 100.0, "elevation of a second, throttled outlet of the cistern, below the "
+        "first: it empties the detention volume above it between storms; without it there is "
+        "none", None,
     )
-    pumps_in_parallel: int = _may_be_left_out(
-        1, "pumps", "side by side, for whose summed flow the pump curve stands",
+    low_outlet_radius: float | None = _parameter("m", 0.001, 1.0, "radius of that outlet", None)
+    initial_cistern: float | None = _parameter(
+        "m3", *_NOT_NEGATIVE, "in the cistern when a run begins; without it low-low of Table "
+        "II", None,
     )
-    pump_efficiency: float = _may_be_left_out(
-        0.5, "1", "hydraulic over electric power of pumps and motors",
+    initial_roof: float | None = _parameter("m3", *_NOT_NEGATIVE, "the same on the roof", None)
+    initial_layer: float = _parameter(
+        "m3", *_NOT_NEGATIVE, "in the drainage layer when a run begins, in whatever state of the "
+        "rest", 0.0,
     )
-    starts_per_hour: float = _may_be_left_out(
-        20.0, "1/h", "how often the pumps may start: above it there is a warning, and lookahead "
-        "does not start them more often",
+    pumps_in_series: int = _parameter(
+        "pumps", 1, 100, "one behind another, for whose summed head the pump curve stands", 1,
     )
-    latitude: float | None = _may_be_left_out(None, "degrees", "latitude, positive to the north")
-    longitude: float | None = _may_be_left_out(
-        None, "degrees",
-        "longitude, positive to the east of Greenwich",
+    pumps_in_parallel: int = _parameter(
+        "pumps", 1, 100, "side by side, for whose summed flow the pump curve stands", 1,
     )
-    elevation: float | None = _may_be_left_out(None, "m", "above the sea")
-    utc_offset: float | None = _may_be_left_out(
-        None, "h",
-        "offset of the local standard time from UTC, without daylight saving",
+    pump_efficiency: float = _parameter(
+        "1", 0.001, 1.0, "hydraulic over electric power of pumps and motors", 0.5,
     )
-    albedo: float = _may_be_left_out(
-        0.23, "1",
-        "albedo of the vegetation; 0.23 is FAO-56's reference grass",
+    starts_per_hour: float = _parameter(
+        "1/h", 1.0, 3600.0, "how often the pumps may start: above it there is a warning, and "
+        "lookahead does not start them more often", 20.0,
     )
-    k_Rs: float = _may_be_left_out(
-        0.16, "degC^-0.5",
-        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured; "
-        "0.16 inland, 0.19 by a large water",
+    latitude: float | None = _parameter(
+        "degrees", -66.0, 66.0, "latitude, positive to the north", None,
     )
-    wind_height: float = _may_be_left_out(
-        10.0, "m",
-        "height above the ground at which the wind was measured",
+    longitude: float | None = _parameter(
+        "degrees", -180.0, 180.0, "longitude, positive to the east of Greenwich", None,
     )
-    crop_coefficient: float = _may_be_left_out(
-        1.0, "1",
-        "evapotranspiration of the vegetation over that of the reference grass",
+    elevation: float | None = _parameter("m", -430.0, 6000.0, "above the sea", None)
+    utc_offset: float | None = _parameter(
+        "h", -12.0, 14.0, "offset of the local standard time from UTC, without daylight "
+        "saving", None,
     )
-    monthly_evapotranspiration: tuple[float, ...] | None = _may_be_left_out(
-        None, "mm/day",
-        "means of the reference evapotranspiration, January to December, in brackets; what a live "
-        "site without a forecast takes",
+    albedo: float = _parameter(
+        "1", 0.0, 1.0, "albedo of the vegetation; 0.23 is FAO-56's reference grass", 0.23,
+    )
+    k_Rs: float = _parameter(
+        "degC^-0.5", 0.1, 0.25, "adjustment coefficient of FAO-56 Eq. 50, for radiation that was "
+        "not measured; 0.16 inland, 0.19 by a large water", 0.16,
+    )
+    wind_height: float = _parameter(
+        "m", 0.5, 100.0, "height above the ground at which the wind was measured", 10.0,
+    )
+    crop_coefficient: float = _parameter(
+        "1", 0.01, 3.0, "evapotranspiration of the vegetation over that of the reference "
+        "grass", 1.0,
+    )
+    monthly_evapotranspiration: tuple[float, ...] | None = _parameter(
+        "mm/day", 0.0, 20.0, "means of the reference evapotranspiration, January to December, in "
+        "brackets; what a live site without a forecast takes", None,
     )
 
     @cached_property
@@ -411,178 +382,129 @@ def read_site(path: Path) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
     Raises:
-        ConfigurationError: a parameter is missing, unknown, not a finite number, of the wrong
-            sign, or inconsistent with another; the message names the file, line, key and value.
+        ConfigurationError: a parameter is missing, unknown, no number, beyond its range, or
+            inconsistent with another; the message names the file, line, key and value.
     """
     mapping = read_yaml(path)
-    names = [field.name for field in fields(Site)]
-    for key, line in mapping.lines.items():
-        if key not in names:
-            raise ConfigurationError(
-                f"is not a parameter of a site; {did_you_mean(key, names)}",
-                file=path, line=line, key=key,
-            )
-    values: dict[str, float] = {}
-    for name in names:
-        if name == _CLIMATE:
-            continue  # no single number
-        if name not in mapping:
-            if name in _OPTIONAL or name in _FOLLOW_FROM:
-                continue
-            raise ConfigurationError("is missing", file=path, key=name)
-        value = number(path, mapping, name)
-
-        def refuse(expected: str, name: str = name) -> ConfigurationError:
-            return ConfigurationError(
-                expected, file=path, line=mapping.lines[name], key=name, value=mapping[name]
-            )
-
-        if not math.isfinite(value):
-            raise refuse("must be finite")
-        if name in _OPTIONAL:
-            low, high = _OPTIONAL[name]
-            if not low <= value <= high:
-                raise refuse(f"must be from {low:g} to {high:g}")
-            if name in _WHOLE:
-                if value != int(value):
-                    raise refuse("must be a whole number")
-                value = int(value)
-            values[name] = value
-            continue
-        least = 0.0 if value == 0 or name in _MAY_BE_ZERO else _LEAST
-        if not least <= abs(value) <= _LARGEST:
-            raise refuse(f"must be from {least:g} to {_LARGEST:g} in size; is a unit wrong?")
-        if name == "a_hat":
-            if value >= 0:
-                raise refuse("must be negative: the head of a pump falls as its flow rises")
-        elif name in _MAY_BE_ZERO:
-            if value < 0:
-                raise refuse("must not be negative")
-        elif value <= 0:
-            raise refuse("must be greater than 0")
-        if name in _MOST_TICKS:
-            if value != int(value) or value > _MOST_TICKS[name]:
-                raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS[name]}")
-            value = int(value)
-        values[name] = value
-    for name in _FOLLOW_FROM.keys() - values.keys():
-        values[name] = _product(name, values)
-    for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
-        high = read_topics()[topic].high
-        if _ABOVE_OUTLET * values[name] > high:
-            raise ConfigurationError(
-                f"must be at most {high / _ABOVE_OUTLET:.4g} m, since levels above {high:g} m are "
-                "refused; is a unit wrong?",
-                file=path, line=mapping.lines[name], key=name, value=mapping[name],
-            )
-    site = Site(
-        **values,  # type: ignore[arg-type]  # what must be whole was made so above
-        monthly_evapotranspiration=_climate(path, mapping),
-    )
-    _check_water(path, mapping, site)
-    if site.z_veg >= site.z_soil:
-        raise ConfigurationError(
-            f"must be below z_soil = {site.z_soil:g} m: soil cannot hold more than its depth",
-            file=path, line=mapping.lines["z_veg"], key="z_veg", value=mapping["z_veg"],
-        )
-    if site.x2_star >= site.z_cap:
-        raise ConfigurationError(
-            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: what is above drains off",
-            file=path, line=mapping.lines["z_veg"], key="z_veg", value=mapping["z_veg"],
-        )
-    if site.c_hat - site.d + site.suction_level <= 0:
-        raise ConfigurationError(
-            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m, "
-            "or the pumps never lift water to the roof (Eq. 3e)",
-            file=path, line=mapping.lines["c_hat"], key="c_hat", value=mapping["c_hat"],
-        )
-    if not 0.001 <= site.tau <= 3600 or site.tau * 1e9 != round(site.tau * 1e9):
-        raise ConfigurationError(
-            "must be a whole number of nanoseconds, from 0.001 s to an hour, as weather is hourly",
-            file=path, line=mapping.lines["tau"], key="tau", value=mapping["tau"],
-        )
-    return site
-
-
-def _climate(path: Path, mapping: YamlMapping) -> tuple[float, ...] | None:
-    """Return the means of twelve months (mm/day); None where the file has none.
-
-    Raises:
-        ConfigurationError: they are not that; the message names the file, line, key and value.
-    """
-    if _CLIMATE not in mapping:
-        return None
-    months = mapping[_CLIMATE]
-    if not isinstance(months, list) or len(months) != 12 or not all(
-        type(one) in (int, float) and 0 <= one <= _LARGEST_MONTH for one in months
-    ):
-        raise ConfigurationError(
-            "must be twelve numbers in brackets, January to December, each from 0 to "
-            f"{_LARGEST_MONTH:g} mm/day",
-            file=path, line=mapping.lines[_CLIMATE], key=_CLIMATE, value=months,
-        )
-    return tuple(map(float, months))
-
-
-def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
-    """Refuse what roof and cistern of a site cannot hold, let in or let out.
-
-    Raises:
-        ConfigurationError: a volume is not what others make it, or optional parameters are not all
-            there or contradict each other; the message names the file, line, key and value.
-    """
 
     def refuse(key: str, expected: str) -> ConfigurationError:
         return ConfigurationError(
             expected, file=path, line=mapping.lines[key], key=key, value=mapping[key]
         )
 
+    names = [one.name for one in fields(Site)]
+    for key, line in mapping.lines.items():
+        if key not in names:
+            raise ConfigurationError(
+                f"is not a parameter of a site; {did_you_mean(key, names)}",
+                file=path, line=line, key=key,
+            )
+    values: dict[str, Any] = {}
+    for one in fields(Site):
+        name, low, high = one.name, one.metadata["low"], one.metadata["high"]
+        if name not in mapping:
+            if one.default is MISSING and name not in _FOLLOW_FROM:
+                raise ConfigurationError("is missing", file=path, key=name)
+        elif name == _CLIMATE:
+            months = mapping[name]
+            if not isinstance(months, list) or len(months) != 12 or not all(
+                type(month) in (int, float) and low <= month <= high for month in months
+            ):
+                raise refuse(
+                    name, "must be twelve numbers in brackets, January to December, each from "
+                    f"{low:g} to {high:g} mm/day",
+                )
+            values[name] = tuple(map(float, months))
+        else:
+            value, whole = number(path, mapping, name), one.type == "int"
+            if not low <= value <= high or (whole and value % 1):
+                unit = "" if one.metadata["unit"] == "1" else f"{one.metadata['unit']}, "
+                raise refuse(
+                    name, f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g} "
+                    f"({unit}{one.metadata['meaning']})",
+                )
+            values[name] = int(value) if whole else value
+    for name in _FOLLOW_FROM.keys() - values.keys():
+        values[name] = _product(name, values)
+    site = Site(**values)
+    for key, expected in _contradictions(site, mapping):
+        raise refuse(key, expected)
+    return site
+
+
+def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, str]]:
+    """Yield each parameter that cannot be right beside the others, and what would be.
+
+    Args:
+        site: of which each parameter is in its range.
+        given: those that its file has.
+    """
+    for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
+        high = read_topics()[topic].high
+        if _ABOVE_OUTLET * getattr(site, name) > high:
+            yield name, (
+                f"must be at most {high / _ABOVE_OUTLET:.4g} m, since levels above {high:g} m are "
+                "refused; is a unit wrong?"
+            )
     for names, further in _TOGETHER:
-        there = [name for name in names if name in mapping]
-        missing = [name for name in (*names, *further) if name not in mapping]
+        there = [name for name in names if name in given]
+        missing = [name for name in (*names, *further) if name not in given]
         if there and missing:
-            raise refuse(there[0], f"needs {', '.join(missing)} as well")
+            yield there[0], f"needs {', '.join(missing)} as well"
     lowest, name = site.lowest_outlet, "z_o"
     if site.low_outlet_level is not None:
         name = "low_outlet_level"
         if lowest >= site.z_o:
-            raise refuse(name, f"must be below z_o = {site.z_o:g} m, the outlet above it")
+            yield name, f"must be below z_o = {site.z_o:g} m, the outlet above it"
         if lowest <= site.suction_level:
-            raise refuse(
-                name, f"must be above z_pump + z_H = {site.suction_level:g} m, or it takes all "
-                "that the pumps could",
+            yield name, (
+                f"must be above z_pump + z_H = {site.suction_level:g} m, or it takes all that the "
+                "pumps could"
             )
     if site.mains_level is not None and not site.suction_level < site.mains_level < lowest:
-        raise refuse(
-            "mains_level", f"must be above z_pump + z_H = {site.suction_level:g} m, below which "
-            f"the pumps do not work, and below {name} = {lowest:g} m, or it flows to the sewer",
+        yield "mains_level", (
+            f"must be above z_pump + z_H = {site.suction_level:g} m, below which the pumps do not "
+            f"work, and below {name} = {lowest:g} m, or it flows to the sewer"
         )
     if site.initial_layer > site.layer_storage:
-        raise refuse(
-            "initial_layer", f"must be at most what the drainage layer holds, a2 drainage_storage "
-            f"= {site.layer_storage:g} m3",
+        yield "initial_layer", (
+            "must be at most what the drainage layer holds, a2 drainage_storage = "
+            f"{site.layer_storage:g} m3"
         )
     if site.initial_cistern is not None and site.initial_roof is not None:
-        initial = {"initial_cistern": site.initial_cistern, "initial_roof": site.initial_roof}
-        for name, expected in zip(initial, unheld(site, *initial.values()), strict=True):
+        initial = unheld(site, site.initial_cistern, site.initial_roof)
+        for name, expected in zip(("initial_cistern", "initial_roof"), initial, strict=True):
             if expected:
-                raise refuse(name, expected)
-    whole = site.a2 * site.z_soil
+                yield name, expected
     if site.field_capacity is not None:
+        whole = site.a2 * site.z_soil
         if site.wilting_volume >= whole * site.field_capacity:
-            raise refuse(
-                "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
-            )
+            yield "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
         if site.wilting_volume >= site.x2_star:
-            raise refuse(
-                "wilting_point", f"must be below x2_star / (a2 z_soil) = {site.x2_star / whole:g}, "
-                "or plants take no water at the target"
+            yield "wilting_point", (
+                f"must be below x2_star / (a2 z_soil) = {site.x2_star / whole:g}, or plants take "
+                "no water at the target"
             )
     values = asdict(site)
-    for name in _FOLLOW_FROM:
+    for name, factors in _FOLLOW_FROM.items():
         product = _product(name, values)
         if not math.isclose(values[name], product, rel_tol=_ROUNDING):
-            formula = " ".join(one for one in _FOLLOW_FROM[name] if values[one] is not None)
-            raise refuse(
-                name, f"must be {formula} = {product:g} m3; leave this line out and it is computed"
+            formula = " ".join(one for one in factors if values[one] is not None)
+            yield name, (
+                f"must be {formula} = {product:g} m3; leave this line out and it is computed"
             )
+    if site.z_veg >= site.z_soil:
+        yield "z_veg", (
+            f"must be below z_soil = {site.z_soil:g} m: soil cannot hold more than its depth"
+        )
+    if site.x2_star >= site.z_cap:
+        yield "z_veg", (
+            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: what is above drains off"
+        )
+    if site.c_hat - site.d + site.suction_level <= 0:
+        yield "c_hat", (
+            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m, or the pumps never "
+            "lift water to the roof (Eq. 3e)"
+        )
+    if site.tau * 1e9 != round(site.tau * 1e9):
+        yield "tau", "must be a whole number of nanoseconds"

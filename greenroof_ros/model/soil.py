@@ -61,6 +61,7 @@ class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
     Attributes:
+        measured: whether it is a measured roof's.
         above_target: by how much rain can raise it above its target (m3).
         keeps_all_below: volume below which all that arrives stays and all that is asked for
             evaporates, if it is there (m3); 0 where there is none.
@@ -68,6 +69,7 @@ class PaperSoil:
         stress_volume: below which :meth:`water_stress` is less than 1 (m3).
     """
 
+    measured = False
     excess = "stand on it"
     stress_volume = 0.0
 
@@ -222,6 +224,7 @@ class MeasuredSoil:
     with a ``field_capacity`` has it.
     """
 
+    measured = True
     excess = "drain at once"
     keeps_all_below = 0.0
 
@@ -435,3 +438,17 @@ Soil: TypeAlias = PaperSoil | MeasuredSoil
 def soil_of(site: Site) -> Soil:
     """Return the soil of a site: a measured one where its file has a ``field_capacity``."""
     return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
+
+
+def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, asked: float) -> float:
+    """Return what a roof of x2 (m3) has at the end of a tick, below 0 where it would dry out.
+
+    Args:
+        soil: of the roof.
+        tau: duration of the tick (s).
+        x2: what it holds (m3).
+        arriving: rain and pumped water (m3/s).
+        asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+    """
+    evaporated = asked * soil.water_stress(x2)
+    return x2 + tau * (arriving - evaporated - soil.drained(x2, arriving, tau))

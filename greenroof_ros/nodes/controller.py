@@ -154,8 +154,9 @@ class ControllerNode(LinkedNode):
             self.diagnose("command", ERROR, str(error), "controller_failed")
             command, decides = 0.0, False
         else:
-            if decides and "command" in self.reports.diagnoses:
-                self.diagnose("command", OK, "the controller commands again")
+            if "command" in self.reports.diagnoses:
+                now = "commands again" if decides else "is not asked"
+                self.diagnose("command", OK, f"the controller {now}")
         self._say_forecast()
         self._keep_learned(_KEEP_S)
         cistern, roof = self._cistern.value, self._roof.value
@@ -196,9 +197,11 @@ class ControllerNode(LinkedNode):
             return
         self._kept_at = now
         learned = learned_by(self._controller)
-        problem = "" if learned is None else self._kept.write(learned)
-        if problem:
-            self.get_logger().warning(f"what {self.get_name()} learned is not kept: {problem}")
+        if self._kept.problem:
+            said = f"what {self.get_name()} learned is not kept: {self._kept.problem}"
+            self.get_logger().warning(said)
+        if learned is not None:
+            self._kept.write(learned)
 
     def on_stop(self) -> None:
         """Keep what the controller has learned."""

@@ -22,7 +22,7 @@ from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
-from greenroof_ros.model.sensor_pump_errors import RANGES, Pump, RoofSensor, SensorPumpErrors
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS, Pump, RoofSensor, SensorPumpErrors
 from greenroof_ros.model.site import Site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
@@ -31,19 +31,9 @@ _AHEAD = 32
 _IDENTITY_BITS = 53
 
 
-_SENSOR_PUMP_ERRORS = {
-    "roof_noise": "standard deviation of the roof's level sensor (m)",
-    "roof_offset": "what that sensor reads above the true level (m)",
-    "noise_seed": "of the noise",
-    "minimum_on": "once on, the pumps stay on for so long (s)",
-    "minimum_off": "once off, the pumps stay off for so long (s)",
-}
-
-
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     _, (cistern, roof) = default_state(site)
-    perfect = SensorPumpErrors().values()
     return [
         site_file(),
         Parameter(
@@ -57,10 +47,7 @@ def parameters(site: Site) -> list[Parameter]:
             "pump", "internal", meaning="internal, or external: /pump/flow is a driver's",
             among=("internal", "external"),
         ),
-        *(
-            Parameter(name, perfect[name], "", *RANGES[name], meaning)
-            for name, meaning in _SENSOR_PUMP_ERRORS.items()
-        ),
+        *PARAMETERS.values(),
         Parameter("record", False, meaning="wait for a recorder"),
         Parameter("peer_limit", 5.0, "", 2, 1e6, "longest wait for another node (s of wall time)"),
         Parameter(
@@ -85,7 +72,7 @@ class PlantNode(LinkedNode):
         self._run_length = values["run_length"]
         self._speed = values["speed"]
         self._external = values["pump"] == "external"
-        errors = SensorPumpErrors(**{name: values[name] for name in RANGES})
+        errors = SensorPumpErrors(**{name: values[name] for name in PARAMETERS})
         if self._external:
             errors.refuse_external_pump()
         self._record = values["record"]
@@ -121,7 +108,7 @@ class PlantNode(LinkedNode):
         if self._record:
             self.subscribe("/recorder/written", self._on_written)
         identity = float(secrets.randbits(_IDENTITY_BITS))
-        self.publish_topic(RUN)(RunIdentity(identity, self._run_length).values)
+        self.publish_topic(RUN)(RunIdentity(identity, self._run_length, self._speed).values)
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.drive import DriveStatus
+from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
 from greenroof_ros.drives.modbus_line import parse_drive_address
@@ -37,8 +37,8 @@ from greenroof_ros.graph.lifecycle import (
     transition,
 )
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
-from greenroof_ros.graph.live import LIMITS, Levels, live_parameters
-from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.live import LIMITS, PAUSE_S, Levels, live_parameters
+from greenroof_ros.graph.lockstep import CLOCK, RunIdentity
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.graph.supervision import PermitReader
@@ -57,9 +57,8 @@ _WAIT_S = 1.0
 # How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
 # lost connection is noticed by the exchange, sooner.
 _DRIVE_AGE_S = 10.0
-# A pause of this process itself (s), after which what waited for it is no command of now; and for
-# how long it is said that the whole machine was suspended (s).
-_PAUSE_S, _SAID_S = 1.0, 60.0
+# For how long it is said that the whole machine was suspended (s).
+_SAID_S = 60.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
@@ -156,11 +155,17 @@ class _Drive:
         if self._exchange is None:
             return ""
         if self._leaving is None:
-            self._leaving = threading.Thread(target=self._exchange.close, daemon=True)
-            self._leaving.start()
-        self._leaving.join(within)
-        if self._leaving.is_alive():
-            raise RefusedError("the drive is still slowing down, or not heard; ask again")
+            leaving = threading.Thread(target=self._exchange.close, daemon=True)
+            try:
+                leaving.start()
+            except RuntimeError:  # the system has no thread to give: then this one waits
+                self._exchange.close()
+            else:
+                self._leaving = leaving
+        if self._leaving is not None:
+            self._leaving.join(within)
+            if self._leaving.is_alive():
+                raise RefusedError("the drive is still slowing down, or not heard; ask again")
         snapshot, self._exchange, self._leaving = self._exchange.snapshot, None, None
         status = snapshot.status
         what = f"the drive does not stand at the end: {status}"
@@ -179,6 +184,17 @@ class _Drive:
         """Ask for a speed, share of the rated one; None for off."""
         if self._exchange is not None:
             self._exchange.demand(speed)
+
+    def keep_to_speed_of(self, run: RunIdentity | None) -> None:
+        """Take part in a run that is not in real time with the drive simulator alone.
+
+        Raises:
+            ConfigurationError: it is another drive.
+        """
+        if run is not None and run.speed != 1 and self._exchange is not None:
+            self._exchange.only_simulator()
+            if why := self.snapshot.no_simulator:
+                raise no_real_time(why, "the plant's speed", run.speed)
 
     def reset(self) -> None:
         """Have its fault acknowledged."""
@@ -247,7 +263,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._without_timeout:
             self._drive_stops_after = math.inf
-        self._begin_with(Ledger(self._state_file, time.time))
+        self._ledger = Ledger(self._state_file, time.time)
+        self._begin()
         self._permit = PermitReader()
         self._decision = Decision(
             None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
@@ -301,36 +318,21 @@ class PumpNode(Lifecycle, LinkedNode):
 
     # --- what is kept over restarts ---------------------------------------------------------------
 
-    def _begin_with(self, ledger: Ledger) -> None:
-        """Control the pump with what a ledger knows of before."""
-        self._ledger = ledger
+    def _begin(self) -> None:
+        """Control the pump with what is known of before."""
         self._control = PumpControl(
-            self._site, self._settings, ledger, self._drive_stops_after
+            self._site, self._settings, self._ledger, self._drive_stops_after
         )
-        kept = ledger.record
-        why = kept.fault or kept.held or kept.unknown
+        kept = self._ledger.record
+        why = kept.fault or kept.operator_stop or kept.unknown
         if why:
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
-        """Take the state file over, as it is by now, if another had it or it could not be made.
-
-        What was stopped or found here meanwhile counts on.
-        """
-        mine = self._ledger
-        if mine.writes:
-            return
-        ledger = Ledger(self._state_file, time.time)
-        if not ledger.writes:
-            return
-        held, fault = mine.record.held, mine.record.fault
-        self._begin_with(ledger)
-        self._reasons = ()  # decide anew
-        # A release of before is not one of what this file says, or of its not being readable.
-        if held and held != mine.found.held:
-            ledger.stop(held)
-        if fault and fault != mine.found.fault:
-            ledger.fault(fault, mine.record.fault_code)
+        """Take the state file over, if another one had it or it could not be made."""
+        if self._ledger.take():
+            self._begin()
+            self._reasons = ()  # decide anew
 
     # --- lifecycle --------------------------------------------------------------------------------
 
@@ -453,6 +455,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = boot_time()
         if not self.live:
+            self._drive.keep_to_speed_of(self._lockstep.run)
             self._commanded = boot_time()
             self._simulated += self._site.tau
         self._step(now)
@@ -463,6 +466,8 @@ class PumpNode(Lifecycle, LinkedNode):
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
         now = boot_time()
+        if not self.live:
+            self._drive.keep_to_speed_of(self._lockstep.run)
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
@@ -488,7 +493,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Say, for a minute, that the machine was suspended while the pump was on."""
         before, self._suspended = self._suspended, suspended_time()
         seconds = self._suspended - before
-        if seconds > _PAUSE_S and not self._decision.stands:
+        if seconds > PAUSE_S and not self._decision.stands:
             self._suspend_seen = now
             self.reports.numbers["suspend"] = {"suspended_s": seconds}
             self.diagnose(
@@ -505,14 +510,16 @@ class PumpNode(Lifecycle, LinkedNode):
         """Return what this node has against running the pump, by interlock."""
         status, absence = self._drive.status(now), self._drive.absence(now)
         if self.lifecycle_state != ACTIVE:
-            refusal = self.refusal or "the node is not active"
-            return {"not_active": refusal, "drive_lost": "" if absence in refusal else absence}
+            # A refusal for a drive that is not heard may name what was wrong with it before.
+            refusal = "" if absence else self.refusal
+            return {"not_active": refusal or "the node is not active", "drive_lost": absence}
         reasons = {"drive_lost": absence}
         if status is not None:
             if not status.remote:
                 reasons["drive_local"] = (
                     "the drive is in local control: hand it over to the bus at its panel"
                 )
+            reasons["second_master"] = self._drive.snapshot.second_master
             if not self._without_timeout:
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
@@ -531,7 +538,7 @@ class PumpNode(Lifecycle, LinkedNode):
             return "no command has come yet"
         if now - self._commanded > self._command_limit:
             return f"no command has come for {self._command_limit:g} s (command_limit)"
-        if now - self._idle_at > _PAUSE_S:
+        if now - self._idle_at > PAUSE_S:
             return f"this node itself stood still for {now - self._idle_at:.0f} s"
         return ""
 
@@ -567,7 +574,7 @@ class PumpNode(Lifecycle, LinkedNode):
         # The drive is watched while the machine is awake only, and by the clock that says so.
         awake = time.monotonic()
         drive_dt, self._watched = awake - self._watched, awake
-        if self.live and dt > self._site.tau + _PAUSE_S:
+        if self.live and dt > self._site.tau + PAUSE_S:
             # Nobody was there at the ticks since, but for the present one.
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
@@ -593,7 +600,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "speed": decision.turns_at,
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
-            "fault": kept.fault, "held": kept.held or kept.unknown,
+            "fault": kept.fault, "stop": kept.operator_stop or kept.unknown,
         }
 
     def _diagnose(self, now: float) -> None:
@@ -603,11 +610,13 @@ class PumpNode(Lifecycle, LinkedNode):
         code = next(iter(decision.interlocks), "")
         level = ERROR if decision.state == "fault" else WARN if code else OK
         say("pump", level, self._state, code, self._cause(code))
-        limited = bool(decision.warning)
-        say("limits", WARN if limited else OK, decision.warning or "nothing limits the pump",
-            "limited" if limited else "", "")
+        limited = decision.warning
+        say(
+            "limits", WARN if limited else OK, limited or "nothing limits the pump",
+            "limited" if limited else "", "",
+        )
         say("flow", OK, f"known so: {decision.source}", "", "")
-        self._diagnose_command(now)
+        self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
         self._say(
             "levels", ERROR, "; ".join(f"{one.name} {one.why}" for one in bad),
@@ -624,15 +633,15 @@ class PumpNode(Lifecycle, LinkedNode):
         self._say(
             "state file", ERROR, self._ledger.problem, "state_not_kept", "stops and faults are kept"
         )
+        frost, code = f"{self._frost.name} {self._frost.why}", self._cause("frost_unknown")
         if self._frost.good:
-            frost = "there is frost" if self._frost.value > 0 else ""
-            self._say("frost", WARN, frost, "frost", "there is no frost")
-        else:
-            why = f"{self._frost.name} {self._frost.why}"
-            self._say("frost", WARN, why, self._cause("frost_unknown"), "")
+            frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
+        self._say("frost", WARN, frost, code, "there is no frost")
         if self._permit.given:
-            why = self._permit.missing(boot_time())
-            self._say("supervisor", WARN, why, "no_permit", "bringup lets the pump run")
+            self._say(
+                "supervisor", WARN, self._permit.missing(now), "no_permit",
+                "bringup lets the pump run",
+            )
         self._diagnose_drive(now)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
@@ -666,17 +675,16 @@ class PumpNode(Lifecycle, LinkedNode):
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
 
-    def _diagnose_command(self, now: float) -> None:
+    def _diagnose_command(self) -> None:
         command, silence = self._command, self._silence()
-        trouble = self._command.publishers.said(time.monotonic())
+        trouble = command.publishers.said(time.monotonic())
         if not trouble and not command.good:
             trouble = f"{command.name} {command.why}"
-        if trouble:
-            self.diagnose("command", ERROR, trouble, command.code or "two_controllers")
-        elif silence and self.acted:
+        if silence and self.acted and not trouble:
             self.diagnose("command", STALE, silence, "no_command")
         else:
-            self.diagnose("command", OK, silence or "commands come")
+            code = command.code or "two_controllers"
+            self._say("command", ERROR, trouble, code, silence or "commands come")
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
@@ -695,10 +703,10 @@ class PumpNode(Lifecycle, LinkedNode):
         else:
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
+            code = "second_master" if snapshot.second_master else "drive_warning"
             self._say(
                 "drive", WARN, said and f"the drive: {said}",
-                "drive_warning" if status.remote else "drive_local",
-                f"connected to {snapshot.identity}",
+                code if status.remote else "drive_local", f"connected to {snapshot.identity}",
             )
         own = self._drive.timeout
         beware = f"; beware: {own.traps}" if own is not None and own.traps else ""
@@ -709,8 +717,7 @@ class PumpNode(Lifecycle, LinkedNode):
             code = "drive_timeout_waived" if problem else "drive_guards_later"
             self.diagnose("drive timeout", WARN, (problem or later) + beware, code)
         else:
-            seconds = f"{snapshot.timeout_s:g} s"
-            well = f"without this machine the drive stops after {seconds}{beware}"
+            well = f"without this machine the drive stops after {snapshot.timeout_s:g} s{beware}"
             self.diagnose("drive timeout", OK, well)
 
 

@@ -12,6 +12,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.disk import DiskThread
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import (
@@ -30,6 +31,7 @@ from greenroof_ros.forecast.choice import (
     check_skill,
     choose,
 )
+from greenroof_ros.forecast.live_dressing import LiveDressing
 from greenroof_ros.forecast.live_forecast import (
     ForecastFile,
     LiveForecast,
@@ -54,13 +56,11 @@ from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
-# Of the parameter forecast_delay: none was given.
-_USUAL = -1.0
 
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    forecast = ForecastChoice()
+    forecast, delay = ForecastChoice(), NUMBERS["delay"]
     return [
         LIVE,
         site_file(),
@@ -93,23 +93,16 @@ def parameters(site: Site) -> list[Parameter]:
             "forecast_skill", forecast.skill,
             meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
         ),
-        Parameter(
-            "forecast_seed", forecast.seed, "", *NUMBERS["seed"], "errors, ensemble: of the "
-            "errors",
+        NUMBERS["seed"],
+        NUMBERS["members"],
+        replace(
+            delay, low=delay.default, meaning=f"{delay.meaning}; {delay.default:g}: "
+            f"{SERVICE_DELAY_H:g} of the first two, and what is usual of a file's kind",
         ),
         Parameter(
-            "forecast_members", forecast.members, "", *NUMBERS["members"], "ensemble: number of "
-            "its members",
-        ),
-        Parameter(
-            "forecast_delay", _USUAL, "", _USUAL, NUMBERS["delay"][1],
-            "errors, ensemble, a file: h after its nominal time from "
-            f"which an issue is known; {_USUAL:g}: {SERVICE_DELAY_H:g} of the first two, and what "
-            "is usual of a file's kind",
-        ),
-        Parameter(
-            "dressed", "", meaning="a file, simulated: FILE.csv of greenroof verify --dress, by "
-            "which each forecast is an ensemble of what fell after similar ones; empty: none",
+            "dressed", "", meaning="a file: FILE.csv of greenroof verify --dress, by which each "
+            "forecast is an ensemble of what fell after similar ones; live, it is added to; empty: "
+            "none",
         ),
         Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
@@ -135,7 +128,7 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
             str(error), key=f"parameter {name} of weather", value=values[name]
         ) from error
     given = {name: values[f"forecast_{name}"] for name in OPTIONS}
-    if given["delay"] == _USUAL:
+    if given["delay"] == NUMBERS["delay"].default:
         del given["delay"]
     if values["dressed"]:
         if choice.file is None:
@@ -209,10 +202,15 @@ class WeatherNode(LinkedNode):
         self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
+            self._dressing = self._record(values["dressed"])
+            # A file of many members takes seconds to read.
+            self._reader, self._files_read = DiskThread(), 0
             self._live_forecast = None if not values["forecast"] else LiveForecast(
                 ForecastFile(_forecast_file(values)), site, values["horizon"],
-                values["issue_limit"], values["all_members"],
+                values["issue_limit"], values["all_members"], self._dressing,
             )
+            if self._live_forecast is not None:
+                self._live_forecast.file.look()
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
             )
@@ -247,6 +245,8 @@ class WeatherNode(LinkedNode):
         """Publish what is known now; what is not is not published, and so its readers find out."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
+        if self._dressing is not None:
+            self._learn(self._dressing, now, rain)
         forecast = self._live_forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -259,10 +259,7 @@ class WeatherNode(LinkedNode):
             self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
-            # What is usual in this month, where the site says it.
-            zone = timezone(timedelta(hours=self._site.utc_offset or 0.0))
-            month = now.astimezone(zone).month
-            evapotranspiration = self._site.climatic_evapotranspiration(month)
+            evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))
         if rain is not None:
             self._publish_rain(rain)
         if evapotranspiration is not None:
@@ -272,6 +269,38 @@ class WeatherNode(LinkedNode):
         self._say_gauge(
             "thermometer", self._thermometer, f"the present temperature is {instead}"
         )
+
+    def _record(self, file: str) -> LiveDressing | None:
+        """Return by what forecasts are dressed; a file that is no use is said, and does no harm."""
+        try:
+            return LiveDressing(Path(file), self._site.tau) if file else None
+        except ConfigurationError as error:
+            why = f"forecasts are used as they are issued: {error}"
+            self.diagnose("record of forecasts", WARN, why, "record_not_kept")
+            return None
+
+    def _month(self, now: datetime) -> int:
+        """Return the month at the site, of which it says what is usual."""
+        return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
+
+    def _learn(self, dressing: LiveDressing, now: datetime, rain: float | None) -> None:
+        """Add what the gauge says (m/s) to what is known of forecasts, and say if that is lost."""
+        dressing.measure(now, rain)
+        part = "record of forecasts"
+        if dressing.few:
+            why = f"the forecast is used as it was issued: {dressing.few}"
+            self.diagnose(part, WARN, why, "record_short")
+        elif dressing.problem:
+            self.diagnose(part, WARN, f"is not kept: {dressing.problem}", "record_not_kept")
+        elif not self._rain_gauge.good:
+            self.diagnose(part, OK, "is used; without /gauge/precipitation nothing is added to it")
+        else:
+            self.diagnose(part, OK, "is kept")
+
+    def on_stop(self) -> None:
+        """Let what was learned be written."""
+        if self.live and self._dressing is not None:
+            self._dressing.close()
 
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
@@ -283,15 +312,25 @@ class WeatherNode(LinkedNode):
             now: the time.
             rain: that the gauge measures (m/s).
         """
-        if forecast.file.look():
+        self._reader.do(forecast.file.look)
+        if forecast.file.count != self._files_read:
+            self._files_read = forecast.file.count
             self.get_logger().info("the file of forecasts was read")
         problem = forecast.file.problem
         try:
             outlook = forecast.at(now, rain)
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
-            self.diagnose("forecast", ERROR, why, "forecast_missing")
-            return None
+            usual = self._site.climatic_evapotranspiration(self._month(now))
+            of_record = forecast.of_record(now, usual, rain)
+            cause = "forecast_unreadable" if problem else ""
+            self.reports.numbers.pop("forecast", None)
+            if of_record is None:
+                self.diagnose("forecast", ERROR, why, "forecast_missing", cause)
+            else:
+                why = f"the record of past weather stands for a forecast: {why}"
+                self.diagnose("forecast", WARN, why, "forecast_of_record", cause)
+            return of_record
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"

@@ -1,10 +1,10 @@
-"""What must survive a restart of the pump node: held, fault, starts, how much of the day is used.
+"""What must survive a restart of the pump node: stop, fault, starts, and the day's use.
 
 A file of two lines of fixed length, padded with blanks, in turn written over in place. Its room on
 the disk is taken when it is made, so that a disk that is full later takes a stop or a fault all the
 same (not one that never writes in place: btrfs, zfs). Each line begins with its checksum, and is a
 page long, which a kill does not tear; a power cut may. Then the other line is whole, but the torn
-one may have been a stop or a fault: the pump is held until somebody releases it.
+one may have been a stop or a fault: the pump is stopped until somebody releases it.
 
 The disk's thread writes: a slow disk keeps the pump's control from nothing. A lock, on a file
 beside, lets only one ledger write: another one's record would erase a stop or a fault.
@@ -50,7 +50,7 @@ class Record:
     """What is kept.
 
     Attributes:
-        held: why the pump is stopped by somebody; empty where it is not.
+        operator_stop: why the pump is stopped by somebody; empty where it is not.
         unknown: why it is not known whether there was a stop or a fault; empty where it is.
         fault: the latched fault; empty where there is none.
         fault_code: its interlock's code.
@@ -62,7 +62,7 @@ class Record:
         written_at: by the system clock (s since 1970).
     """
 
-    held: str = ""
+    operator_stop: str = ""
     unknown: str = ""
     fault: str = ""
     fault_code: str = ""
@@ -88,14 +88,13 @@ def state_directory() -> Path:
 class Ledger:
     """Keeps the record, in a file if there is one.
 
-    A missing file is a fresh record, and is made at once. A broken one holds the pump until
+    A missing file is a fresh record, and is made at once. A broken one stops the pump until
     somebody releases it: what it said, be it a fault, is not known. It is kept beside, as
     ``.broken``. The first ledger of a file has it, until it is closed or its process ends; another
     one knows what was in it when it was made, and writes nothing.
 
     Attributes:
         record: the present one.
-        found: what was in the file.
     """
 
     def __init__(self, file: Path | None, system_clock: Callable[[], float]) -> None:
@@ -112,18 +111,44 @@ class Ledger:
         self._unseen = 0.0
         self._problem = ""
         self._only: FileIO | None = None  # the lock
-        self.record = self.found = self._to_write = Record()
-        if file is None:
-            return
+        self.record = self._found = self._to_write = Record()
+        if file is not None:
+            self._lock(file)
+            self._begin(file)
+
+    def take(self) -> bool:
+        """Take the file, if another one had it or it could not be made; return whether that is new.
+
+        What it says by now counts, and what was stopped or found here meanwhile. A release of
+        before was not one of what it says now, or of its not being readable.
+        """
+        if self._file is None or self._only is not None or not self._lock(self._file):
+            return False
+        mine, before = self.record, self._found
+        self._begin(self._file)
+        if mine.operator_stop and mine.operator_stop != before.operator_stop:
+            self.stop(mine.operator_stop)
+        if mine.fault and mine.fault != before.fault:
+            self.fault(mine.fault, mine.fault_code)
+        return True
+
+    def _lock(self, file: Path) -> bool:
+        """Become the only one that writes the file, and return whether that was possible."""
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             # Not of the file itself, in whose place another is put where it is broken or removed.
             self._only = take_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError, ValueError) as error:
             self._problem = _why(file, error)
+            return False
+        self._problem = ""
+        return True
+
+    def _begin(self, file: Path) -> None:
+        """Begin with what the file says, and the time since that was written."""
         self.record, self._sequence, whole = _read(file)
-        self.found = self.record
-        down = system_clock() - self.record.written_at
+        self._found = self.record
+        down = self._clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
         if self.record.on:
             self._unseen = down if known else math.inf
@@ -131,11 +156,6 @@ class Ledger:
             self._pass(down)
         if not whole:
             self._save()
-
-    @property
-    def writes(self) -> bool:
-        """Whether what changes is written: nobody else has the file, or there is none."""
-        return self._file is None or self._only is not None
 
     @property
     def problem(self) -> str:
@@ -147,7 +167,7 @@ class Ledger:
     def stop(self, reason: str) -> None:
         """Keep the pump off, or release it (empty), also where a stop or a fault is unknown."""
         unknown = self.record.unknown if reason else ""
-        self.record = replace(self.record, held=reason, unknown=unknown)
+        self.record = replace(self.record, operator_stop=reason, unknown=unknown)
         self._save()
 
     def fault(self, text: str, code: str) -> None:
@@ -261,7 +281,8 @@ def _line(sequence: int, record: Record) -> bytes:
         return printable.encode()[:_TEXT].decode(errors="ignore")
 
     record = replace(
-        record, held=short(record.held), unknown=short(record.unknown), fault=short(record.fault)
+        record, operator_stop=short(record.operator_stop), unknown=short(record.unknown),
+        fault=short(record.fault),
     )
     content = {"sequence": sequence, **asdict(record)}
     content["starts"] = [round(one, 1) for one in record.starts[-_STARTS:]]
@@ -314,7 +335,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
 
     Returns:
         The newest record; its number, 0 where the file must be made; and whether all was whole. A
-        broken record is one that holds the pump.
+        broken record is one that stops the pump.
     """
     found, problems = [], []
     try:
@@ -355,6 +376,8 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
         raise ValueError("its checksum is wrong")
     content: dict[str, Any] = json.loads(text)
     sequence, names = content.pop("sequence"), asdict(Record()).keys()
+    if "held" in content:  # as an older version called it
+        content["operator_stop"] = content.pop("held")
     # An older version knew fewer of them.
     if content.keys() - names or (sequence + 1) % 2 != number:
         raise ValueError(f"it must hold sequence, {', '.join(names)}")

@@ -6,20 +6,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
 from greenroof_ros.pumping.interlocks import ENABLE, INHIBIT, INTERLOCKS, LATCHED, evaluate
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
-# Words that others look for in what is said: a hold by hand, and a pump that is off and may turn.
+# Words that others look for in what is said: a stop by hand, and a pump that is off and may turn.
 OPERATOR_STOPPED = "an operator stopped it"
 STILL_TURNS = "the pump still turns"
 STANDS_UNKNOWN = "whether the pump stands is not known"
 
-# Below this share of its rated speed, backwards too, a pump stands: noise of a drive's reading.
-_STANDS = 0.02
 # A measured flow above so many times the maximum flow is no flow of this pump.
 _GREATEST_FLOW = 1.5
 # No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
@@ -204,16 +202,22 @@ class PumpControl:
         )
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        faults = self._faults(drive_dt, seen, backwards, undelivered)
-        command, refused = _command(seen.command)
-        if command is not None and seen.command is not None and seen.command > 1:
-            warnings.append(f"the command {seen.command:g} is above 1 and taken as 1")
+        told, command, refused = seen.command, None, ""
+        if told is not None and 0 <= told < math.inf:
+            command = min(told, 1.0)
+            if told > 1:
+                warnings.append(f"the command {told:g} is above 1 and taken as 1")
+        elif told is not None:
+            refused = f"the command {told:g} is refused: it must be a number from 0 to 1"
+        unheard = seen.speed is None and not backwards
         active = evaluate({
-            **faults,
+            **self._faults(drive_dt, seen, backwards, undelivered),
             **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
-            **seen.reasons, **refused,
-            # One that turns backwards is a fault, and its speed is known.
-            **({} if backwards else _drive_trouble(seen)),
+            **seen.reasons,
+            "command_unknown": "there is no command" if told is None else "",
+            "command_refused": refused,
+            "drive_speed_unknown": "the speed of the drive is unknown" if unheard else "",
+            "drive_not_ready": "" if seen.drive_ready or backwards else "the drive is not ready",
         })
         asked = None
         if active:
@@ -231,7 +235,7 @@ class PumpControl:
             self._limits.switch(asked is not None)
         self._asked = asked
 
-        turning = seen.speed is not None and seen.speed > _STANDS
+        turning = seen.speed is not None and seen.speed > STANDS
         if state == "running" and self._is_astray(seen.speed):
             state = "starting"
         elif state == "off" and turning:
@@ -262,7 +266,7 @@ class PumpControl:
             warnings: to which those are added about what is not believed.
         """
         site = self._site
-        if self._asked is None and seen.speed is not None and seen.speed <= _STANDS:
+        if self._asked is None and seen.speed is not None and seen.speed <= STANDS:
             return 0.0, "the pump stands"
         level = site.z_o if seen.cistern_level is None else seen.cistern_level
         most = _GREATEST_FLOW * flow_at(site, 1.0, level)
@@ -285,11 +289,11 @@ class PumpControl:
 
     def _must_stand(self) -> bool:
         """Whether a pump whose speed is unknown stood before, or does by the drive's timeout."""
-        return self._turned <= _STANDS or self._unknown_for > self._drive_stops_after
+        return self._turned <= STANDS or self._unknown_for > self._drive_stops_after
 
     def _account(self, dt: float, speed: float | None, unseen: float, seen: float) -> None:
         """Count what the last step's decision made of the time since, by both flows (m3/s)."""
-        turns = speed is not None and speed > _STANDS
+        turns = speed is not None and speed > STANDS
         on = self._asked is not None or turns or unseen > seen
         self._limits.account(dt, on)
         self._ledger.count(dt, dt if on else 0.0, max(seen, unseen) * dt)
@@ -306,7 +310,7 @@ class PumpControl:
         goes on from there, so that it counts from where a drive is when it is asked anew. It begins
         when a pump that stood turns.
         """
-        if self._asked is not None and speed <= _STANDS:
+        if self._asked is not None and speed <= STANDS:
             self._ramped = speed
             return True
         asked, ramp, tolerance = (
@@ -348,7 +352,7 @@ class PumpControl:
             code = next(iter(latched))
             self._ledger.fault(latched[code], code)
         record = self._ledger.record
-        found |= {"operator_stop": record.held, "record_unknown": record.unknown}
+        found |= {"operator_stop": record.operator_stop, "record_unknown": record.unknown}
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
@@ -390,7 +394,7 @@ class PumpControl:
 
 def _backwards(seen: Observation) -> str:
     """Return that the pump turns backwards, beyond noise; empty where it does not."""
-    if seen.speed is None or not -_GREATEST_SPEED <= seen.speed < -_STANDS:
+    if seen.speed is None or not -_GREATEST_SPEED <= seen.speed < -STANDS:
         return ""
     return f"the pump turns backwards, at {-seen.speed:.2f} of its speed"
 
@@ -401,7 +405,7 @@ def _believable(seen: Observation) -> Observation:
     def known(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None
 
-    speed = known(seen.speed, -_STANDS, _GREATEST_SPEED)
+    speed = known(seen.speed, -STANDS, _GREATEST_SPEED)
     return replace(
         seen,
         cistern_level=known(seen.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
@@ -410,22 +414,3 @@ def _believable(seen: Observation) -> Observation:
         flow=known(seen.flow, 0.0, math.inf),
         drive_flow=known(seen.drive_flow, 0.0, math.inf),
     )
-
-
-def _drive_trouble(seen: Observation) -> dict[str, str]:
-    """Return why a drive cannot be used now."""
-    if seen.speed is None:
-        return {"drive_speed_unknown": "the speed of the drive is unknown"}
-    return {} if seen.drive_ready else {"drive_not_ready": "the drive is not ready"}
-
-
-def _command(command: float | None) -> tuple[float | None, dict[str, str]]:
-    """Return a command that may be followed, at most 1, or None and why it may not."""
-    if command is None:
-        return None, {"command_unknown": "there is no command"}
-    if not 0 <= command < math.inf:
-        return None, {
-            "command_refused": f"the command {command:g} is refused: it must be a number from 0 "
-            "to 1",
-        }
-    return min(command, 1.0), {}

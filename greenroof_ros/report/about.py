@@ -17,7 +17,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.initial_state import INITIAL_STATES
-from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import Change, Ending, Note, Parameters, parameter_text
 from greenroof_ros.weather.filling import REFUSE
@@ -161,7 +161,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
             "dressed": weather.get("dressed"),
         },
-        "sensor_pump_errors": {name: plant.get(name) for name in RANGES},
+        "sensor_pump_errors": {name: plant.get(name) for name in PARAMETERS},
     }
     volumes = plant.get("initial_cistern_volume"), plant.get("initial_roof_volume")
     if None not in volumes:
@@ -315,7 +315,7 @@ def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
 
 def sensor_pump_errors_label(values: Mapping[str, object]) -> str:
     """Return a name for those sensor_pump_errors of level sensor and pumps that are there."""
-    given = {name: float(str(values.get(name) or 0)) for name in RANGES}
+    given = {name: float(str(values.get(name) or 0)) for name in PARAMETERS}
     seed = given.pop("noise_seed")
     texts = [
         f"{name.replace('_', ' ')} {shortest(value)} {'m' if name.startswith('roof') else 's'}"

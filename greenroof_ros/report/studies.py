@@ -16,7 +16,7 @@ from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.common.times import to_people
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import row_parameters
@@ -79,7 +79,7 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         options = {option: row.get(f"forecast_{option}") for option in LABELLED}
         forecast = forecast_label(row.get("forecast"), options)
         sensor_pump_errors = sensor_pump_errors_label(
-            {key: _cell(file, line, row, key) for key in RANGES if key in row}
+            {key: _cell(file, line, row, key) for key in PARAMETERS if key in row}
         )
         if row["status"] in ("failed", "not run"):
             setting = ", ".join(f"{key} {value}" for key, value in given.items())

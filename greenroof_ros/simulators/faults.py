@@ -70,6 +70,7 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     "runs_on": Fault(
         20, "told to stop, the drive says that it is off, and the motor runs on, until the drive's "
         "communication timeout passes",
+        "how long each connection lasts, s; 0: for ever", 0,
     ),
 }
 SITE_FAULTS: Mapping[str, Fault] = {

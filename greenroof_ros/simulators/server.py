@@ -93,6 +93,7 @@ class _Connection(ServerRequestHandler):
         super().__init__(server, None, None, None)  # type: ignore[no-untyped-call]
         self._devices, self._fault = devices, fault
         self._serial = self.comm_params.comm_type == CommType.SERIAL
+        self._began = time.monotonic()
 
     async def handle_request(self) -> None:
         """Hand a request to the device that it names."""
@@ -103,7 +104,10 @@ class _Connection(ServerRequestHandler):
         refused = fault.name == "exception" or (
             fault.name == "refused_writes" and request.function_code in _WRITES
         )
-        if fault.name == "dropped":
+        lasts_s = fault.parameter if fault.name == "runs_on" else 0
+        lasted = 0 < lasts_s < time.monotonic() - self._began
+        # Never at an order, so that it is known that *stop* was taken.
+        if fault.name == "dropped" or (lasted and request.function_code not in _WRITES):
             if not self._serial:
                 self.transport.abort()  # type: ignore[attr-defined]
         elif device is None:

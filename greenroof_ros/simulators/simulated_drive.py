@@ -121,8 +121,7 @@ class SimulatedDrive(ABC):
         self.word = 0
         self.loss = self.LOSS.get(interface, 0)
         self.fault = self.last_fault = 0
-        self._fault_stands = self._speed_stays = self._runs_on = False
-        self._absurd: int | None = None
+        self._standing, self._parameter = faults.NONE, 0
         self._file, self._clock = file, clock
         self._at = self._answers_from = clock()
         self._guarded_from = -math.inf
@@ -207,7 +206,7 @@ class SimulatedDrive(ABC):
     def control(self, word: int) -> None:
         """Take in a control word."""
         rising, self.word = word & ~self.word, word
-        if rising & self.RESET and self.fault and not self._fault_stands:
+        if rising & self.RESET and self.fault and self._standing != "drive_fault":
             self.trip(0)
         elif not self.fault and not self.local:
             self.state = self.next_state()
@@ -260,7 +259,9 @@ class SimulatedDrive(ABC):
         loss = self._loss_at()
         if loss <= now:
             self._move(loss)
-            self.lost, self._runs_on = True, False
+            self.lost = True
+            if self._standing == "runs_on":
+                self._standing = faults.NONE
             self.communication_lost()
             self.say(
                 f"communication timeout: nothing for {loss - (self._heard or 0):.3g} s; "
@@ -289,7 +290,8 @@ class SimulatedDrive(ABC):
         if self._ignores_stop:
             self.standstill()  # as far as its state machine knows
             return
-        if not self._speed_stays and motion is not Motion.HOLD:
+        stays = self._standing in ("speed_stays", "stuck_running") or motion is Motion.HOLD
+        if not stays:
             wanted = self.wanted if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
             reach = self.settings.speed * step / full if full else math.inf
@@ -302,7 +304,7 @@ class SimulatedDrive(ABC):
     def _ignores_stop(self) -> bool:
         """Whether it is told to stop, and runs on while it says that it is off."""
         told = self.motion is not Motion.FOLLOW or not self.wanted
-        return self._runs_on and told and self._at >= self._answers_from
+        return self._standing == "runs_on" and told and self._at >= self._answers_from
 
     @property
     def moving(self) -> bool:
@@ -343,8 +345,8 @@ class SimulatedDrive(ABC):
         self.put("status", self.status())
         self.put(self._file.faults.register, self.fault_register)
         self.put("speed", self.speed / self._unit(self._registers["speed"]))
-        if self._absurd is not None:
-            self._words |= dict.fromkeys(self._addresses("speed"), self._absurd)
+        if self._standing == "absurd_value":
+            self._words |= dict.fromkeys(self._addresses("speed"), self._parameter)
         if "flow" in self._registers:
             self.put("flow", self.flow(self.speed) / self._registers["flow"].scale)
         return self._words
@@ -395,10 +397,7 @@ class SimulatedDrive(ABC):
             parameter: of it.
         """
         self.advance()
-        self._fault_stands = name == "drive_fault"
-        self._speed_stays = name in ("speed_stays", "stuck_running")
-        self._runs_on = name == "runs_on"
-        self._absurd = parameter if name == "absurd_value" else None
+        self._standing, self._parameter = name, parameter
         match name:
             case "drive_fault":
                 codes = self._file.faults
@@ -424,7 +423,7 @@ class SimulatedDrive(ABC):
         self._guarded_from = self._answers_from + self.UNGUARDED_S
         self._heard = None
         self.lost = False
-        if not self._fault_stands:
+        if self._standing != "drive_fault":
             self.trip(0)
         for name in self._commands:
             self.put(name, 0)

@@ -43,7 +43,7 @@ from greenroof_ros.model.initial_state import (
     initial_state,
     own_state,
 )
-from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.filling import GAPS, REFUSE
@@ -386,7 +386,8 @@ class _Grid:
                 choice = replace(choice, dressed=self._place(options, "dressed", name) / name)
             skills = self._skills(options) if "skill" in options else [choice.skill]
             numbers = {
-                name: NUMBERS[name] for name in choice.takes if name in options and name in NUMBERS
+                name: (NUMBERS[name].low, NUMBERS[name].high)
+                for name in choice.takes if name in options and name in NUMBERS
             }
             for skill, values in itertools.product(
                 skills, list(self._combinations(options, numbers))
@@ -430,9 +431,10 @@ class _Grid:
                 "such",
             )
         for mapping in mappings:
-            self._keys(mapping, tuple(RANGES))
-            names = [name for name in RANGES if name in mapping]
-            for values in self._combinations(mapping, {name: RANGES[name] for name in names}):
+            self._keys(mapping, tuple(PARAMETERS))
+            names = [name for name in PARAMETERS if name in mapping]
+            ranges = {name: (PARAMETERS[name].low, PARAMETERS[name].high) for name in names}
+            for values in self._combinations(mapping, ranges):
                 yield SensorPumpErrors(**values)
 
     def _combinations(

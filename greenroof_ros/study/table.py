@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.study.grid import Case
 
@@ -70,7 +70,7 @@ class Names:
         columns = case.columns()
         values = {
             **{name: case.parameters[name] for name in self._parameters[case.controller.name]},
-            **{name: columns[name] for name in RANGES if name in self._columns},
+            **{name: columns[name] for name in PARAMETERS if name in self._columns},
         }
         return _named(case.controller.name, values)
 

@@ -60,7 +60,8 @@ def worth(
     """
     reach = dressing.edges[-1]
     sums = sorted({min(hours, reach) for hours in _SUMS})
-    climate = dict(zip(sums, (dressing.fell[:, :hours].sum(axis=1) for hours in sums), strict=True))
+    whole = dressing.fell[~np.isnan(dressing.fell).any(axis=1)]
+    climate = dict(zip(sums, (whole[:, :hours].sum(axis=1) for hours in sums), strict=True))
     found: dict[int, list[tuple[float, ...]]] = {hours: [] for hours in sums}
     for issue in archive.issues:
         begin = (issue.issued - weather.rain_from) // HOUR

@@ -1,8 +1,9 @@
 """What an alarm means to an operator, and what to do about it.
 
-A table: of which node and part, words of its sentence, and what an operator should know and do. The
-first row that fits counts, so that what is dangerous stands above what only follows from it. No
-number of a sentence is read: it stands beside the advice.
+A table: of which node and part, words of its sentence, and what an operator should know and do;
+where that is what a condition code says, it stands with the code. The first row that fits counts,
+so that what is dangerous stands above what only follows from it. No number of a sentence is read:
+it stands beside the advice.
 """
 
 from __future__ import annotations
@@ -10,16 +11,15 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
+from greenroof_ros.pumping.interlocks import CONDITIONS, RESET
 from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED, STANDS_UNKNOWN, STILL_TURNS
 
 # Where no row fits, and of other devices, of which nothing is known here.
 OTHER = "Nothing is known about this here; read the log of the node that says so."
 FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
 
-_RESET = "then clear the fault: ros2 service call {node}/reset std_srvs/srv/Trigger"
-_RELEASE = (
-    'ros2 service call {node}/stop std_srvs/srv/SetBool "{{data: false}}"'
-)
+# What to do about each condition.
+_OF = {code: advice for code, (_, advice) in CONDITIONS.items()}
 _SENSORS = r"(cistern|roof)_sensor: "
 _PUMP_OR_INPUTS = r"pump: .*|controller: (inputs|forecast)"
 
@@ -31,10 +31,7 @@ _LINE = r"no valid answer|refused with exception|the answer |connection was clos
 # "ROLE: PART", the second of some of the sentence.
 _TABLE: tuple[tuple[str, str, str], ...] = (
     # --- it is over already ---
-    (
-        _PUMP_OR_INPUTS, _RECOVERING,
-        "It is good again. Nothing to do: it counts when it has been good for a while.",
-    ),
+    (_PUMP_OR_INPUTS, _RECOVERING, _OF["input_recovering"]),
     # --- another one has the pump ---
     (
         r"pump: .*", r"runs this drive already|the lock .* cannot be opened",
@@ -42,110 +39,70 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "the other program; the message names what to do.",
     ),
     # --- the pump turns and should not, or nobody knows ---
-    (
-        r"pump: .*", r"told to stop|acknowledges \*stop\*|stuck contactor",
-        "The pump turns although it should stand. Stop it at its drive's panel or main switch now; "
-        f"find out why it runs on (a stuck contactor, a hand switch), {_RESET}",
-    ),
+    (r"pump: .*", r"told to stop|acknowledges \*stop\*|stuck contactor", _OF["runs_on"]),
     (
         r"pump: .*", f"{OPERATOR_STOPPED}.*{STILL_TURNS}",
         "Somebody stopped the pump, and it still turns. If it does not stand within seconds, stop "
         "it at its drive's panel or main switch, and find out why it runs on.",
     ),
-    (
-        r"pump: .*", r"turns backwards",
-        "Switch the drive off at its panel. Water runs back through the pump, or two phases of the "
-        f"motor are swapped: have an electrician look, {_RESET}",
-    ),
+    (r"pump: .*", r"turns backwards", _OF["turns_backwards"]),
     (
         r"pump: ", r"^ended: .*(not heard at the end|not stand at the end)",
         "The pump's program has ended without seeing the pump stand. Go and see; stop it at its "
         "drive's panel or main switch if it turns.",
     ),
     # --- faults that latch ---
-    (
-        r"pump: .*", r"the drive reports",
-        "The drive has switched the pump off by itself. Look the fault up in the drive's manual, "
-        f"remedy it, {_RESET}",
-    ),
-    (
-        r"pump: .*", r"the speed does not follow",
-        "The pump turns at another speed than is asked for. See whether it is blocked, and whether "
-        f"the drive's own limits hold it, {_RESET}",
-    ),
+    (r"pump: .*", r"the drive reports", _OF["drive_fault"]),
+    (r"pump: .*", r"the speed does not follow", _OF["speed_not_followed"]),
     (
         r"pump: .*", r"a burst pipe or a leak",
         "Water leaves the cistern and does not reach the roof. Look for a burst pipe behind the "
-        f"pump, and at the roof's level sensor, {_RESET}",
+        f"pump, and at the roof's level sensor, {RESET}",
     ),
     (
         r"pump: .*", r"a closed valve",
         "The pump runs and moves no water. Open the valves; see whether the pump is blocked, the "
-        f"pipe or the cistern empty, or a level sensor stuck, {_RESET}",
+        f"pipe or the cistern empty, or a level sensor stuck, {RESET}",
     ),
     (
         r"pump: .*", r"its sensor is stuck or drifts",
         "Water arrives on the roof and the cistern does not fall. Measure the cistern by hand: its "
-        f"level sensor is perhaps stuck, or water flows in, {_RESET}",
+        f"level sensor is perhaps stuck, or water flows in, {RESET}",
     ),
     (
         r"pump: .*", r"a leak, or somebody else takes water",
         "The cistern loses more water than is pumped. Look for a leak, and whether somebody else "
-        f"takes water, {_RESET}",
+        f"takes water, {RESET}",
     ),
-    (r"pump: pump", r"^fault: ", f"The pump stays off. Remedy what is said, {_RESET}"),
+    (r"pump: pump", r"^fault: ", _OF["fault_unknown"]),
     (
         r"pump: .*", f"{STANDS_UNKNOWN}|it stands has not been known",
         "The drive is not heard, and whether the pump stands is not known. Go and see; look at the "
         "drive's power, cable, gateway and address.",
     ),
     # --- held ---
-    (
-        r"pump: .*", OPERATOR_STOPPED,
-        f"Somebody holds the pump off. When it may run again: {_RELEASE}",
-    ),
-    (
-        r"pump: .*", r"whether there was a stop or a fault is not known",
-        "What the pump's program had noted is lost, so the pump stays off. See that pump and pipes "
-        f"are in order, then release it: {_RELEASE}",
-    ),
+    (r"pump: .*", OPERATOR_STOPPED, _OF["operator_stop"]),
+    (r"pump: .*", r"whether there was a stop or a fault is not known", _OF["record_unknown"]),
     (
         r"pump: .*", r"has it already; end that one",
         "Two programs for the same pump run on this computer. End the one that should not.",
     ),
     (
         r"pump: .*", r"cannot be written: |could not be written within|not yet on the disk",
-        "A stop would be forgotten at a restart. Make room on the disk and let the program write "
-        "that file.",
+        _OF["state_not_kept"],
     ),
     # --- the drive ---
-    (
-        r"pump: .*", r"somebody else writes to the drive",
-        "Another controller writes to the drive at the same time. End it, or take the drive off "
-        "that line; the pump goes on by itself.",
-    ),
-    (
-        r"pump: .*", r"in local control",
-        "The drive was switched to hand at its panel. Switch it back to the bus (remote); the pump "
-        "goes on by itself.",
-    ),
-    (
-        r"pump: .*", r"does not guard for",
-        "The drive was just switched on. Nothing to do: the pump goes on by itself in a while.",
-    ),
+    (r"pump: .*", r"somebody else writes to the drive", _OF["second_master"]),
+    (r"pump: .*", r"in local control", _OF["drive_local"]),
+    (r"pump: .*", r"does not guard for", _OF["drive_guards_later"]),
     (
         r"pump: .*", r"the exchange with the drive has ended",
         "The pump's program cannot talk to the drive any more. Start it again.",
     ),
-    (
-        r"pump: .*", r"not yet connected",
-        "The drive is being called. Nothing to do, unless it stays so: then see that the drive has "
-        "power, and look at cable, gateway and address.",
-    ),
+    (r"pump: .*", r"not yet connected", _OF["drive_awaited"]),
     (
         r"pump: .*", r"no connection to the drive|not configured: |the node is not configured",
-        "The drive is not heard. See that it has power, and look at its cable, gateway and "
-        "address; the pump goes on by itself when it answers.",
+        _OF["drive_lost"],
     ),
     (
         r"pump: drive", f"^the drive: .*({_LINE}|cannot connect)",
@@ -156,36 +113,18 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         r"pump: drive", r"^the drive: .*(no effect|is no share|believable|cannot be)",
         "The drive does not do what it is told, or says what cannot be. See its panel.",
     ),
-    (
-        r"pump: .*", r"communication timeout|what is set in itself",
-        "If this computer failed, the drive might run on, so the pump is not run. Have the drive "
-        "set as the message says; then it goes on.",
-    ),
-    (
-        r"pump: drive file", r"",
-        "The settings for this make of drive were not all tried. Watch the pump start and stop "
-        "once before you rely on it.",
-    ),
+    (r"pump: .*", r"communication timeout|what is set in itself", _OF["drive_timeout"]),
+    (r"pump: drive file", r"", _OF["drive_file_unverified"]),
     (
         r"pump: .*", r"speed of the drive is unknown|drive is not ready|had stopped by itself",
-        "The drive does not say what it does, or is not ready. See its panel; the pump goes on by "
-        "itself when it is ready.",
+        _OF["drive_speed_unknown"],
     ),
-    (
-        r"pump: drive", r"^the drive: ",
-        "The drive warns, and the pump may run on. Look it up in the drive's manual before "
-        "it becomes a fault.",
-    ),
-    (
-        r"pump: .*", r"not activated|the node is not active",
-        "The pump's program does not run the pump yet. It says why; without a reason it waits for "
-        "somebody to configure and activate it.",
-    ),
+    (r"pump: drive", r"^the drive: ", _OF["drive_warning"]),
+    (r"pump: .*", r"not activated|the node is not active", _OF["not_active"]),
     # --- two of a kind ---
     (
         r".*", r"has \d+ publishers|two processes report|publishers? of|came twice",
-        "Two programs do the same work, so neither is believed. End the one that should not run, "
-        "or give it another ROS_DOMAIN_ID or namespace.",
+        _OF["two_controllers"],
     ),
     (
         r".*", r"cannot be heard \(",
@@ -193,32 +132,16 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "says.",
     ),
     # --- bringup ---
-    (
-        r"pump: .*", r"bringup has (ended|given no permit)",
-        "The program that watches over the site (bringup) hangs or has ended, so the pump stands. "
-        "Start it again.",
-    ),
+    (r"pump: .*", r"bringup has (ended|given no permit)", _OF["no_permit"]),
     (
         r"pump: supervisor|pump: pump", r"is missing|is silent|is starting|waits for|^starting$",
         "A program of the site is not there, so the pump stands. bringup starts it again by "
         "itself; if it does not come, read its log.",
     ),
     # --- water and limits ---
-    (
-        r"pump: .*", r"the cistern is at .* not above",
-        "There is too little water in the cistern to pump. Nothing to do: it goes on after rain; "
-        "if the roof must be watered before, refill the cistern.",
-    ),
-    (
-        r"pump: .*", r"without a break",
-        "The pump ran for as long as it may at a time, and rests. If it rests often, see why it is "
-        "asked for so much water.",
-    ),
-    (
-        r"pump: .*", r"in this day",
-        "The pump has done all it may in a day, and goes on tomorrow. If so much is right, raise "
-        "its limit; otherwise look for what asks for it.",
-    ),
+    (r"pump: .*", r"the cistern is at .* not above", _OF["cistern_low"]),
+    (r"pump: .*", r"without a break", _OF["longest_run"]),
+    (r"pump: .*", r"in this day", _OF["daily_volume"]),
     (
         r"pump: limits", r"are owed",
         "The pump lags behind what is asked for, since it may not start more often. Nothing to do "
@@ -234,82 +157,38 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "do.",
     ),
     # --- frost ---
-    (
-        r"pump: .*|controller: .*", r"(?<!whether )there is frost",
-        "Nothing to do: the pump stands in frost, and goes on when it thaws.",
-    ),
+    (r"pump: .*|controller: .*", r"(?<!whether )there is frost", _OF["frost"]),
     (
         r"weather: frost", r"may run all the same",
         "The temperature is not known, and the pump may run all the same, as was set. In winter "
         "see to it that it does not freeze.",
     ),
-    (
-        r"weather: frost", r"the temperature is unknown",
-        "The temperature is not known, so the pump stands. See that the forecast has temperatures, "
-        "or that the thermometer is heard.",
-    ),
+    (r"weather: frost", r"the temperature is unknown", _OF["temperature_unknown"]),
     # --- commands ---
-    (
-        r"pump: .*", r"no command|/pump/command (has not come|is older)",
-        "The controller says nothing, so the pump stands. See whether the controller runs, and "
-        "read its log.",
-    ),
+    (r"pump: .*", r"no command|/pump/command (has not come|is older)", _OF["no_command"]),
     (
         r"pump: .*|controller: command",
         r"the command .* is refused|/pump/command was refused|must be a finite number",
-        "The controller commands nonsense, so the pump stands. Start it again, or take another "
-        "controller.",
+        _OF["command_refused"],
     ),
     # --- what a node takes in ---
-    (
-        r".*", r"this node itself stood still",
-        "The computer was too busy or asleep for a moment. Nothing to do, unless it happens often: "
-        "then end what keeps it busy.",
-    ),
+    (r".*", r"this node itself stood still", _OF["input_paused"]),
     (
         r".*", r"is its unit wrong",
         "A level is higher than its tank. Check the sensor's unit, scale and offset.",
     ),
-    (
-        r".*", r"is frozen",
-        "A level sensor repeats the same value although water must have moved. See whether it is "
-        "stuck or disconnected.",
-    ),
-    (
-        r".*", r"/level jumped",
-        "A level moved faster than water can. Check the sensor, its cable and its mounting; it "
-        "counts again when it is steady.",
-    ),
+    (r".*", r"is frozen", _OF["input_frozen"]),
+    (r".*", r"/level jumped", _OF["input_jump"]),
     (
         r"controller: (inputs|forecast)", r"members",
         "The controller takes one forecast, and several came. Set all_members of the weather node "
         "to false, or take another controller.",
     ),
-    (
-        r"weather: (rain gauge|thermometer)", r"",
-        "An instrument of the weather station is not heard or not believed; the forecast, if there "
-        "is one, is used instead. Check it when you can.",
-    ),
-    (
-        r"pump: delivery", r"",
-        "Whether the water arrives cannot be checked for now. Nothing to do, unless a level stays "
-        "unknown.",
-    ),
-    (
-        _PUMP_OR_INPUTS, r"/level |level of the",
-        "A water level is not known or not believed, so the pump stands. Check that level's "
-        "sensor and its program.",
-    ),
-    (
-        r"pump: .*", r"frost",
-        "It is not known whether there is frost, so the pump stands. See whether the weather "
-        "program runs and has a temperature.",
-    ),
-    (
-        r"controller: forecast", r"",
-        "The controller has no good forecast: until it has one, plain on/off waters by the level. "
-        "See whether the weather program runs and its file is fresh.",
-    ),
+    (r"weather: (rain gauge|thermometer)", r"", _OF["gauge_bad"]),
+    (r"pump: delivery", r"", _OF["delivery_blind"]),
+    (_PUMP_OR_INPUTS, r"/level |level of the", _OF["cistern_level_unknown"]),
+    (r"pump: .*", r"frost", _OF["frost_unknown"]),
+    (r"controller: forecast", r"", _OF["no_forecast"]),
     (
         r"controller: inputs", r"/forecast/|/weather/",
         "The controller has no good forecast or temperature, so it commands no water. See whether "
@@ -321,35 +200,19 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "end or mend it.",
     ),
     # --- the weather, the recording, the sensors ---
-    (
-        r"weather: forecast", r"what was read before holds on",
-        "The newest forecast file cannot be read; the one before is used as long as it reaches. "
-        "See what writes it.",
-    ),
-    (
-        r"weather: forecast", r"",
-        "There is no forecast for now, so plain on/off waters by the level; without a thermometer "
-        "the pump stands. See that whatever fetches the forecast still does, and the clock.",
-    ),
+    (r"weather: forecast", r"what was read before holds on", _OF["forecast_unreadable"]),
+    (r"weather: forecast", r"", _OF["forecast_missing"]),
     (
         r"recorder: recording", r"No space left",
         "The disk is full, so nothing is recorded; watering goes on. Make room on the disk.",
     ),
-    (
-        r"recorder: recording", r"",
-        "Nothing is recorded; watering goes on. See that its directory is there and can be "
-        "written.",
-    ),
+    (r"recorder: recording", r"", _OF["not_recorded"]),
     (
         f"{_SENSORS}sensor", r": says ",
         "The level sensor answers, but with no possible level. Check the sensor, and its scale and "
         "range in the sensors' file.",
     ),
-    (
-        f"{_SENSORS}sensor", r"",
-        "The level sensor does not answer. See that it has power, and look at its cable, gateway "
-        "and address.",
-    ),
+    (f"{_SENSORS}sensor", r"", _OF["sensor_lost"]),
     # --- nodes ---
     (
         r".*: ", r"^ended: .*No space left",

@@ -258,10 +258,11 @@ class Alarms:
             node.refused_at, node.refused = wall, ", ".join(grown[:10])
         if not before:
             return
-        was_held, held = (bool(_text(one, "held")) for one in (before, values))
-        if held != was_held:
+        was_stopped, stopped = (bool(_text(one, "stop")) for one in (before, values))
+        if stopped != was_stopped:
             self.add_event(
-                now, "stop was asked for: the pump is held off" if held else "the stop was released"
+                now, "stop was asked for: the pump is held off" if stopped
+                else "the stop was released",
             )
         was, fault = (_text(one, "fault") for one in (before, values))
         if fault != was:

@@ -786,9 +786,9 @@ class Watched:
         return may_turn(said) or (gone and said.get("stands") is False)
 
     def _stop(self, wall: float) -> dict[str, Any]:
-        """Return whether the pump can be held off from here, is so, and what is wrong with that.
+        """Return whether the pump can be stopped from here, is so, and what is wrong with that.
 
-        It is held where an operator stopped it and it stands: a hold alone says that it should.
+        It is where an operator stopped it and it stands: the stop alone says that it should.
         ``call`` and ``release`` are what somebody types to stop and release it; empty where that
         would do nothing.
         """
@@ -797,10 +797,10 @@ class Watched:
         if said is None or self._no_stop:
             sentence = self._no_stop or "There is no pump node that could be stopped from here."
             return {
-                "possible": False, "held": False, "node": None, "label": "Stop the pump",
+                "possible": False, "stopped": False, "node": None, "label": "Stop the pump",
                 "sentence": sentence, "warning": self._no_stop, "call": "", "release": "",
             }
-        asked = bool(said.get("held"))
+        asked = bool(said.get("stop"))
         call = f"ros2 service call {node}/stop std_srvs/srv/SetBool"
         gone = self._pump_gone(wall)
         stands = not gone and said.get("stands") is True
@@ -812,16 +812,16 @@ class Watched:
             )
         state = (self._pump_words() or "").partition(": ")[0]
         off = state in ("off", "held", "fault") and stands
-        held = asked and stands
+        stopped = asked and stands
         return {
-            "possible": True, "held": held, "node": node,
-            "label": "The pump is held off" if held
+            "possible": True, "stopped": stopped, "node": node,
+            "label": "The pump is held off" if stopped
             else "Keep the pump off" if off else "Stop the pump",
             "sentence": ("It was held off when last heard. " if asked and gone else "")
-            + ("The pump is held" if held else "Holds the pump")
+            + ("The pump is held" if stopped else "Holds the pump")
             + " off until somebody releases it at the pump node.",
             "warning": warning,
-            "call": "" if held else f'{call} "{{data: true}}"',
+            "call": "" if stopped else f'{call} "{{data: true}}"',
             "release": f'{call} "{{data: false}}"' if asked else "",
         }
 

@@ -15,15 +15,14 @@ from places import CHECKOUT
 
 from greenroof_ros.bringup.__main__ import make_parser
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
-from greenroof_ros.bringup.live_site import _REFUSED, live_site, refuse_options
+from greenroof_ros.bringup.live_site import live_site
+from greenroof_ros.bringup.live_site import make_parser as live_site_parser
 from greenroof_ros.bringup.simulated import simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
-from greenroof_ros.experiment.options import parse_run_arguments
 
-LIVE = ("--plant", "external")
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
 
@@ -31,16 +30,14 @@ def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]
     return run_command("bringup", *arguments, cwd=tmp_path, env=environment(0))
 
 
-def refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
+def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
     """Return with what words a command line is refused, which must be so."""
-    monkeypatch.setattr(sys, "argv", ["bringup", *words])
-    parser = make_parser()
-    arguments = parse_run_arguments(parser)
+    monkeypatch.setattr(sys, "argv", [way, *words])
     try:
-        if arguments.plant == "external":
-            live_site(parser, arguments)
+        if way == "live":
+            live_site(live_site_parser().parse_args())
         else:
-            refuse_options("simulated", parser, arguments)
+            arguments = make_parser().parse_args()
             chosen_drive(arguments)
             simulated_run(arguments)
     except ConfigurationError as error:
@@ -48,28 +45,14 @@ def refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
     raise AssertionError("it was not refused")
 
 
-# Of each option that only one way to run has, a value.
-ONLY = {
-    "live": {
-        "start": "2021-07-07T02:00", "hours": "1", "initial": "low-low", "cistern": "1",
-        "roof": "1", "evapotranspiration": "fao56", "gaps": "fill", "forecast-skill": "real",
-        "forecast-seed": "1", "forecast-members": "2", "forecast-delay": "1",
-        "dressed": "dressed.csv", "roof-noise": "0.1", "roof-offset": "0.1", "noise-seed": "5",
-        "minimum-on": "60", "minimum-off": "60", "output": "here", "speed": "2", "json": None,
-    },
-    "simulated": {
-        "sensors": "x.yaml", "thermometer": "external", "restarts": "3", "bag-limit": "50",
-    },
-}
-
-
-@pytest.mark.parametrize("way", ONLY)
-def test_an_option_of_the_other_way_to_run(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
-    options, why = _REFUSED[way]
-    assert ONLY[way].keys() == {option.replace("_", "-") for option in options}
-    for option, value in ONLY[way].items():
-        words = [*((*LIVE, *NOBODY) if way == "live" else ()), f"--{option}", value]
-        assert refused(monkeypatch, *filter(None, words)) == f"--{option}: {why}"
+def test_plant_external_is_live(tmp_path: Path) -> None:
+    """Bringup starts all three ways to run: the option leads to live's own command line."""
+    done = bringup(tmp_path, "--plant", "external", "--pump", "external")
+    assert done.returncode == 2 and done.stderr.startswith("error: --sensors FILE: is missing:")
+    done = bringup(tmp_path, "--help", "--plant=external")
+    assert done.returncode == 0 and done.stdout.startswith("usage: greenroof live ")
+    done = bringup(tmp_path, "--plant", "elsewhere")
+    assert done.returncode == 2 and "argument --plant: invalid choice: 'elsewhere'" in done.stderr
 
 
 def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
@@ -96,34 +79,33 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
 
 
 # Of a live site with a weather node, what is somebody else's; and a drive.
-WEATHERED = "--plant external --sensors external --pump external"
+WEATHERED = "live --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 WRONG = {
-    "--plant external --weather external --pump external": "--sensors FILE: is missing: live",
-    "--plant external --weather external --sensors external": "--drive NAME: is missing: live",
+    "live --weather external --pump external": "--sensors FILE: is missing: live",
+    "live --weather external --sensors external": "--drive NAME: is missing: live",
     WEATHERED:
         "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
     f"{WEATHERED} --thermometer external": "--forecast FILE.csv: is missing: live",
-    f"{WEATHERED} --forecast persistence": "--forecast = 'persistence': must be a FILE.csv",
+    f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
+        "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
     f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
-    "--plant external --weather external --pump external --sensors no.yaml":
+    "live --weather external --pump external --sensors no.yaml":
         "--sensors = 'no.yaml': must be a file that is there",
-    f"{WEATHERED} --weather july.csv": "--weather = 'july.csv': must be external, or not given",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is of the weather node",
     f"{WEATHERED} --weather external --site no.yaml": "no.yaml",
     f"{WEATHERED} --weather external {DRIVE}":
         "--pump = 'external': leaves the pump to somebody else's node",
-    f"--pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
-    "--weather external": "--weather = 'external': is for a live site",
-    "--drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
-    "--drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
-    "--drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
-    f"{DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
-    "--state here": "--state: is of a drive, or a live site",
+    f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
+    "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
+    "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
+    "run --drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
+    f"run {DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
+    "run --state here": "--state: is of a drive",
 }
 
 
@@ -140,7 +122,7 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
     sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
     assert refused(
-        monkeypatch, *LIVE, "--weather", "external", "--sensors", str(sensors),
+        monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
     ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too")
 
@@ -163,19 +145,18 @@ _ONLY_BRINGUP = "must not be given to the node pump"
 # By what a file says: what is refused of it, beginning with its line.
 NO_EFFECT = {
     # Only bringup says which drive: else the node would run one drive, and bringup stop another.
-    "other:\n  ros__parameters:\n    address: its own\n"
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    drive: danfoss_fc202\n":
-        f"line 7: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
+        f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
         f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
-    "pump:\n  ros__parameters:\n    device_id: 17\n":
-        f"line 3: pump: device_id = 17: {_ONLY_BRINGUP}",
+    "/*/pump:\n  ros__parameters:\n    device_id: 17\n":
+        f"line 3: /*/pump: device_id = 17: {_ONLY_BRINGUP}",
     "/site1/pump:\n  ros__parameters:\n    state_file: mine.json\n":
         f"line 3: /site1/pump: state_file = 'mine.json': {_ONLY_BRINGUP}",
     # A real drive would run on levels of another time than --speed, which is refused, says.
-    "plant:\n  ros__parameters:\n    speed: 60.0\n":
-        "line 3: plant: speed = 60.0: must not be given to the node plant here: under bringup "
-        "--speed says it",
+    "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
+        "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
+        "bringup --speed says it",
     "/**:\n  ros__parameters: {speed: 0.0}\n":
         "line 2: /**: speed = 0.0: must not be given to the node plant",
     "/site1/*:\n  ros__parameters:\n    pump: external\n":
@@ -218,16 +199,17 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
 
 
-@pytest.mark.parametrize("way", ["loop", "live"])
+@pytest.mark.parametrize("way", ["bringup", "bringup.live"])
 def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     tmp_path: Path, way: str
 ) -> None:
     (tmp_path / "forecast.csv").write_text("")
     (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
-    site = (*LIVE, "--sensors", "external", "--forecast", "forecast.csv")
-    done = bringup(
-        tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
-        "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml",
+    site = ("--sensors", "external", "--forecast", "forecast.csv")
+    done = run_command(
+        way, *(site if way == "bringup.live" else ()), "--drive", "abb_acs880", "--drive-at",
+        "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml", cwd=tmp_path,
+        env=environment(0),
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
@@ -309,18 +291,10 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     number = os.open(tmp_path / "live", os.O_RDONLY)
     try:
         fcntl.flock(number, fcntl.LOCK_EX)
-        done = bringup(tmp_path, *LIVE, *NOBODY)
+        done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     finally:
         os.close(number)
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
     )
-
-
-def test_help_tells_the_three_ways(tmp_path: Path) -> None:
-    done = bringup(tmp_path, "--help")
-    assert done.returncode == 0
-    for words in ("simulated  ", "hardware in the loop  ", "live  ", "--plant", "--drive-at"):
-        assert words in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 100

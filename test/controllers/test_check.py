@@ -15,27 +15,59 @@ from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 
 EXAMPLE = "examples.proportional:Proportional"
-BROKEN = {
-    # What it does wrong: the rule that it breaks, and what is said of it.
-    "return -command if command else 0.0": (
-        "its commands are finite and not negative, at all levels and forecasts",
-        "it must be finite and not negative",
-    ),
-    "import random; return command * random.random()": (
+TEXT = (CHECKOUT / "examples" / "proportional.py").read_text()
+RETURNS = "return min(command, 1.0) if command > 0 else 0.0"
+HEAD = "    parameters = (\n"
+
+
+def returning(code: str) -> tuple[str, str]:
+    """Return what of the example's code is replaced to make it go wrong in the end."""
+    return RETURNS, f"command = min(command, 1.0) if command > 0 else 0.0; {code}"
+
+
+def planning(plan: str) -> tuple[str, str]:
+    """Do the same for one whose plan is no plan."""
+    own = f'    outputs = {{"/controller/plan": "plan"}}\n    import numpy\n    plan = {plan}\n'
+    return HEAD, own + HEAD
+
+
+FINITE = "its commands are finite and not negative, at all levels and forecasts"
+OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
+NO_PLAN = "no numpy array of floats, of shape (n, 3), in the attribute plan"
+BROKEN = [
+    # What it does wrong, the rule that it breaks, and what is said of it.
+    (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
+    (returning("return None"), FINITE, "command() returns None; it must return a float"),
+    (
+        returning("import random; return command * random.random()"),
         "two of it give the same commands to the same inputs", "on equal inputs",
     ),
-    "evapotranspiration[0] = 1.0; return command": (
+    (
+        returning("evapotranspiration[0] = 1.0; return command"),
         "it leaves the forecasts that it gets as they are", "copy them first",
     ),
-    "precipitation[3]; return command": (
+    (
+        returning("precipitation[3]; return command"),
         "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else",
         "raises IndexError",
     ),
-    "return None": (
-        "its commands are finite and not negative, at all levels and forecasts",
-        "command() returns None; it must return a float",
+    (
+        (HEAD, f'    outputs = {{"/pump/command": "gain"}}\n{HEAD}'), OUTPUTS,
+        "outputs = '/pump/command': is no output of a controller",
     ),
-}
+    (
+        (
+            "def statistics(self) -> None:\n",
+            'def statistics(self):\n        return {"solves": 1}\n',
+        ),
+        "its statistics are None, or the figures of its solver",
+        "statistics() must be None or have fallbacks, max_s, mean_s, p99_s, solves",
+    ),
+    # The node can send no other plan than an array of floats with the interface's columns.
+    (planning("[[10.0, 0.0, 0.04]]"), OUTPUTS, NO_PLAN),
+    (planning("numpy.zeros((2, 3), dtype=int)"), OUTPUTS, NO_PLAN),
+    (planning("numpy.zeros((2, 2))"), OUTPUTS, NO_PLAN),
+]
 
 
 @pytest.mark.parametrize("name", [*BUILT_IN, EXAMPLE])
@@ -53,53 +85,18 @@ def check(directory: Path, reference: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("code", BROKEN)
-def test_broken_controllers(tmp_path: Path, code: str) -> None:
+@pytest.mark.parametrize(("change", "rule", "problem"), BROKEN)
+def test_broken_controllers(
+    tmp_path: Path, change: tuple[str, str], rule: str, problem: str
+) -> None:
     """Each fails for its own reason, by the real command."""
-    text = (CHECKOUT / "examples" / "proportional.py").read_text()
-    right = "return min(command, 1.0) if command > 0 else 0.0"
-    assert right in text
-    broken = text.replace(
-        right, f"command = min(command, 1.0) if command > 0 else 0.0; {code}"
-    )
-    (tmp_path / "broken.py").write_text(broken)
+    assert TEXT.count(change[0]) == 1
+    (tmp_path / "broken.py").write_text(TEXT.replace(*change))
     result = check(tmp_path, "broken:Proportional")
     assert result.returncode == 1, result.stderr
-    rule, problem = BROKEN[code]
     row = next(line for line in result.stdout.splitlines() if f" {rule} " in line)
     assert problem in row
     assert "Traceback" not in result.stderr
-
-
-def test_an_output_that_is_none_of_a_controller(tmp_path: Path) -> None:
-    """/pump/command is a controller's topic, but no output beside the command."""
-    text = (CHECKOUT / "examples" / "proportional.py").read_text()
-    head = "    parameters = (\n"
-    assert head in text
-    (tmp_path / "broken.py").write_text(
-        text.replace(head, f'    outputs = {{"/pump/command": "gain"}}\n{head}')
-    )
-    result = check(tmp_path, "broken:Proportional")
-    assert result.returncode == 1, result.stderr
-    assert "outputs = '/pump/command': is no output of a controller" in result.stdout
-
-
-def test_plans_that_are_none(tmp_path: Path) -> None:
-    """A plan is an array of floats with the interface's columns; the node can send no other."""
-    text = (CHECKOUT / "examples" / "proportional.py").read_text()
-    head = "    parameters = (\n"
-    for name, plan in {
-        "rows": "[[10.0, 0.0, 0.04]]", "whole": "numpy.zeros((2, 3), dtype=int)",
-        "narrow": "numpy.zeros((2, 2))",
-    }.items():
-        own = f'    outputs = {{"/controller/plan": "plan"}}\n    plan = {plan}\n'
-        module = text.replace(head, own + head).replace(
-            "from greenroof_ros.model.site", "import numpy\nfrom greenroof_ros.model.site"
-        )
-        (tmp_path / f"{name}.py").write_text(module)
-        result = check(tmp_path, f"{name}:Proportional")
-        assert result.returncode == 1, result.stderr
-        assert "no numpy array of floats, of shape (n, 3), in the attribute plan" in result.stdout
 
 
 def test_the_command(tmp_path: Path) -> None:

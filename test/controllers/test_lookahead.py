@@ -26,7 +26,7 @@ from places import CONFIG, DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy
+from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.forecast.models import PerfectModel
 from greenroof_ros.forecast.resampling import SteppedForecast
@@ -189,6 +189,60 @@ def test_an_ensemble_that_parts(tiny: Tiny, risk: float) -> None:
 def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
     """What it has is pumped once, when it is worth most; the nodes of water are 9 units apart."""
     assert apart(replace(tiny, water=water)) < 4.5
+
+
+# --- members that are told apart -----------------------------------------------------------------
+
+
+def test_the_drier_half_parts_from_the_wetter() -> None:
+    """Five members, hours of rain (mm), a halving every two hours: worked out by hand.
+
+    After two hours 0, 1, 1, 2 and 3 mm have fallen: the two driest part. The second 1 mm is wetter
+    than the first since more of it comes in the next hour. After four hours each is alone but the
+    two wettest, and after six these, too.
+    """
+    fallen = [[2, 0, 0, 5, 0, 0, 0, 0], [0, 1, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 9, 0, 0, 0],
+              [3, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0]]
+    groups = halved_by_rain(np.array(fallen, dtype=float), np.arange(9) * 3600.0, 7200.0)
+    assert groups.T.tolist() == (
+        [[0, 0, 0, 0, 0]] * 2 + [[0, 0, 2, 0, 2]] * 2 + [[0, 1, 2, 0, 4]] * 2
+        + [[0, 1, 2, 3, 4]] * 2
+    )
+
+
+@given(st.integers(1, 12), st.floats(1.0, 300.0), st.integers(0, 2**32))
+def test_members_part_and_never_meet_again(members: int, recourse: float, seed: int) -> None:
+    """All are one group until recourse; those known apart stay apart; in any order of members."""
+    edges = growing_steps(240)
+    chance = np.random.default_rng(seed)
+    rain = np.maximum(0.0, chance.normal(-1, 1, (members, len(edges) - 1)))
+    groups = halved_by_rain(rain, edges, recourse * 3600)
+    assert not groups[:, edges[:-1] < recourse * 3600].any()
+    together = groups[:, None] == groups[None]
+    assert (together[..., 1:] <= together[..., :-1]).all()
+    assert (groups == together.argmax(axis=1)).all()  # named after the first of them
+    halvings = math.ceil(math.log2(members)) if members > 1 else 0
+    assert together[..., -1].sum() == members or halvings * recourse > 234
+    order = chance.permutation(members)
+    again = halved_by_rain(rain[order], edges, recourse * 3600)
+    assert ((again[:, None] == again[None]) == together[np.ix_(order, order)]).all()
+
+
+def test_it_waits_for_what_will_be_known_in_time() -> None:
+    """Rain in six hours that one member of eight has, and that fills the roof for a day.
+
+    Known apart from most of the others after an hour it is worth the hour. Not known apart before
+    it falls the roof is filled: seven of eight lack water.
+    """
+    edges = growing_steps(12)
+    storm = np.where((edges[:-1] >= 21_600) & (edges[:-1] < 32_400), 3e-6, 0.0)
+    rain = np.stack([*[0 * storm] * 7, storm])
+    commands = [
+        lookahead(recourse=hours, days_after=1).command(2.3, 0.04, rain, [0.0] * len(storm))
+        for hours in (1.0, 240.0)
+    ]
+    assert commands[0] == 0.0
+    assert commands[1] > 0.9
 
 
 # --- what follows from it -------------------------------------------------------------------------
@@ -363,18 +417,6 @@ def test_a_soils_long_step_is_the_plants_many(
     assert float(found) == pytest.approx(plant.x2, abs=2e-3 * site.z_cap)
 
 
-def test_pumping_to_a_volume_is_what_was_pumped() -> None:
-    """Of a measured soil the share 1 - S^2 of it stays: pumped second by second it is the same."""
-    plant = Plant(MEASURED, 57.0, 0.0)
-    pumped, flow = 0.0, 1e-3
-    while plant.x2 < 0.9 * MEASURED.x2_star:
-        plant.step(0.0, plant.flows(0.0, 0.0, flow))
-        pumped += flow
-    soil = soil_of(MEASURED)
-    assert float(soil.water_to_fill(np.array(plant.x2))) == pytest.approx(pumped, rel=1e-3)
-    assert float(soil.filled_by(np.array(pumped))) == pytest.approx(plant.x2, rel=1e-3)
-
-
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:
     """One forecast of three has rain for 0.9 of what is missing: it waits, if it can fill later.
 
@@ -529,24 +571,8 @@ def test_from_one_start_to_the_next_it_waits() -> None:
     assert started == [0, 180, 360, 540]
 
 
-@pytest.mark.parametrize("levels", [(0.7, 0.0), (2.3, 0.0457), (2.3, 0.06), (math.nan, 0.0)])
-def test_pumps_that_do_not_work_are_not_asked_to(levels: tuple[float, float]) -> None:
-    """Below the suction level, at and above the target, and on levels that are no numbers."""
-    controller = lookahead()
-    assert controller.command(*levels, [DRY], DRY) == 0.0
-    assert controller.command(2.3, 0.02, [DRY], DRY) > 0.9
-
-
 def test_pumps_that_cannot_lift() -> None:
     """From so deep that they give nothing, whatever the bound of the commands."""
     site = site_with(c_hat=15.3)
     assert maximum_pump_flow(site, site.cistern_volume(0.6)) == 0
     assert lookahead(site, max_command=math.inf).command(0.6, 0.0, [DRY], DRY) == 0.0
-
-
-def test_its_waiting_ends_with_the_budget() -> None:
-    """Rain that is always promised never comes: without a budget it soon does as on/off does."""
-    for budget, pumps in ((72.0, False), (0.0, True)):
-        controller = lookahead(waiting_budget=budget, waiting_share=0.0)
-        given = 2.3, 0.04, [rain_in((2, 4), 0.02)], DRY
-        assert any(controller.command(*given) for _ in range(5)) is pumps

@@ -140,6 +140,8 @@ def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
     ("reference", "message"),
     [
         ("onof", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
+        ("planning_mpc", "was replaced by lookahead"),
+        ("scenario_mpc", "was replaced by lookahead"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "its node would be named plant, as another one is"),
         ("package:Mpc", "its node would be named mpc"),
@@ -209,31 +211,12 @@ def test_a_controller_that_a_package_registers(tmp_path: Path) -> None:
     assert "gentle" not in controller_names()  # of this process, which does not see the package
 
 
-@pytest.mark.parametrize("name", ["planning_mpc", "scenario_mpc"])
-def test_controllers_that_were_replaced(name: str, tmp_path: Path) -> None:
-    """One line with what is there now, exit code 2."""
-    result = simulate(tmp_path, "--controller", name)
-    assert result.returncode == 2
-    assert f"error: controller = '{name}': was replaced by lookahead" in result.stderr
-
-
-def test_an_option_of_another_controller(tmp_path: Path) -> None:
-    """Refused, with what this one has."""
-    result = simulate(tmp_path, "--controller", "onoff", "--weight", "0.1")
-    assert result.returncode == 2
-    assert "--weight 0.1 (the parameters of onoff are --fraction, --level)" in result.stderr
-
-
 def test_a_whole_parameter(tmp_path: Path) -> None:
-    """Nothing between is accepted on the command line, nor in a file of parameters."""
-    expected = "must be a whole number from 0 to 10"
-    for value in ("1.5", "11", "x"):
-        result = simulate(tmp_path, "--controller", "lookahead", "--days-after", value)
-        assert result.returncode == 2
-        assert f"argument --days-after: {expected}, is {value}" in result.stderr
+    """Nothing between is accepted in a file of parameters."""
     text = (CONFIG / "lookahead.yaml").read_text()
     (tmp_path / "half.yaml").write_text(text.replace("days_after: 10 ", "days_after: 1.5 "))
-    with pytest.raises(ConfigurationError, match=rf"days_after = 1\.5: {expected}"):
+    expected = r"days_after = 1\.5: must be a whole number from 0 to 10"
+    with pytest.raises(ConfigurationError, match=expected):
         find_controller("lookahead").read_parameters(tmp_path / "half.yaml", PAPER_SITE)
 
 

@@ -8,31 +8,22 @@ import pytest
 from greenroof_ros.controllers.tick_times import TickTimes
 
 
-def test_few_are_exact() -> None:
-    """As numpy has them."""
-    times = TickTimes()
-    assert (len(times), times.mean, times.largest, times.percentile(99)) == (0, 0, 0, 0)
-    drawn = np.random.default_rng(3).exponential(1e-4, 5000)
-    for seconds in drawn:
-        times.append(float(seconds))
-    assert len(times) == 5000
-    assert times.mean == pytest.approx(drawn.mean(), rel=1e-12)
-    assert times.largest == drawn.max()
-    assert times.percentile(99) == np.percentile(drawn, 99)
+@pytest.mark.parametrize("count", [0, 1, 5000, 1_000_000])
+def test_times_of_ticks(count: int) -> None:
+    """Of few they are numpy's; of a million the percentile is within what every 16th tells.
 
-
-def test_many_are_thinned() -> None:
-    """A million: mean and largest are exact, percentiles within what every 16th tells."""
-    times = TickTimes()
-    drawn = np.random.default_rng(4).exponential(1e-4, 1_000_000)
+    Of an exponential the p-quantile is -ln(1 - p); its standard error at n = 62,500 is
+    sqrt(p / (1 - p) / n), 4 % of the mean for the 99th.
+    """
+    times, drawn = TickTimes(), np.random.default_rng(4).exponential(1e-4, count)
     for seconds in drawn.tolist():
         times.append(seconds)
-    assert len(times) == 1_000_000
-    assert times.mean == pytest.approx(drawn.mean(), rel=1e-9)
-    assert times.largest == drawn.max()
-    # Of an exponential the p-quantile is -ln(1 - p); its standard error at n = 62,500 is
-    # sqrt(p / (1 - p) / n), 0.9 % of the 99th.
-    for share in (50, 90, 99):
-        p = share / 100
-        expected, error = -np.log(1 - p) * 1e-4, np.sqrt(p / (1 - p) / 62_500) * 1e-4
-        assert abs(times.percentile(share) - expected) < 5 * error
+    found = times.statistics(7, 2)
+    assert (len(times), found["solves"], found["fallbacks"]) == (count, 7, 2)
+    assert found["max_s"] == drawn.max(initial=0)
+    assert found["mean_s"] == pytest.approx(drawn.mean() if count else 0, rel=1e-9)
+    if count <= 5000:
+        assert found["p99_s"] == (np.percentile(drawn, 99) if count else 0)
+    else:
+        error = np.sqrt(0.99 / 0.01 / 62_500) * 1e-4
+        assert found["p99_s"] == pytest.approx(-np.log(0.01) * 1e-4, abs=5 * error)

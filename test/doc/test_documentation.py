@@ -46,11 +46,11 @@ def test_tables_are_those_of_the_package(page: Path) -> None:
 
 
 def test_commands_are_introduced_as_their_help_does() -> None:
-    """In paragraphs and lists; and what an option takes is no name of a function."""
+    """In paragraphs; and what an option takes is no name of a function."""
     text = (DOC / "reference" / "commands.md").read_text()
     assert (
-        "shows the roof.\n\nThree ways to run:\n\n- **simulated**: run, with any option but those "
-        "below\n- **hardware in the loop**: run with `--drive`"
+        "shows the roof.\n\nWith `--drive` and `--drive-at` there is hardware in the loop: a "
+        "drive, and no simulated pump"
     ) in text
     assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
 

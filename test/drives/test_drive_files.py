@@ -21,7 +21,7 @@ SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_files_are_right(path: Path) -> None:
     drive = read_drive_file(path)
-    assert drive.name == path.stem and find_drive_file(drive.name) == path
+    assert drive.path == find_drive_file(path.stem) == path
     assert drive.sources
     # What has no source is said to be unverified.
     for name, register in drive.registers.items():
@@ -149,7 +149,7 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(ABB, encoding="utf-8")
     assert find_drive_file(str(path)) == path
-    assert read_drive_file(path).name == "mine"
+    assert read_drive_file(path).path == path
     path.write_text(ABB.replace("least_speed: 0.3", "least_speed: 30"), encoding="utf-8")
     line = 1 + path.read_text(encoding="utf-8").split("\n").index("least_speed: 30")
     says = rf"mine.yaml, line {line}: least_speed = 30: must be from 0 to 1"

@@ -9,11 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from modbus_wire import Wire, frame
 from places import guarding
 from simulators import Bus, Simulator, until
 
-from greenroof_ros.drives.drive import why_no_simulator
+from greenroof_ros.drives.drive import Drive
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.drives.modbus_line import parse_address
@@ -26,10 +25,14 @@ WORDS = {
 }
 
 
+def place_of(drive: Simulator) -> str:
+    """Return the address that a simulator says is the drive's."""
+    return drive.ready.split()[2].rstrip(",")
+
+
 @contextmanager
-def driver(make: str, drive: Simulator) -> Iterator[DriveExchange]:
+def driver(make: str, at: str) -> Iterator[DriveExchange]:
     """Run a driver until it is closed."""
-    at = drive.ready.split()[2].rstrip(",")
     with TemporaryDirectory() as place:
         file = read_drive_file(Path(guarding(make, Path(place))))
     exchange = DriveExchange(file, parse_address(at), period_s=0.1, dead_man_s=1.0)
@@ -79,9 +82,8 @@ def test_every_make_runs_stops_and_is_left_when_it_does_not(make: str) -> None:
     """
     timeout = 5 if make == "grundfos_cim500" else 2
     _, run, stop = WORDS[make]
-    with simulated(make) as drive, driver(make, drive) as exchange:
-        address = parse_address(drive.ready.split()[2].rstrip(","))
-        assert why_no_simulator(read_drive_file(find_drive_file(make)), address) == ""
+    with simulated(make) as drive, driver(make, place_of(drive)) as exchange:
+        exchange.only_simulator()
         reach(exchange, drive, 0.6)
         assert exchange.snapshot.timeout_s == timeout
         reach(exchange, drive, 0.0)
@@ -115,24 +117,12 @@ def test_every_make_runs_stops_and_is_left_when_it_does_not(make: str) -> None:
 
 
 def test_a_drive_on_a_line_says_that_it_is_a_simulator() -> None:
-    file = read_drive_file(find_drive_file("danfoss_fc202"))
-    with simulated("danfoss_fc202", *SERIAL) as drive:
-        address = parse_address(drive.ready.split()[2].rstrip(","))
-        assert why_no_simulator(file, address) == ""
-        drive.inject("exception")
-        assert "refused with exception 4" in why_no_simulator(file, address)
-
-
-def test_a_line_that_is_no_pseudo_terminal_and_another_server_are_no_simulator() -> None:
-    file = read_drive_file(find_drive_file("danfoss_fc202"))
-    assert "neither at loopback" in why_no_simulator(file, parse_address("/dev/ttyS0"))
-    name = frame("0001 0000 0016 01 2B 0E 01 01 00 00 02 00 08") + b"Pymodbus" + b"\1\2PM"
-    wire = Wire(lambda _request: [(0.0, name)])
-    try:
-        why = why_no_simulator(file, parse_address(wire.gateway))
-        assert why.endswith("identifies itself as 'Pymodbus', 'PM'")
-    finally:
-        wire.close()
+    with simulated("danfoss_fc202", *SERIAL) as program:
+        file = read_drive_file(find_drive_file("danfoss_fc202"))
+        drive = Drive(file, parse_address(place_of(program)))
+        drive.line.connect()
+        assert drive.why_no_simulator() == ""
+        drive.line.close()
 
 
 def keep_asking(exchange: DriveExchange, speed: float, reached: Callable[[], bool],
@@ -144,26 +134,6 @@ def keep_asking(exchange: DriveExchange, speed: float, reached: Callable[[], boo
         return reached()
 
     until(asked, within)
-
-
-@pytest.mark.parametrize(
-    ("make", "fault", "place"),
-    [("grundfos_cim500", "exception", FREE), ("schneider_atv630", "refused_writes", SERIAL)],
-)
-def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
-    make: str, fault: str, place: tuple[str, ...]
-) -> None:
-    """Exception 6, busy, to all; the drive's own timeout needs as much silence to fall."""
-    timeout = 5 if make == "grundfos_cim500" else 2
-    with simulated(make, *place) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject(fault, 6)
-        keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 60)
-        assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
-        assert exchange.snapshot.status is None
-        drive.inject("none")
-        keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 60)
-    assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
 # --- somebody else --------------------------------------------------------------------------------
@@ -193,7 +163,9 @@ def test_somebody_else_who_writes_run_again_and_again_has_the_drive_stopped() ->
     """For as long as it does, which is longer than the pause, and for the pause."""
     make = "danfoss_fc202"
     _, run, stop = WORDS[make]
-    with simulated(make) as drive, Bus(drive.ports[0]) as other, driver(make, drive) as exchange:
+    with simulated(make) as drive, Bus(drive.ports[0]) as other, driver(
+        make, place_of(drive)
+    ) as exchange:
         reach(exchange, drive, 0.6)
         assert exchange.snapshot.errors == 0
         meddle(exchange, other, make, stop, 0.6)

@@ -374,6 +374,7 @@ def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
 
     drive.on_write = overwrite
     wait(lambda: "somebody else writes to the drive" in exchange.snapshot.problem)
+    assert "somebody else writes to the drive" in exchange.snapshot.second_master
     exchange.reset()
     time.sleep(0.6)
     drive.on_write = lambda _address, _word: None
@@ -481,6 +482,15 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
         assert time.monotonic() - began < 2.0
         assert len(wire.seen) > count
         assert exchange.snapshot.status is None
+
+
+def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(
+    file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    drive.values[5815] = 15
+    wire.answer = refusing(drive)
+    with driving(file, wire.gateway, timeout_limit_s=0.8) as exchange:
+        wait(lambda: "so nothing is sent for 2.5 s" in exchange.snapshot.problem)
 
 
 # --- a drive that acknowledges *stop* and runs on -------------------------------------------------
@@ -693,6 +703,49 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
             drive.values[9604] = rated
             wait(lambda speed=speed: exchange.snapshot.status  # type: ignore[misc]
                  and exchange.snapshot.status.speed == pytest.approx(speed))
+
+
+# --- where time is not real -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, answers: bool
+) -> None:
+    """Though it ran; and one that does not answer that question is as little run."""
+    wire.answer = lambda request: drive(request) if answers or request[7] != 43 else []
+    run_at_half(exchange, drive, hand)
+    exchange.only_simulator()
+    assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
+    drive.written.clear()
+    wait(lambda: len(drive.written) > 5)
+    assert RUN not in drive.written
+    assert exchange.snapshot.no_simulator != ""
+    if answers:
+        assert "does not identify itself" in exchange.snapshot.unguarded
+
+
+def test_the_simulator_is_asked_again_on_each_connection(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    names = b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
+
+    def answer(request: bytes) -> Any:
+        body = request[6:7] + bytes.fromhex("2b0e0101000002") + names
+        head = request[:4] + len(body).to_bytes(2, "big")
+        return [(0.0, head + body)] if request[7] == 43 else drive(request)
+
+    wire.answer = answer
+    exchange.only_simulator()
+    run_at_half(exchange, drive, hand)
+    assert exchange.snapshot.no_simulator == ""
+    wire.answer = drive
+    wire.drop()
+    wait(lambda: exchange.snapshot.no_simulator)
+    wait(lambda: drive.values[0] == 0x047E)
+    drive.written.clear()
+    wait(lambda: len(drive.written) > 5)
+    assert RUN not in drive.written
 
 
 # --- two drivers ----------------------------------------------------------------------------------

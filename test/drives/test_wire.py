@@ -7,6 +7,7 @@ before each. The manual's number of each register and what each word means stand
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
@@ -61,14 +62,6 @@ def refuses(name: str, dialogue: str, task: Task, kind: str, says: str) -> None:
 
 def run(drive: Drive) -> None:
     drive.run(0.5)
-
-
-def read(drive: Drive) -> DriveStatus:
-    return drive.read()
-
-
-def stop(drive: Drive) -> None:
-    drive.stop()
 
 
 # --- start: from any state to half of rated speed -------------------------------------------------
@@ -211,15 +204,15 @@ lowered       : 06 2135 0000
 @pytest.mark.parametrize("name", STARTS)
 def test_start_stop_and_reset(name: str) -> None:
     follow(name, STARTS[name], run)
-    follow(name, STOPS[name], stop)
-    follow(name, STOPS[name].rstrip() + RESETS[name], lambda drive: drive.reset())
+    follow(name, STOPS[name], Drive.stop)
+    follow(name, STOPS[name].rstrip() + RESETS[name], Drive.reset)
 
 
 def test_a_refused_step_of_the_stop_does_not_keep_the_next_from_being_written() -> None:
     refuses("abb_acs880", """
 OFF1          : 06 0000 047E -> 86 06 : busy
 no speed      : 06 0001 0000
-""", stop, "answer", "writing 0x047E to register 0: refused with exc")
+""", Drive.stop, "answer", "writing 0x047E to register 0: refused with exc")
 
 
 # --- what it says ---------------------------------------------------------------------------------
@@ -281,21 +274,49 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
 
 @pytest.mark.parametrize(("name", "dialogue", "says"), READS)
 def test_what_it_says(name: str, dialogue: str, says: dict[str, Any]) -> None:
-    status = follow(name, dialogue, read)
+    status = follow(name, dialogue, Drive.read)
     assert {key: getattr(status, key) for key in says} == says
 
 
 def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
     dialogue = READS[1][1]
-    assert follow("abb_acs880", dialogue, read, gateway=True).timed_out
+    assert follow("abb_acs880", dialogue, Drive.read, gateway=True).timed_out
 
 
 def test_nameplate_in_letters() -> None:
     # 15-40 FC type: 46 43 2D 32 30 32 are the letters of FC-202.
     text = follow("danfoss_fc202", """
 15-40         : 03 3C27 0003 -> 03 06 4643 2D32 3032 : FC-202
-""", lambda drive: drive.identify())
+""", Drive.identify)
     assert text.startswith("Danfoss VLT AQUA Drive FC 202") and "FC type: FC-202" in text
+
+
+# 43/14, MEI type 0E, read code 01, from object 00: maker and product (V1.1b3, section 6.21).
+IDENTIFY = "2B 0E 01 00 -> 2B 0E 01 01 00 00 02"
+
+
+@pytest.mark.parametrize(("answer", "says"), [
+    (" 00 0D" + b"greenroof_ros".hex() + "01 0F" + b"drive simulator".hex(), "$"),
+    (" 00 08" + b"Pymodbus".hex() + "01 02" + b"PM".hex(), ".* as 'Pymodbus', 'PM'"),
+    (" 00 0D" + b"greenroof_ros".hex() + "01 02" + b"PM".hex(), ".* 'greenroof_ros', 'PM'"),
+    (None, "what is there does not identify itself as that .*refused with exception 1"),
+])
+def test_whether_it_is_the_simulator(answer: str | None, says: str) -> None:
+    line = "2B 0E 01 00 -> AB 01" if answer is None else IDENTIFY + answer
+    why = follow("abb_acs880", f"who? : {line}", Drive.why_no_simulator)
+    assert re.match(says, why), why
+
+
+def test_a_drive_that_does_not_say_what_it_is_may_do_so_later() -> None:
+    with pytest.raises(DriveError, match="no valid answer") as got:
+        against(lambda _request: [], Drive.why_no_simulator)
+    assert got.value.kind == "connection"
+
+
+def test_a_drive_elsewhere_is_no_simulator_and_is_not_asked() -> None:
+    file = read_drive_file(find_drive_file("abb_acs880"))
+    drive = Drive(file, parse_drive_address("/dev/ttyS0", "at"))
+    assert drive.why_no_simulator() == "/dev/ttyS0 is neither at loopback nor a pseudo-terminal"
 
 
 # --- the drive's own timeout ----------------------------------------------------------------------
@@ -367,12 +388,8 @@ ETHL          : 03 1B6D 0001 -> 03 02 0000 : ignore
 @pytest.mark.parametrize(("where", "expected", "dialogue"), TIMEOUTS)
 def test_own_timeout(where: str, expected: float | None, dialogue: str) -> None:
     """Behind a gateway, at its serial port, unless it is said to be at an Ethernet port."""
-
-    def ask(drive: Drive) -> tuple[float | None, str]:
-        return drive.timeout(), drive.timeout_note
-
     name, _, port = where.partition(" ")
-    seconds, note = follow(name, dialogue, ask, gateway=port != "tcp")
+    seconds, note = follow(name, dialogue, Drive.timeout, gateway=port != "tcp")
     assert seconds == (None if expected is None else pytest.approx(expected))
     assert bool(note) == (expected is None)
 
@@ -380,7 +397,7 @@ def test_own_timeout(where: str, expected: float | None, dialogue: str) -> None:
 @pytest.mark.parametrize("name", ["abb_acs880", "danfoss_fc202"])
 def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
     with pytest.raises(DriveError, match=rf"{name}.yaml tells of none .* \(timeout.tcp\)"):
-        follow(name, "", lambda drive: drive.timeout())
+        follow(name, "", Drive.timeout)
 
 
 @pytest.mark.parametrize("rpm", [0, 1, 299, 7201, 0xFFFF])
@@ -390,7 +407,7 @@ def test_a_rated_speed_that_cannot_be_is_refused(rpm: int) -> None:
 ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
 RFRD          : 03 219C 0001 -> 03 02 02EE : 750
 NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
-""", read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
+""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
 
 
 # --- serial line ----------------------------------------------------------------------------------
@@ -418,7 +435,7 @@ def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
     with closing(SerialWire(lambda _request: frame("01 03 02 1231 0000"))) as wire, pytest.raises(
         DriveError
     ) as got:
-        talk("abb_acs880", wire.line, read)
+        talk("abb_acs880", wire.line, Drive.read)
     assert got.value.kind == "connection" and "no valid answer within 0.3 s" in str(got.value)
 
 
@@ -458,7 +475,7 @@ def test_wrong_answers_have_a_name_and_a_time(
     with closing(Wire(first(*answers))) as wire:
         began = time.monotonic()
         with pytest.raises(DriveError) as got:
-            talk("abb_acs880", wire.at, read)
+            talk("abb_acs880", wire.at, Drive.read)
         assert time.monotonic() - began < 1.0
         assert got.value.kind == kind and says in str(got.value)
         assert f":{wire.port}, device 1: reading register 3" in str(got.value)
@@ -467,7 +484,7 @@ def test_wrong_answers_have_a_name_and_a_time(
 
 def test_an_answer_in_pieces_is_an_answer() -> None:
     pieces = [(0.005, bytes([byte])) for byte in frame("0001 0000 0005 01 03 02 1337")]
-    assert against(first(*pieces), read).speed == 0.375
+    assert against(first(*pieces), Drive.read).speed == 0.375
 
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
@@ -491,7 +508,7 @@ def test_a_late_answer_is_not_taken_for_the_next() -> None:
 )
 def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, says: str) -> None:
     with pytest.raises(DriveError, match=says) as got:
-        against(lambda _request: answer, stop)
+        against(lambda _request: answer, Drive.stop)
     assert got.value.kind == kind
 
 
@@ -513,7 +530,7 @@ def test_a_connection_without_an_answer_is_reset() -> None:
         drive = threading.Thread(target=serve)
         drive.start()
         with pytest.raises(DriveError, match="no valid answer"):
-            talk("abb_acs880", f"tcp://127.0.0.1:{listener.getsockname()[1]}", read)
+            talk("abb_acs880", f"tcp://127.0.0.1:{listener.getsockname()[1]}", Drive.read)
         drive.join(5)
     assert ended == ["reset"]
 
@@ -534,7 +551,7 @@ def test_nobody_there() -> None:
     wire = Wire(lambda _request: [])
     wire.close()
     with pytest.raises(DriveError, match=f":{wire.port}, device 1: cannot connect") as got:
-        talk("abb_acs880", wire.at, stop)
+        talk("abb_acs880", wire.at, Drive.stop)
     assert got.value.kind == "connection"
 
 
@@ -542,7 +559,7 @@ def test_a_speed_that_cannot_be() -> None:
     refuses("abb_acs880", """
               : 03 0003 0001 -> 03 02 1337
               : 03 0004 0001 -> 03 02 7FFF
-""", read, "answer", r"register 400005\) is 32767: 1.63835 share")
+""", Drive.read, "answer", r"register 400005\) is 32767: 1.63835 share")
 
 
 def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
@@ -562,7 +579,7 @@ def test_an_own_file_may_begin_its_speeds_at_0(tmp_path: Path) -> None:
     assert follow(str(file), """
               : 03 0003 0001 -> 03 02 1231
 -1 count      : 03 0004 0001 -> 03 02 FFFF
-""", read).speed == 0
+""", Drive.read).speed == 0
 
 
 def test_a_fault_keeps_it_from_running() -> None:
@@ -604,5 +621,5 @@ def test_no_speed(speed: float) -> None:
 def test_another_device_id_and_whole_frames() -> None:
     frames = [frame("0001 0000 0006 11 06 0000 047E"), frame("0002 0000 0006 11 06 0001 0000")]
     with closing(Wire(lambda request: [(0, request)])) as wire:
-        talk("abb_acs880", f"{wire.at},17", stop)
+        talk("abb_acs880", f"{wire.at},17", Drive.stop)
         assert wire.seen == frames

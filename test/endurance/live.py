@@ -136,7 +136,7 @@ class LiveRun:
 
     def _bring_up(self, controller: str) -> Process:
         bringup = Process(
-            self.domain, "bringup", "--plant", "external", "--controller", controller,
+            self.domain, "bringup.live", "--controller", controller,
             "--sensors", "sensors.yaml", "--forecast", "forecast.csv", "--drive", self.plan.drive,
             "--drive-at", self._drive_at, "--state", "state", "--restarts", "1000",
             cwd=self.directory,

@@ -17,12 +17,6 @@ HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
 HOUR = "2021-07-07T0{}:00-05:00,{},2.0"
 
 
-def replaced(text: str, old: str, new: str) -> str:
-    """Replace what must be there once."""
-    assert text.count(old) == 1, old
-    return text.replace(old, new)
-
-
 def weather(*lines: str, header: str = HEADER) -> bytes:
     """Return a weather file."""
     return "\n".join([header, *lines, ""]).encode()
@@ -36,12 +30,8 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown-initial": ("--initial low", ("--initial", "low-low")),
     "unknown-option": ("--horizon 30", ("--horizon",)),
     "weight-zero": ("--weight 0", ("--weight", "greater than 0")),
-    "weight-negative": ("--weight=-0.1", ("--weight",)),
     "speed": ("--speed fast", ("--speed", "must be max, or a number greater than 0, is fast")),
-    "hours-text": ("--hours much", ("--hours", "greater than 0, is much")),
     "weight-nan": ("--weight nan", ("--weight",)),
-    "weight-inf": ("--weight inf", ("--weight",)),
-    "weight-tiny": ("--weight 1e-10", ("--weight", "1e-09 to 1e+06")),
     "fraction-huge": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
     "speed-huge": ("--speed 1e10", ("--speed", "1e+09")),
     "cistern-deep": (
@@ -53,28 +43,18 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
         ("--roof = 250.0: must be at most 159.96 m3", "the soil holds 34.4 m3, 0.5 m",
          "is a unit wrong? It is a volume in m3; a level of 250 mm is 17.2 m3"),
     ),
-    "cistern-huge": ("--cistern 1e10 --roof 2", ("--cistern", "1e+09")),
     "endless-file": ("--weather /dev/zero", ("/dev/zero", "regular file")),
-    "weight-text": ("--weight heavy", ("--weight", "heavy")),
     "weight-for-onoff": ("--controller onoff --weight 0.1", ("--weight", "onoff", "--fraction")),
     "fraction-for-mpc": ("--fraction 0.5", ("--fraction", "mpc", "--weight")),
-    "fraction-negative": ("--controller onoff --fraction=-1", ("--fraction",)),
     "hours-zero": ("--hours 0", ("--hours",)),
-    "hours-negative": ("--hours=-2", ("--hours",)),
-    "hours-nan": ("--hours nan", ("--hours",)),
     "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
     "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
     "hours-beyond-time": ("--hours 1e300", ("--hours", "1e+09")),
     "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
     "start-no-time": ("--start yesterday", ("start", "yesterday")),
-    "start-impossible": ("--start 2021-07-32T02:00", ("start", "2021-07-32")),
     "start-beyond-time": ("--start 9999-12-31T23:00", ("start", "2037")),
     "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
-    "cistern-negative": ("--cistern=-1 --roof 2", ("--cistern",)),
-    "roof-nan": ("--cistern 60 --roof nan", ("--roof",)),
     "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
-    "speed-zero": ("--speed 0", ("--speed",)),
-    "speed-text": ("--speed fast", ("--speed", "fast")),
     "no-such-site": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
     "no-such-weather": ("--weather nowhere.csv", ("nowhere.csv", "No such file")),
     "output-not-empty": ("--output full", ("--output", "full", "never written over")),
@@ -106,83 +86,29 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "forecast-seed-broken": (
         "--forecast errors --forecast-seed 1.5", ("--forecast-seed", "whole number from 0")
     ),
-    "forecast-seed-negative": ("--forecast errors --forecast-seed=-1", ("--forecast-seed",)),
     "forecast-members-none": (
         "--forecast ensemble --forecast-members 0", ("--forecast-members", "1 to 100")
     ),
-    "forecast-members-many": ("--forecast ensemble --forecast-members 101", ("1 to 100",)),
+    "roof-noise": ("--roof-noise -0.001", ("--roof-noise: must be a number from 0 to 1",)),
+    "noise-seed": (
+        "--noise-seed 0.5", ("--noise-seed: must be a whole number from 0 to 2147483647",)
+    ),
+    "minimum-off": ("--minimum-off 1e9", ("--minimum-off: must be a number from 0 to 86400",)),
     "output-is-a-file": ("--output file.txt", ("--output", "file.txt")),
 }
+# What else is refused of them, test_site.py and test_weather.py have.
 SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "missing-key": (replaced(SITE, "\na1: 25.0", "\n# a1: 25.0").encode(), ("a1", "missing")),
     "unknown-key": ((SITE + "\na3: 1.0\n").encode(), ("a3", "not a parameter")),
-    "twice": ((SITE + "\na1: 26.0\n").encode(), ("a1", "twice")),
-    "nan": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .nan").encode(), ("z_o", "finite")),
-    "infinite": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .inf").encode(), ("z_o", "finite")),
-    "negative": (replaced(SITE, "\na2: 68.8", "\na2: -68.8").encode(), ("a2", "-68.8")),
-    "text": (replaced(SITE, "\na2: 68.8", "\na2: large").encode(), ("a2", "large", "number")),
-    "truth": (replaced(SITE, "\na2: 68.8", "\na2: yes").encode(), ("a2", "number")),
-    "rising-pump-curve": (
-        replaced(SITE, "\na_hat: -5.78e+5", "\na_hat: 5.78e+5").encode(), ("a_hat", "negative")
-    ),
-    "z_cap": (f"{SITE}z_cap: 344\n".encode(), ("z_cap", "34.4 m3")),
-    "x2_star": (f"{SITE}x2_star: 3\n".encode(), ("x2_star",)),
-    "weak-pump": (replaced(SITE, "\nc_hat: 55.2", "\nc_hat: 5.52").encode(), ("c_hat", "15.25")),
-    "long-look-ahead": (replaced(SITE, "\nM: 10", "\nM: 1000000").encode(), ("M", "1000")),
-    "short-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 1e-9").encode(), ("tau", "0.001 s")),
-    "huge-outlet": (replaced(SITE, "\nr_o: 0.125", "\nr_o: 1e200").encode(), ("r_o", "1e+09")),
-    "tiny-pump": (
-        replaced(SITE, "\na_pump: 0.031415926535897934", "\na_pump: 1e-200").encode(),
-        ("a_pump", "1e-12"),
-    ),
-    "sexagesimal": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 3:0").encode(), ("z_o", "3:0")),
-    "date": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 2021-13-45").encode(), ("z_o", "number")),
-    "no-float": (replaced(SITE, "\nz_o: 3.0", "\nz_o: !!float abc").encode(), ("YAML",)),
-    "endless": (replaced(SITE, "\nz_o: 3.0", "\nz_o: " + "9" * 400).encode(), ("z_o", "finite")),
-    "long-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 7200.0").encode(), ("tau", "hour")),
-    "half-a-tick": (replaced(SITE, "\nM: 10", "\nM: 10.5").encode(), ("M", "10.5", "whole")),
-    "empty": (b"", ("empty",)),
     "binary": (bytes(range(256)), ("UTF-8",)),
-    "nul": (b"a1: 25\0\n", ("NUL",)),
-    "byte-order-mark": (b"\xef\xbb\xbf" + SITE.encode(), ("byte order mark",)),
-    "a-list": (b"- a1\n- a2\n", ("key: value",)),
-    "broken-yaml": (b"a1: [25.0\na2: 68.8\n", ("YAML", "line")),
 }
 WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "empty": (b"", ("empty",)),
-    "comments-only": (b"# nothing\n", ("comments only",)),
-    "header-only": (weather(), ("no records",)),
-    "binary": (bytes(range(128, 256)), ("UTF-8",)),
     "byte-order-mark": (b"\xef\xbb\xbf" + WEATHER.encode(), ("byte order mark",)),
-    "wrong-unit": (
-        weather(*HOURS, header=HEADER.replace("mm/h", "mm/day")), ("precipitation", "[mm/h]")
-    ),
-    "no-unit": (weather(*HOURS, header=HEADER.replace(" [mm/h]", "")), ("precipitation [mm/h]",)),
-    "unknown-column": (
-        weather(*(hour + ",1" for hour in HOURS), header=HEADER + ",snow [cm]"), ("snow",)
-    ),
-    "no-rain-column": (
-        weather(header="time,published evapotranspiration [mm/day]"), ("precipitation",)
-    ),
     "no-evapotranspiration": (
         weather(*(line.rpartition(",")[0] for line in HOURS), header="time,precipitation [mm/h]"),
         ("evapotranspiration [mm/day]", "temperature, dew point"),
     ),
-    "column-twice": (
-        weather(header=HEADER + ",other evapotranspiration [mm/day]"), ("before this one",)
-    ),
-    "nan": (weather(HOURS[0], HOUR.format(1, "nan")), ("line 3", "nan")),
-    "missing-flag": (weather(HOURS[0], HOUR.format(1, "M")), ("line 3", "'M'")),
-    "negative-rain": (weather(HOURS[0], HOUR.format(1, -0.2)), ("line 3", "-0.2")),
-    "absurd-rain": (weather(HOURS[0], HOUR.format(1, 5000)), ("line 3", "5000", "500 mm/h")),
-    "gap": (weather(HOURS[0], HOURS[2]), ("line 3", "2021-07-07T01:00-05:00")),
-    "hour-twice": (weather(HOURS[0], HOURS[1], HOURS[1]), ("line 4", "2021-07-07T02:00-05:00")),
-    "unordered": (weather(HOURS[1], HOURS[0]), ("line 3",)),
-    "no-offset": (weather(HOURS[0].replace("-05:00", "")), ("line 2", "offset")),
-    "no-time": (weather("noon,0.0,2.0"), ("line 2", "noon")),
     "quote-open": (weather(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2.7'), ("line 3", "CSV")),
     "far-future": (weather("9999-12-31T23:00-05:00,0.0,2.0"), ("line 2", "9999", "2037")),
-    "cell-missing": (weather(HOURS[0], "2021-07-07T01:00-05:00,0.0"), ("line 3", "3 cells")),
     "shorter-than-the-run": (weather(*HOURS), ("2021-07-07T08:00-05:00", "12 hours")),
 }
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
@@ -197,14 +123,8 @@ def forecasts(*lines: str, header: str = FORECAST_HEADER, issued: str = ISSUED) 
 
 FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "empty": (b"", ("empty",)),
-    "comments-only": (b"# nothing\n", ("comments only",)),
     "header-only": (forecasts(), ("no records",)),
-    "binary": (bytes(range(128, 256)), ("UTF-8",)),
     "weather": (weather(*HOURS), ("line 1", "'time'", "'issued'")),
-    "wrong-unit": (
-        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/h", "mm")),
-        ("line 1", "'precipitation [mm]'", "'precipitation [mm/h]'"),
-    ),
     "wrong-unit-of-evapotranspiration": (
         forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/day", "mm/h")),
         ("line 1", "'evapotranspiration [mm/h]'", "'evapotranspiration [mm/day]'"),
@@ -229,7 +149,6 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
         ("line 2", "evapotranspiration [mm/day] = '51'", "0 to 50 mm/day"),
     ),
     "gap": (forecasts(HOURS[0], HOURS[2]), ("line 3", "time =", "must be 2021-07-07T01:00-05:00")),
-    "hour-twice": (forecasts(HOURS[0], HOURS[0]), ("line 3", "must be 2021-07-07T01:00-05:00")),
     "late-first": (forecasts(HOURS[1]), ("line 2", "must be 2021-07-07T00:00-05:00")),
     "no-offset": (forecasts(HOURS[0].replace("-05:00", "")), ("line 2", "time =", "offset")),
     "issued-no-time": (forecasts(HOURS[0], issued="noon"), ("line 2", "issued = 'noon'")),
@@ -240,9 +159,6 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "half-hour": (
         forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
         ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
-    ),
-    "member-no-number": (
-        forecasts("2021-07-07T00:00-05:00,one,0.0", header=MEMBERS), ("line 2", "member = 'one'")
     ),
     "member-negative": (
         forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),

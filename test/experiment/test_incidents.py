@@ -21,9 +21,12 @@ from greenroof_ros.experiment import incidents
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog, read_incidents
 
 
-def says(node: str, **parts: str) -> dict[str, dict[str, Any]]:
+def says(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, Any]]:
     """Return a node's report in which each of these parts is at a level, and says why."""
-    diagnoses = {part: [level, f"{part} {level}", ""] for part, level in parts.items()}
+    diagnoses = {
+        part: {"level": level, "message": f"{part} {level}", "code": "" if level == "OK" else code}
+        for part, level in parts.items()
+    }
     return {node: {"diagnoses": diagnoses}}
 
 
@@ -40,8 +43,8 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     log.look(says("pump", drive="ERROR"), 6)
     assert DISK.wait(60)
     (lasting,) = read_incidents(tmp_path)
-    assert (lasting.number, lasting.node, lasting.part, lasting.cause) == (
-        1, "pump", "drive", "drive ERROR"
+    assert (lasting.number, lasting.node, lasting.part, lasting.cause, lasting.code) == (
+        1, "pump", "drive", "drive ERROR", "a_code"
     )
     assert (lasting.began_tick, lasting.ended_tick, lasting.ended, lasting.seconds) == (
         5, None, None, None
@@ -72,7 +75,7 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
     """A pump that is held, frost and limits are no loss; a sensor may miss one reading."""
     log = IncidentLog(lambda _: None)
-    log.look({"node": {"diagnoses": {part: [level, "why", ""]}}})
+    log.look(says("node", **{part: level}))
     assert log.count == counts
 
 
@@ -114,12 +117,14 @@ def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
     for _ in range(40):
-        log.look({**says("mpc", forecast="WARN"), **says("weather", forecast="ERROR")})
+        log.look({
+            **says("mpc", "no_forecast", forecast="WARN"), **says("weather", forecast="ERROR")
+        })
     assert [one.node for one in log.incidents] == ["weather"]
     log.look({**says("mpc", forecast="OK"), **says("weather", forecast="OK")})
     assert not log.lasting
     for _ in range(40):
-        log.look(says("mpc", forecast="WARN"))
+        log.look(says("mpc", "no_forecast", forecast="WARN"))
     assert [one.node for one in log.incidents] == ["weather", "mpc"]
 
 
@@ -195,7 +200,7 @@ def test_a_file_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:
     """It is in it when the disk goes on."""
     file = tmp_path / "incidents.jsonl"
     os.mkfifo(file)  # who opens it to write waits until somebody reads
-    IncidentLog(print, file).begin("pump", "drive", "silent")
+    IncidentLog(print, file).fail("pump", "silent")
     with file.open() as stream:
         assert json.loads(stream.readline())["cause"] == "silent"
 
@@ -207,7 +212,7 @@ def test_a_standard_error_that_takes_nothing_delays_nobody(tmp_path: Path) -> No
         "from greenroof_ros.bringup import live\n"
         "from greenroof_ros.experiment.incidents import IncidentLog\n"
         "log = IncidentLog(live.say, Path(sys.argv[1]))\n"
-        "for number in range(3): log.begin('pump', 'drive', 'silent')\n"
+        "for number in range(3): log.fail('pump', 'silent')\n"
         "print(log.count, flush=True)\n"
     )
     command = [sys.executable, "-c", program, str(tmp_path / INCIDENTS)]

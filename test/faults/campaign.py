@@ -1,7 +1,10 @@
-"""Each case of the campaign as a parameter of pytest; ``python test/faults`` says which.
+"""The campaign of seeded faults, ``make faults``: each case is a parameter of pytest.
 
-A rig serves for the cases of a group of pytest-xdist, until one ends or breaks it. Simulations and
-foreign readers keep the processors busy: each kind is one group.
+More than a thousand: each node and program killed, ended and stopped; every topic and every Modbus
+exchange off, stuck, garbage, wrong, slow, delayed and intermittent; sensors, drives, weather,
+intruders. A rig (a live site, a pump node alone, hardware in the loop, a simulation) serves for the
+cases of a group of pytest-xdist, until one ends or breaks it. Results are lines of JSON; what is
+there is not done again, but a case that is asked for alone.
 """
 
 from __future__ import annotations
@@ -21,67 +24,70 @@ import pytest
 import readers
 import simulated
 from cases import Case, all_cases
-from graphs import Process, own_domain
+from graphs import Process, environment, own_domain
 from live import Outcome, run_case
-from rig import RIGS, BrokenError, Rig, SkippedError
+from rig import RIGS, BrokenError, Rig
+from table import read_results
 
-PLAN = json.loads(Path(os.environ["GREENROOF_ROS_FAULTS"]).read_text())
-SEED, RESULTS = PLAN["seed"], Path(PLAN["results"])
-KNOWN = {case.id: case for case in all_cases()}
+# Of all that is random; and where the results are, and what the rigs leave.
+SEED = int(os.environ.get("FAULTS_SEED", "1"))
+RESULTS = Path(os.environ.get("FAULTS_RESULTS", "runs/faults")).resolve()
 # So many cases share a rig: what it gathers ends with it.
-_GROUP = 40
+_SHARE = 40
+
+os.environ |= environment(0)
+DONE = read_results(RESULTS)
 
 
-def groups() -> dict[str, list[Case]]:
-    """Return the cases of each group in the order in which they are done."""
-    by_rig: dict[str, list[Case]] = {}
-    for name in PLAN["cases"]:
-        by_rig.setdefault(KNOWN[name].rig, []).append(KNOWN[name])
-    found = {kind: by_rig.pop(kind) for kind in ("readers", "simulated") if kind in by_rig}
-    for rig, those in by_rig.items():
-        # A node that is killed again soon waits longer for its next start.
-        random.Random(SEED).shuffle(those)
-        for at in range(0, len(those), _GROUP):
-            # What stops nothing begins when the pump has run for a while, so the next can follow at
-            # once; what ends a rig comes last, so that the others share one.
-            found[f"{rig} {at // _GROUP}"] = sorted(those[at:at + _GROUP], key=lambda case: (
-                case.expected.recovery == "ends", case.expected.stops is not False
-            ))
-    return found
+def in_order(cases: list[Case]) -> list[Case]:
+    """Return the cases as they are done.
+
+    A node that is killed again soon waits longer for its next start, so they are mixed. What stops
+    nothing begins when the pump has run for a while, so the next can follow at once; what ends a
+    rig comes last, so that the others share one.
+    """
+    random.Random(SEED).shuffle(cases)
+    return sorted(cases, key=lambda case: (
+        case.rig, case.expected.recovery == "ends", case.expected.stops is not False
+    ))
 
 
 class Bench:
-    """Does the cases of a group, one after the other."""
+    """Does one case after the other; those of a rig follow each other."""
 
     def __init__(self) -> None:
-        self.place = Path(tempfile.mkdtemp(prefix="group-", dir=RESULTS))
+        RESULTS.mkdir(parents=True, exist_ok=True)
+        self._place = Path(tempfile.mkdtemp(prefix="rigs-", dir=RESULTS))
         self._stack = ExitStack()
         self._rig: Rig | None = None
+        self._of, self._served = "", 0
         self._read: dict[Case, Outcome] = {}
         self._last: dict[str, Any] = {}
         self._failed = False
+        self._ended_badly: list[str] = []
 
     def do(self, case: Case) -> Outcome:
         """Do a case, and write down what came of it."""
+        if case.rig != self._of or self._served == _SHARE:
+            self.end_rig()
+        self._of, self._served = case.rig, self._served + 1
         began, rng = time.monotonic(), random.Random(f"{SEED} {case.id}")
-        place = self.place / str(sum(1 for _ in self.place.iterdir()))
+        place = self._place / str(sum(1 for _ in self._place.iterdir()))
+        outcome = Outcome()
         if case.rig == "simulated":
             with own_domain() as domain:
                 outcome = simulated.run_case(case, place, domain, rng)
         elif case.rig == "readers":
             if case not in self._read:
-                block = [one for one in KNOWN.values()
-                         if (one.rig, one.number) == ("readers", case.number)]
+                block = [one for one in all_cases()
+                         if (one.rig, one.number) == (case.rig, case.number)]
                 self._read |= dict(readers.run_cases(block, place, SEED))
             outcome = self._read[case]
         else:
-            outcome = Outcome()
             self._do_to_a_rig(case, place, rng, outcome)
         self._last = {
             "id": case.id, "way": case.way, "fault": case.fault, "target": case.target,
-            "seed": SEED, "to_safe": outcome.to_safe, "bound": outcome.bound,
-            "lost": outcome.lost, "alarm": outcome.alarm, "recovery": outcome.recovery,
-            "wrong": outcome.wrong, "wall_s": round(time.monotonic() - began, 1),
+            "seed": SEED, **vars(outcome), "wall_s": round(time.monotonic() - began, 1),
         }
         self._write()
         return outcome
@@ -97,8 +103,6 @@ class Bench:
             run_case(self._rig, case, rng, outcome)
         except BrokenError as error:
             outcome.fail(f"rig: {error}")
-        except SkippedError as error:
-            outcome.recovery = str(error)
         except Exception as error:  # whatever it is, the next case needs a new rig
             outcome.fail(f"{type(error).__name__}: {error}")
         ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
@@ -113,7 +117,7 @@ class Bench:
         except Exception as error:
             wrong.append(f"{type(error).__name__}: {error}")
         wrong += [] if self._rig is None else self._rig.ended_badly
-        self._rig = None
+        self._rig, self._served = None, 0
         return "; ".join(f"at the end of the rig: {one}" for one in wrong)
 
     def _write(self) -> None:
@@ -121,15 +125,21 @@ class Bench:
         with (RESULTS / "results.jsonl").open("a") as stream:
             stream.write(json.dumps(self._last) + "\n")
 
-    def end(self) -> None:
-        """End what is left; what is wrong with that stands beside the last case."""
+    def end_rig(self) -> None:
+        """End the rig; what is wrong with that stands beside its last case."""
         wrong = self._close()
         if wrong:
             self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
             self._write()
+            self._ended_badly.append(f"{self._last['id']}: {wrong}")
+
+    def end(self) -> None:
+        """End what is left; fail where a rig ended badly after its last case."""
+        self.end_rig()
         Process.end_all()
         if not self._failed:
-            shutil.rmtree(self.place, ignore_errors=True)
+            shutil.rmtree(self._place, ignore_errors=True)
+        assert not self._ended_badly, self._ended_badly
 
 
 @pytest.fixture
@@ -137,38 +147,23 @@ def nothing_left() -> None:
     """A rig outlives its cases: the same fixture of all other tests would end it."""
 
 
-class Benches:
-    """The bench of the group whose turn it is; a fixture with a parameter would end after each."""
-
-    def __init__(self) -> None:
-        self._group = ""
-        self._bench: Bench | None = None
-
-    def of(self, group: str) -> Bench:
-        """Return the bench of a group, and end the one before."""
-        if self._bench is None or group != self._group:
-            self.end()
-            self._group, self._bench = group, Bench()
-        return self._bench
-
-    def end(self) -> None:
-        """End the bench; what is wrong with that is written down beside its last case."""
-        if self._bench is not None:
-            self._bench.end()
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.end()
 
 
-@pytest.fixture(scope="session")
-def benches() -> Iterator[Benches]:
-    benches = Benches()
-    yield benches
-    benches.end()
-
-
-@pytest.mark.parametrize(("group", "case"), [
-    pytest.param(group, case, id=case.id, marks=pytest.mark.xdist_group(group))
-    for group, those in groups().items() for case in those
+@pytest.mark.parametrize("case", [
+    # Simulations and foreign readers keep the processors busy: they are one group.
+    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(
+        case.rig if ":" in case.rig else "busy"))
+    for case in in_order(all_cases())
 ])
-def test_case(benches: Benches, group: str, case: Case) -> None:
-    outcome = benches.of(group).do(case)
-    if outcome.wrong:
-        pytest.fail(outcome.wrong, pytrace=False)
+def test_case(bench: Bench, case: Case, request: pytest.FixtureRequest) -> None:
+    done = DONE.get(case.id)
+    if done is not None and not done["wrong"] and len(request.session.items) > 1:
+        pytest.skip("done before")
+    wrong = bench.do(case).wrong
+    if wrong:
+        pytest.fail(wrong, pytrace=False)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from greenroof_ros.simulators.faults import DEFAULT
 
 SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
 WAYS = (SIMULATED, LOOP, LIVE)
@@ -51,7 +52,7 @@ class Case:
     target: str
     number: int
     expected: Expected
-    parameter: int | None = None
+    parameter: int = DEFAULT
 
     @property
     def way(self) -> str:
@@ -109,23 +110,17 @@ def _processes(repeats: int) -> Iterator[Case]:
 
 _LOST = r"no connection to the drive|the drive: |drive at"
 _DRIVE: dict[str, Expected] = {
-    "refused": Expected(bound="drive", alarm=_LOST),
-    "dropped": Expected(bound="drive", alarm=_LOST),
-    "half_open": Expected(bound="drive", alarm=_LOST),
-    "silence": Expected(bound="drive", alarm=_LOST),
+    # Not believed is an absurd value, by the drive file's range of the speed: as if nothing had
+    # been said. Under power again a drive is as before, and reports no fault.
+    **dict.fromkeys(
+        ("refused", "dropped", "half_open", "silence", "late", "garbage", "wrong_unit",
+         "wrong_function", "wrong_length", "absurd_value", "power_cycle"),
+        Expected(bound="drive", alarm=_LOST),
+    ),
     "slow": Expected(stops=False),
-    "late": Expected(bound="drive", alarm=_LOST),
     "split": Expected(stops=False),
-    "garbage": Expected(bound="drive", alarm=_LOST),
-    "wrong_unit": Expected(bound="drive", alarm=_LOST),
-    "wrong_function": Expected(bound="drive", alarm=_LOST),
-    "wrong_length": Expected(bound="drive", alarm=_LOST),
-    # Not believed, by the drive file's range of the speed: as if nothing had been said.
-    "absurd_value": Expected(bound="drive", alarm=_LOST),
     "exception": Expected(bound="refused", alarm=_LOST),
     "drive_fault": Expected(bound="drive", alarm=r"the drive reports", recovery="latches"),
-    # Under power again it is as before, and reports no fault.
-    "power_cycle": Expected(bound="drive", alarm=_LOST),
     "timeout_off": Expected(bound="drive", alarm=r"communication timeout"),
     "local": Expected(bound="drive", alarm=r"local control"),
     # Held by an operator, it says that it is off, and its motor runs until its own timeout passes.
@@ -155,26 +150,26 @@ def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iter
                     yield Case(f"{kind}:{drive}", "drive", fault, number, expected)
             for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
                 yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
-                    bound="follow", alarm=r"told to stop|acknowledges \*stop\*|contactor",
-                    recovery="latches"))
+                    stops=None, watch=0.0, bound="follow", recovery="latches",
+                    alarm=r"told to stop|acknowledges \*stop\*|contactor"))
 
 
 def _drive_alone(repeats: int) -> Iterator[Case]:
-    """Return what needs a rig of its own, each with a pump node alone."""
+    """Return what is done to a pump node alone."""
     for number in range(repeats):
         for drive in DRIVES:
             # It refuses what is written, and takes every request for a sign of life.
-            yield Case(f"refusing:{drive}", "drive", "refused_writes", number, Expected(
+            yield Case(f"pump:{drive}", "drive", "refused_writes", number, Expected(
                 bound="refusing", alarm=_LOST))
-            # The same behind a connection that breaks sooner than the drive can be judged on it.
-            yield Case(f"refusing:{drive}", "drive", "runs_on, breaks", number, Expected(
-                bound="runs on, breaks", alarm=r"acknowledges \*stop\*", recovery="latches"))
+            # Its connections break sooner than it can be judged on one.
+            yield Case(f"pump:{drive}", "drive", "runs_on, breaks", number, Expected(
+                bound="runs on, breaks", alarm=r"acknowledges \*stop\*", recovery="latches"), 3)
             # For some time after power-up some drives guard nothing.
             yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", number, Expected(
                 bound="drive", recovery="ends"))
 
 
-# What may go wrong on a line to a sensor; all but the last is done by `line.Line`.
+# What may go wrong on a line to a sensor.
 WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
         "wrong_unit", "wrong_function", "wrong_length", "exception", "intermittent")
 _RUNS_ON = Expected(stops=False)
@@ -198,10 +193,10 @@ def _sensors(repeats: int) -> Iterator[Case]:
         rig = f"site:{DRIVES[number % 4]}"
         for tank in ("cistern", "roof"):
             for fault, expected, parameter in (
-                ("silent", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
-                ("absurd", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
+                ("silent", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), DEFAULT),
+                ("absurd", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), DEFAULT),
                 ("noisy", Expected(bound="noisy", alarm=rf"/{tank}/level jumped"), 1000),
-                ("frozen", _still(tank), None),
+                ("frozen", _still(tank), DEFAULT),
                 ("drifting", Expected(bound="drift", alarm=rf"/{tank}/level jumped"), 500),
             ):
                 if fault in ("frozen", "drifting") and number >= 2:
@@ -256,45 +251,42 @@ def _full_disk(repeats: int) -> Iterator[Case]:
 MODES = ("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 
 
-def _topic(topic: str, mode: str, rig: str) -> Expected:
-    """Return what must come of a topic that is published badly."""
-    name = topic
-    if topic in ("/cistern/level", "/roof/level"):
-        return {
-            "off": Expected(bound="level", alarm=name),
-            "stuck": _still(topic.split("/")[1]),
-            "garbage": Expected(alarm=name),
-            "wrong": Expected(alarm=f"{name} jumped"),
-            "intermittent": Expected(bound="intermittent", alarm=name),
-        }.get(mode, _RUNS_ON)
-    if topic == "/weather/frost":
-        return {
-            "off": Expected(bound="frost", alarm=name),
-            "garbage": Expected(alarm=name),
-            "wrong": Expected(alarm="there is frost"),
-        }.get(mode, _RUNS_ON)
-    if topic == "/pump/command":
-        return {
-            "off": Expected(bound="command", alarm="no command has come"),
-            "garbage": Expected(alarm="/pump/command was refused|command .* is refused"),
-            "wrong": Expected(alarm="/pump/command was refused|command .* is refused"),
-            "slow": Expected(bound="command", alarm="no command has come"),
-            "intermittent": Expected(bound="intermittent", alarm="no command has come"),
-        }.get(mode, _RUNS_ON)
-    if topic == "/pump/meter":
-        return {
-            # A meter that says that nothing flows, while a level falls: one of both is wrong.
-            "wrong": Expected(bound="undelivered", alarm="cistern|delivery", recovery="latches"),
-        }.get(mode, _RUNS_ON)
-    if topic == "/pump/flow":
-        return _RUNS_ON  # the controller takes what it commands itself
-    if topic in GAUGES:
-        if (topic, mode) == ("/gauge/temperature", "wrong"):
-            return Expected(bound="command", alarm="there is frost")
-        # The forecast counts instead.
-        said = Expected(stops=False, bound="gauge", alarm=topic)
-        return {"off": said, "garbage": said}.get(mode, _RUNS_ON)
-    return _RUNS_ON  # the campaign's controller, on/off, needs no forecast
+def _badly() -> dict[tuple[str, str], Expected]:
+    """Return what must come of topics that are published badly; of all others, nothing.
+
+    The controller takes what it commands itself for /pump/flow, and the campaign's, on/off, needs
+    no forecast.
+    """
+    command, frost = "/pump/command", "/weather/frost"
+    refused = Expected(alarm="/pump/command was refused|command .* is refused")
+    silent = Expected(bound="command", alarm="no command has come")
+    found = {
+        (frost, "off"): Expected(bound="frost", alarm=frost),
+        (frost, "garbage"): Expected(alarm=frost),
+        (frost, "wrong"): Expected(alarm="there is frost"),
+        (command, "off"): silent,
+        (command, "garbage"): refused,
+        (command, "wrong"): refused,
+        (command, "slow"): silent,
+        (command, "intermittent"): replace(silent, bound="intermittent"),
+        # A meter that says that nothing flows, while a level falls: one of both is wrong.
+        ("/pump/meter", "wrong"): Expected(
+            bound="undelivered", alarm="cistern|delivery", recovery="latches"),
+        ("/gauge/temperature", "wrong"): Expected(bound="command", alarm="there is frost"),
+    }
+    for tank in ("cistern", "roof"):
+        name = f"/{tank}/level"
+        found |= {
+            (name, "off"): Expected(bound="level", alarm=name),
+            (name, "stuck"): _still(tank),
+            (name, "garbage"): Expected(alarm=name),
+            (name, "wrong"): Expected(alarm=f"{name} jumped"),
+            (name, "intermittent"): Expected(bound="intermittent", alarm=name),
+        }
+    for gauge in GAUGES:  # the forecast counts instead
+        said = Expected(stops=False, bound="gauge", alarm=gauge)
+        found |= {(gauge, "off"): said, (gauge, "garbage"): said}
+    return found
 
 
 LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
@@ -309,6 +301,7 @@ _ON = {
 
 
 def _topics(repeats: int) -> Iterator[Case]:
+    badly = _badly()
     for rig, topics in _ON.items():
         for number in range(repeats):
             for topic in topics:
@@ -320,7 +313,7 @@ def _topics(repeats: int) -> Iterator[Case]:
                     if number >= (1 if mode == "ok" else 2 if slow else repeats):
                         continue
                     yield Case(f"{rig}:{DRIVES[number % 4]}", mode, topic, number,
-                               _topic(topic, mode, rig))
+                               badly.get((topic, mode), _RUNS_ON))
                 yield Case(f"{rig}:{DRIVES[number % 4]}", "10000 hostile", topic, number, Expected(
                     stops=None, bound="gauge" if rig == "gauged" else "command",
                     alarm="" if topic in ("/pump/meter", "/pump/flow", *FORECASTS) else topic))
@@ -496,26 +489,3 @@ def all_cases() -> list[Case]:
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases
-
-
-def sample(cases: list[Case], every: int, seed: int) -> list[Case]:
-    """Return one in so many cases of each kind of fault in each way, and at least one.
-
-    Every target of a kind comes before one comes again; which are first follows from the seed.
-    """
-    kinds: dict[tuple[str, str], dict[str, list[Case]]] = {}
-    for case in cases:
-        kinds.setdefault((case.way, case.fault), {}).setdefault(case.target, []).append(case)
-    chosen = set()
-    rng = random.Random(seed)
-    for targets in kinds.values():
-        names = list(targets)
-        rng.shuffle(names)
-        for those in targets.values():
-            rng.shuffle(those)
-        rounds = [
-            targets[name][again] for again in range(max(map(len, targets.values())))
-            for name in names if again < len(targets[name])
-        ]
-        chosen.update(rounds[:-(-len(rounds) // every)])
-    return [case for case in cases if case in chosen]

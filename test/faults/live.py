@@ -6,16 +6,19 @@ import random
 import re
 import subprocess
 import time
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from bounds import RAMP_S, bounds
 from cases import Case
 from inject import begin
-from lost import BOUND_S, last_message, newest_file
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from rig import BrokenError, Rig, SiteRig, left, wait
 
-from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S
+from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
 
 # How much longer than the bound is waited, for a figure of how bad it was (s).
 _LONGER_S = 10.0
@@ -30,6 +33,8 @@ _STEADY_S = 6.0
 _OVER_S = 15.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002
+# What a recorder may lose (s): what came since its last flush, and a flush that was under way.
+_LOST_S = FLUSH_S + 1.0
 
 
 @dataclass
@@ -84,10 +89,7 @@ def run_case(
     if not rig.runs():
         rig.until_running()
     outcome.bound = bounds(rig.site)[case.expected.bound]
-    if case.fault == "unstoppable":
-        _unstoppable(rig, case, outcome, hold)
-    else:
-        _fault(rig, case, rng, outcome, hold)
+    _fault(rig, case, rng, outcome, hold)
     if rig.truth.greatest > 1.001:
         outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
     if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
@@ -106,6 +108,21 @@ def _until_it_records(bag: Path, rng: random.Random) -> None:
     time.sleep(rng.uniform(0.0, FLUSH_S))
 
 
+def newest_file(bag: Path) -> Path | None:
+    """Return the file of a live bag that is being written."""
+    return (bag_files(bag) or [None])[-1]
+
+
+def last_message(file: Path) -> float:
+    """Return when the last whole message of a file came (s since 1970); it need not be closed."""
+    last = 0
+    with suppress(McapError, EOFError), file.open("rb") as stream:  # where it was cut
+        for record in StreamReader(stream, emit_chunks=True).records:
+            found = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+            last = max([last, *(one.log_time for one in found if isinstance(one, Message))])
+    return last / 1e9
+
+
 def _fault(
     rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float
 ) -> None:
@@ -113,24 +130,25 @@ def _fault(
     printed, began = len(rig.main.stderr()), time.monotonic()
     recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
     clock = time.time()
-    undo = begin(rig, case, rng)
-    if case.fault in ("dry", "power cycle, then kill") or case.fault.startswith("second"):
-        began = time.monotonic()  # it took its time to become so
-    try:
+    with ExitStack() as undo:
+        begin(rig, case, rng, undo)
+        slow = ("dry", "power cycle, then kill", "unstoppable")
+        if case.fault in slow or case.fault.startswith("second"):
+            began = time.monotonic()  # it took its time to become so
         if expected.stops:
             _until_it_stands(rig, case, began, outcome)
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         _alarm(rig, case, began, printed, outcome)
+        if case.fault == "unstoppable":
+            outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
             outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
-    finally:
-        undo()
     _recover(rig, case, outcome)
     if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
         outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
-        if outcome.lost > BOUND_S:
+        if outcome.lost > _LOST_S:
             outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
 
 
@@ -255,33 +273,3 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     if still := left(pids):
         outcome.fail(f"{len(still)} processes were left after 12 s")
     outcome.recovery = f"ended with exit code {code}"
-
-
-def _unstoppable(rig: Rig, case: Case, outcome: Outcome, hold: float) -> None:
-    """Let the motor run whatever it is told; only an alarm can be asked for."""
-    contactor = case.target == "contactor"
-    printed = len(rig.main.stderr())
-    if not contactor:
-        rig.truth.inject_drive(case.target)
-    rig.watcher.hold(True)
-    if contactor:
-        began = time.monotonic()
-        while not rig.truth.stood_at(began) and time.monotonic() < began + 10:
-            time.sleep(0.02)
-        rig.truth.inject_drive("stuck_running", 8000)
-    began = time.monotonic()
-    try:
-        _alarm(rig, case, began, printed, outcome)
-        outcome.to_safe = time.monotonic() - began
-        time.sleep(hold)
-    finally:
-        rig.truth.inject_drive("none")
-    cleared = time.monotonic()
-    while rig.truth.speed > 0.005 and time.monotonic() < cleared + 8:
-        time.sleep(0.02)
-    if rig.truth.speed > 0.005:
-        outcome.fail("the pump still turned 8 s after it could be stopped again")
-    if "fault" not in rig.watcher.last.get("/pump/state", ""):
-        outcome.fail(f"no latched fault: {rig.watcher.last.get('/pump/state')}")
-    rig.watcher.hold(False)
-    _recover(rig, case, outcome)

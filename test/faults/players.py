@@ -6,11 +6,9 @@ import math
 import random
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from line import OFF_S, ON_S
 from truth import Truth
 from watcher import Watcher
 
@@ -19,6 +17,8 @@ from greenroof_ros.model.site import Site
 
 Value = float | Sequence[float]
 PERIOD_S = 1.0
+# PX4's *intermittent*: on for 2 s, off for 7 s.
+ON_S, OFF_S = 2.0, 7.0
 # Where the nodes publish between which the campaign stands.
 TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
@@ -43,15 +43,56 @@ _WRONG: dict[str, Callable[[float], float]] = {
 _DELAY_S, _SLOW = 2.0, 4.0
 
 
-class Players:
+class _Played:
+    """Topics that the campaign publishes, each in one of the ways of PX4's list.
+
+    Attributes:
+        topics: what is published.
+    """
+
+    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
+        self.topics = set(topics)
+        self._watcher = watcher
+        self._mode = dict.fromkeys(topics, "ok")
+        self._began = time.monotonic()
+        self._last: dict[str, Value] = {}
+        self._random = random.Random(0)
+
+    def set(self, topic: str, mode: str, rng: random.Random) -> None:
+        """Publish a topic in a way from now on."""
+        self._random = random.Random(rng.random())
+        self._began = time.monotonic()
+        self._mode[topic] = mode
+
+    def _later(self, seconds: float, topic: str, value: Value) -> None:
+        threading.Timer(seconds, self._watcher.publish, (topic, value)).start()
+
+    def _changed(self, topic: str, value: Value) -> Value | None:
+        """Return what becomes of a value; None where it does not come, or not now."""
+        mode, since = self._mode[topic], time.monotonic() - self._began
+        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
+            return None
+        if mode == "delayed":
+            self._later(_DELAY_S, topic, value)
+            return None
+        if mode == "garbage":
+            return _garbage(topic, value, self._random)
+        if mode == "wrong":
+            return _wrong(topic, value)
+        if mode != "stuck":
+            self._last[topic] = value
+        return self._last[topic]
+
+
+class Players(_Played):
     """Publishes each topic once a second; levels follow from what the drive really does."""
 
     def __init__(
         self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
     ) -> None:
+        super().__init__(watcher, topics)
         self.cistern, self.roof = 2.9, 0.01
-        self.mode: dict[str, str] = {}
-        self._watcher, self._truth, self._site = watcher, truth, site
+        self._truth, self._site = truth, site
         good: dict[str, Callable[[], Value]] = {
             "/cistern/level": lambda: self.cistern,
             "/roof/level": lambda: self.roof,
@@ -65,30 +106,14 @@ class Players:
             "/gauge/temperature": lambda: 15.0,
         }
         self._values = {topic: good[topic] for topic in topics}
-        self._sent: dict[str, deque[tuple[float, Value]]] = {
-            topic: deque(maxlen=20) for topic in self._values
-        }
-        self._began: dict[str, float] = {}
         self._next: dict[str, float] = dict.fromkeys(self._values, 0.0)
-        self._random = random.Random(0)
         self._ended = False
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
 
-    @property
-    def topics(self) -> set[str]:
-        """What is published."""
-        return set(self._values)
-
     def close(self) -> None:
         self._ended = True
         self._thread.join(3)
-
-    def set(self, topic: str, mode: str, rng: random.Random) -> None:
-        """Publish a topic in one of the ways of PX4's list from now on."""
-        self._random = random.Random(rng.random())
-        self._began[topic] = time.monotonic()
-        self.mode[topic] = mode
 
     def _flow(self) -> float:
         return flow_at(self._site, self._truth.speed, self.cistern)
@@ -103,30 +128,11 @@ class Players:
             self.roof += pumped / self._site.a2
             for topic, value in self._values.items():
                 if at >= self._next[topic]:
-                    self._next[topic] = max(at, self._next[topic] + PERIOD_S)
-                    self._publish(topic, value(), at)
-
-    def _publish(self, topic: str, value: Value, now: float) -> None:
-        mode, sent = self.mode.get(topic, "ok"), self._sent[topic]
-        since = now - self._began.get(topic, now)
-        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
-            return
-        if mode == "slow":
-            self._next[topic] = now + _SLOW * PERIOD_S
-        if mode == "stuck" and sent:
-            value = sent[-1][1]
-        elif mode == "garbage":
-            value = _garbage(topic, value, self._random)
-        elif mode == "wrong":
-            value = _wrong(topic, value)
-        elif mode == "delayed":
-            sent.append((now, value))
-            value = next(old for at, old in sent if now - at <= _DELAY_S + PERIOD_S)
-            self._watcher.publish(topic, value)
-            return
-        if mode != "garbage":
-            sent.append((now, value))
-        self._watcher.publish(topic, value)
+                    slow = _SLOW if self._mode[topic] == "slow" else 1.0
+                    self._next[topic] = max(at, self._next[topic] + slow * PERIOD_S)
+                    said = self._changed(topic, value())
+                    if said is not None:
+                        self._watcher.publish(topic, said)
 
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish so many hostile values as fast as it goes, then in fits and starts."""
@@ -138,49 +144,24 @@ class Players:
                 time.sleep(rng.uniform(0.0, 0.05))
 
 
-class Relay:
+class Relay(_Played):
     """Stands between nodes in lockstep: what one says of a tick, the others hear from here.
 
     A node publishes under /true, and each message comes on as a case asks; one that does not holds
-    the tick up.
+    the tick up. A node in lockstep publishes next when it is answered: slow is as late as delayed,
+    for longer.
     """
 
     def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
-        self.topics = set(topics)
-        self._watcher = watcher
-        self._mode = dict.fromkeys(topics, "ok")
-        self._began = time.monotonic()
-        self._last: dict[str, Value] = {}
-        self._random = random.Random(0)
+        super().__init__(watcher, topics)
         for topic in topics:
             watcher.relay(f"{TRUE}{topic}", topic, partial(self._changed, topic))
 
-    def set(self, topic: str, mode: str, rng: random.Random) -> None:
-        """Pass a topic on in one of the ways of PX4's list from now on.
-
-        A node in lockstep publishes next when it is answered: slow is as late as delayed, for
-        longer.
-        """
-        self._random = random.Random(rng.random())
-        self._began = time.monotonic()
-        self._mode[topic] = mode
-
     def _changed(self, topic: str, value: Value) -> Value | None:
-        mode = self._mode[topic]
-        since = time.monotonic() - self._began
-        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
-            return None
-        if mode in ("slow", "delayed"):
-            late = _SLOW * PERIOD_S if mode == "slow" else _DELAY_S
-            threading.Timer(late, self._watcher.publish, (topic, value)).start()
-            return None
-        if mode == "garbage":
-            return _garbage(topic, value, self._random)
-        if mode == "wrong":
-            return _wrong(topic, value)
-        if mode != "stuck":
-            self._last[topic] = value
-        return self._last[topic]
+        if self._mode[topic] != "slow":
+            return super()._changed(topic, value)
+        self._later(_SLOW * PERIOD_S, topic, value)
+        return None
 
 
 def _wrong(topic: str, value: Value) -> Value:

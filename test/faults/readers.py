@@ -30,6 +30,18 @@ _PAUSE_S, _APART_S = (0.1, 0.5), 0.4
 # Simulated per wall time, so that the run lasts for all stops.
 _SPEED = 20.0
 _LEAST_SPEED = 0.05
+# Such as ``ros2 topic echo``: it knows nothing of this package but when to end, and has the
+# middleware's own settings, shared memory included.
+_READER = """
+import rclpy
+from std_msgs.msg import Float64
+from greenroof_ros.common.processes import end_with_parent
+end_with_parent()
+rclpy.init()
+node = rclpy.create_node("reader", start_parameter_services=False)
+node.create_subscription(Float64, "/roof/level", lambda message: None, 10)
+rclpy.spin(node)
+"""
 
 
 class _Readers:
@@ -38,7 +50,7 @@ class _Readers:
     def __init__(self, domains: list[int], directory: Path) -> None:
         self._processes = [
             subprocess.Popen(
-                [sys.executable, str(Path(__file__).with_name("reader.py"))],
+                [sys.executable, "-c", _READER],
                 env={**asked_to_end_with_this(), **environment(domain)}, cwd=directory,
                 start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -18,10 +17,10 @@ from typing import Any
 import yaml
 from bounds import LIMIT_S, RAMP_S
 from cases import GAUGES, LEVELS, PLAYED, RELAYED
-from disks import disk_if_allowed
-from graphs import Process, alive
+from disks import small_disk
+from graphs import Process, alive, free_ports
 from line import Line
-from places import CONFIG
+from places import CONFIG, guarding
 from players import TRUE, Players, Relay
 from truth import STANDS, Truth
 from watcher import Watcher
@@ -53,10 +52,6 @@ class BrokenError(Exception):
     """The rig cannot be used any more."""
 
 
-class SkippedError(Exception):
-    """This machine cannot do it; the message says why."""
-
-
 def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
     """Wait for a condition.
 
@@ -78,18 +73,6 @@ def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
     return [pid for pid in pids if alive(pid)]
 
 
-def ports_of(domain: int) -> Iterator[int]:
-    """Yield free ports of a domain's own, below those that the system gives to connections."""
-    for port in range(20_000 + 100 * domain, 20_100 + 100 * domain):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-        yield port
-
-
 def site_file(directory: Path, **changes: float) -> Path:
     """Write the campaign's site file."""
     text = (CONFIG / "site.yaml").read_text()
@@ -100,32 +83,6 @@ def site_file(directory: Path, **changes: float) -> Path:
     path = directory / "site.yaml"
     path.write_text(text)
     return path
-
-
-def drive_file(directory: Path, drive: str, *, as_shipped: bool) -> Path:
-    """Copy the drive file of a make, without the wait of the node after power-up unless asked for.
-
-    The wait, where a drive guards nothing at first, would come with each new connection.
-    """
-    text = (CONFIG / "drives" / f"{drive}.yaml").read_text()
-    if not as_shipped:
-        text = re.sub(r"(\bunguarded_after_power_up_s: *)[\d.]+", r"\g<1>0", text)
-    path = directory / f"{drive}.yaml"
-    path.write_text(text)
-    return path
-
-
-@contextmanager
-def small_disk(place: Path, size: str) -> Iterator[None]:
-    """Have a small disk at a place.
-
-    Raises:
-        SkippedError: this machine does not let one mount it.
-    """
-    with disk_if_allowed(place, size) as mounted:
-        if not mounted:
-            raise SkippedError("skipped: only root can mount a small disk")
-        yield
 
 
 def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
@@ -183,14 +140,13 @@ class Rig:
         watcher: the campaign's node in the graph.
         truth: what the drive really does.
         others: nodes of others that a case has started.
-        lines: to what is on Modbus, where they can go bad; by ``drive``, ``cistern``, ``roof``.
+        lines: to the level sensors, where they can go bad; by tank.
     """
 
     pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
     nodes: tuple[str, ...] = ("pump", CONTROLLER, "weather")
     as_shipped = False
     serial = False
-    drive_refuses = False
 
     def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
         """Start the drive.
@@ -213,26 +169,23 @@ class Rig:
             )} for node in self.nodes
         }))
         self.lines: dict[str, Line] = {}
-        self.drive_file = drive_file(directory, drive, as_shipped=self.as_shipped)
-        self._ports = ports_of(domain)
-        drive_port, bench = next(self._ports), next(self._ports)
+        # The wait after power-up, where a drive guards nothing, would come with each connection.
+        self.drive_file = drive if self.as_shipped else guarding(drive, directory)
+        drive_port, bench = free_ports(2)
         place = ("--serial", "pty") if self.serial else ("--port", str(drive_port))
         self.drive = Simulator(
-            domain, directory, "drive_simulator", "--drive", str(self.drive_file), "--ramp", "1",
+            domain, directory, "drive_simulator", "--drive", self.drive_file, "--ramp", "1",
             "--boot", f"{BOOT_S:g}", *place, "--workbench", str(bench),
             "--site", str(self.site_file),
         )
         self.drive_at = self.drive.ready.split()[2].rstrip(",")
-        if self.drive_refuses:
-            port = next(self._ports)
-            self.lines["drive"] = Line(port, drive_port)
-            self.drive_at = self.drive_at.replace(str(drive_port), str(port))
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
         self.main: Process
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
         self.others: list[Process] = []
+        self.players: Players | Relay | None = None
 
     def _watch(self, site_bench: str | None = None) -> None:
         site = None if site_bench is None else parse_address(site_bench)
@@ -242,23 +195,10 @@ class Rig:
     def pids(self) -> dict[str, int]:
         """Return the process of each node, by the node's name, and of ``bringup``."""
         found = {"bringup": self.main.process.pid}
-        children = Path(f"/proc/{self.main.process.pid}/task/{self.main.process.pid}/children")
-        try:
-            pids = [int(word) for word in children.read_text().split()]
-        except OSError:
-            pids = []
-        for pid in pids:
-            try:
-                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
-            except OSError:
-                continue
-            module = next((w for w in words if w.startswith("greenroof_ros.nodes.")), None)
-            if module is None:
-                continue
-            name = module.rpartition(".")[2].removeprefix("live_")
-            if name == "level_sensor":
-                name = f"{words[words.index('--tank') + 1]}_sensor"
-            found[name] = pid
+        with suppress(OSError):  # it has ended
+            found |= {
+                name.removeprefix("live_"): pid for name, pid in self.main.nodes().items()
+            }
         self.started.update(found.values())
         return found
 
@@ -312,6 +252,8 @@ class Rig:
 
     def __exit__(self, *failure: object) -> None:
         self.ended_badly = self._end_main()
+        if isinstance(self.players, Players):
+            self.players.close()
         self.watcher.close()
         self.truth.close()
         self.drive.end()
@@ -364,7 +306,7 @@ class SiteRig(Rig):
             yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
         )
         for tank in ("cistern", "roof"):
-            port, behind = next(self._ports), next(self._ports)
+            port, behind = free_ports(2)
             sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
             self.lines[tank] = Line(port, behind)
             by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
@@ -372,7 +314,7 @@ class SiteRig(Rig):
         file.write_text(yaml.safe_dump(sensors))
         read = directory / "sensors-read.yaml"
         read.write_text(yaml.safe_dump(by_line))
-        bench = next(self._ports)
+        (bench,) = free_ports(1)
         self.csv = directory / "levels.csv"
         self.site_simulator = Simulator(
             domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
@@ -384,9 +326,9 @@ class SiteRig(Rig):
         write_forecast(self.forecast)
         self.state = directory / "state"
         self._options = (
-            "--plant", "external", "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--controller", CONTROLLER, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
-            "--drive", str(self.drive_file), "--drive-at", self.drive_at,
+            "--drive", self.drive_file, "--drive-at", self.drive_at,
             "--state", str(self.state), "--restarts", "1000",
             "--node-parameters", str(self.parameters),
         )
@@ -395,7 +337,7 @@ class SiteRig(Rig):
 
     def bring_up(self) -> None:
         """Start bringup, at first or again."""
-        self.main = Process(self.domain, "bringup", *self._options, cwd=self.directory)
+        self.main = Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
 
     def levels(self) -> tuple[float, float]:
@@ -422,10 +364,6 @@ class GaugedRig(SiteRig):
     def bring_up(self) -> None:
         self.players = Players(self.watcher, self.truth, self.site, GAUGES)
         super().bring_up()
-
-    def __exit__(self, *failure: object) -> None:
-        self.players.close()
-        super().__exit__(*failure)
 
 
 class FullDiskRig(SiteRig):
@@ -465,19 +403,14 @@ class PlayedRig(Rig):
         self._watch()
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         self.main = Process(
-            domain, "bringup", "--plant", "external", "--controller", CONTROLLER,
+            domain, "bringup.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
             *self._pump(), "--state", str(directory / "state"),
             "--restarts", "1000", "--node-parameters", str(self.parameters), cwd=directory,
         )
 
     def _pump(self) -> tuple[str, ...]:
-        return ("--drive", str(self.drive_file), "--drive-at", self.drive_at)
-
-    def _end_main(self) -> list[str]:
-        wrong = super()._end_main()
-        self.players.close()
-        return wrong
+        return ("--drive", self.drive_file, "--drive-at", self.drive_at)
 
 
 class FlowRig(PlayedRig):
@@ -524,11 +457,6 @@ class PumpRig(Rig):
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         self.main = pump_node(self)
 
-    def _end_main(self) -> list[str]:
-        wrong = super()._end_main()
-        self.players.close()
-        return wrong
-
 
 class LoopRig(Rig):
     """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
@@ -539,7 +467,7 @@ class LoopRig(Rig):
         self.main = Process(
             domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
-            "--drive", str(self.drive_file), "--drive-at", self.drive_at,
+            "--drive", self.drive_file, "--drive-at", self.drive_at,
             "--output", str(directory / "run"), "--state", str(directory / "state"),
             "--node-parameters", str(self.parameters), cwd=directory,
         )
@@ -586,11 +514,9 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "flow": FlowRig, "pump": PumpRig, "loop": LoopRig, "relayed": RelayedRig,
     # With water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
-    # With a flow meter; on a serial line, two pseudo-terminals; with a line that can go bad; and
-    # with the drive file as it is shipped.
+    # With a flow meter; on a serial line, two pseudo-terminals; with the drive file as shipped.
     "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
     "rtu": partial(PumpRig, serial=True),
-    "refusing": partial(PumpRig, drive_refuses=True),
     "guarded": partial(PumpRig, as_shipped=True),
     # With a pump that may run for a few seconds without a break or in a day, or by volume.
     **{

@@ -12,15 +12,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from bounds import SIMULATION_END_S
 from cases import Case
+from disks import small_disk
 from graphs import Process, bag_file, environment, summary_of
-from inject import signal_process
+from inject import intrude, refuse_second_graph, signal_process
 from live import Outcome
-from players import HOSTILE
-from rig import SkippedError, left, small_disk
+from rig import left
 from watcher import Watcher
 
 from greenroof_ros.recording.bag_reader import count_ticks
@@ -42,11 +43,8 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
     options = ["--hours", _SHORT_H, "--speed", _SHORT_SPEED] if same else ["--hours", _LONG_H]
     outcome = Outcome(bound=None if same else SIMULATION_END_S)
     if case.fault == "full disk":
-        try:
-            with small_disk(directory / "run", "300k"):
-                _fills_up(directory, domain, outcome)
-        except SkippedError as error:
-            outcome.recovery = str(error)
+        with small_disk(directory / "run", "300k"):
+            _fills_up(directory, domain, outcome)
         return outcome
     run = Process(
         domain, "bringup", "--controller", "onoff", *options, "--output", "run", cwd=directory,
@@ -61,7 +59,7 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
         nodes = {name.removeprefix("live_"): pid for name, pid in run.nodes().items()}
         pids = list(nodes.values())
         began = time.monotonic()
-        _begin(case, run, nodes, watcher, rng)
+        _begin(case, run, domain, nodes, watcher, rng)
         if same:
             _same(run, directory, domain, outcome)
         else:
@@ -76,28 +74,20 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
 
 
 def _begin(
-    case: Case, run: Process, nodes: dict[str, int], watcher: Watcher | None, rng: random.Random
+    case: Case, run: Process, domain: int, nodes: dict[str, int], watcher: Watcher | None,
+    rng: random.Random,
 ) -> None:
     if watcher is not None:
-        watcher.open(case.target)
-        time.sleep(0.2)
-        hostile = case.fault == "10000 hostile"
-        for _ in range(10_000 if hostile else 20):
-            value = rng.choice(HOSTILE) if hostile else 0.5
-            watcher.publish_any(
-                case.target, None if case.target == "/clock"
-                else [value] * 10 if case.target.startswith("/forecast") else value,
-            )
+        intrude(watcher, case.target, case.fault, rng)
     elif case.fault == "second graph":
-        second = Process(int(run_domain(run)), "bringup", "--hours", "1", cwd=run.cwd)
-        code = second.wait(30)
-        assert code == 3 and "already" in second.stderr(), (code, second.stderr())
+        refuse_second_graph(domain, run.cwd)
     else:
         pid = run.process.pid if case.target == "bringup" else nodes[case.target]
-        go_on = signal_process(pid, case.fault, rng)
+        undo = ExitStack()
+        signal_process(pid, case.fault, rng, undo)
         if case.target == "bringup" and case.fault == "stop long":
             time.sleep(8.0)
-            go_on()
+            undo.close()  # a node stays stopped to the end
 
 
 def _fills_up(directory: Path, domain: int, outcome: Outcome) -> None:
@@ -116,12 +106,6 @@ def _fills_up(directory: Path, domain: int, outcome: Outcome) -> None:
         outcome.fail(f"ended with exit code {code}: {run.stderr()[-400:]}")
     _restore(outcome, directory / "run" / "on", "--output", str(directory / "rescued"))
     outcome.recovery = f"ended with exit code {code}"
-
-
-def run_domain(run: Process) -> str:
-    """Return the ROS domain of a bringup."""
-    words = Path(f"/proc/{run.process.pid}/environ").read_bytes().decode().split("\0")
-    return next(word for word in words if word.startswith("ROS_DOMAIN_ID=")).partition("=")[2]
 
 
 def _same(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:

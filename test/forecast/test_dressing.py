@@ -280,6 +280,74 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
     assert str(error.value).startswith(f"{path}, {words}")
 
 
+def test_hour_by_hour_as_all_at_once(tmp_path: Path) -> None:
+    """A live site that adds issues and hours knows in the end what a whole record would teach it.
+
+    On the way a gap of twelve hours is bridged, but for issues that begin or end in it, and one of
+    thirteen makes issues be forgotten. What is unfinished is in no member, and outlives the file.
+    """
+    rain = showers(120 * 24, 21)
+    rain[2000:2012] = np.nan
+    rain[2400:2413] = np.nan
+    issues = forecasts(np.nan_to_num(rain), 12, 24, 22)
+    whole = learn(archive(issues), record(rain), 30)
+    growing = learn(archive(issues), record(rain[: 60 * 24]), 30)
+    known = len(growing.issued)
+    for hour in range((known - 1) * 12 + 1, len(rain)):
+        if hour in issues:
+            growing = growing.with_issue(
+                Issue(FIRST + hour * HOUR, Path("live.csv"), 2, issues[hour])
+            )
+        since = hours_since_1970(FIRST) + hour
+        growing = growing.with_hour(since, rain[hour])
+        if hour == 2500:
+            file = tmp_path / "dressed.csv"
+            file.write_text(dressing_text(growing))
+            again = read_dressing(file)
+            np.testing.assert_allclose(again.fell, growing.fell, rtol=1e-5)
+            unfinished = np.isnan(growing.fell).any(axis=1).sum()
+            assert 0 < unfinished <= 3
+            assert not np.isnan(again.members(since, issues[2496])).any()
+    unfinished = np.isnan(growing.fell).any(axis=1)
+    assert unfinished.sum() < 3
+    assert len(whole.issued) > known + 100
+    starts = whole.issued - hours_since_1970(FIRST)
+    cut = [at for at in starts if 2000 <= at < 2012 or 2000 <= at + 29 < 2012]
+    assert len(cut) == 2
+    kept = ~np.isin(starts, cut)
+    assert growing.issued[~unfinished].tolist() == whole.issued[kept].tolist()
+    np.testing.assert_allclose(growing.fell[~unfinished], whole.fell[kept])
+    np.testing.assert_allclose(growing.forecast[~unfinished], whole.forecast[kept])
+
+
+def test_a_clock_that_goes_back(tmp_path: Path) -> None:
+    """What is known stays known; where nothing is left, what was read has as many hours."""
+    rain = showers(80 * 24, 13)
+    dressing = learn(archive(forecasts(rain, 24, 24, 14)), record(rain), 30)
+    again = dressing
+    for hour in range(24 * 10, 24 * 15):
+        again = again.with_hour(hours_since_1970(FIRST) + hour, math.nan if hour % 3 else 7.0)
+    assert again.issued.tolist() == dressing.issued.tolist()
+    assert np.array_equal(again.fell, dressing.fell)
+    late = replace(dressing, fell=np.full_like(dressing.fell, np.nan))
+    none = late.with_hour(hours_since_1970(FIRST) + 10_000, 1.0)
+    assert (len(none.issued), none.hours) == (0, 30)
+    assert none.with_hour(hours_since_1970(FIRST) + 10_001, 1.0).hours == 30
+
+
+def test_issues_that_teach_nothing() -> None:
+    """One too short for the blocks, or less than six hours after the last."""
+    rain = showers(80 * 24, 13)
+    dressing = learn(archive(forecasts(rain, 24, 24, 14)), record(rain), 30)
+    last = FIRST + (dressing.issued[-1] - hours_since_1970(FIRST)) * HOUR
+
+    def added(after: int, hours: int) -> int:
+        issue = Issue(last + after * HOUR, Path("live.csv"), 2, np.ones((1, hours)))
+        return len(dressing.with_issue(issue).issued) - len(dressing.issued)
+
+    assert [added(5, 24), added(6, 23), added(6, 24)] == [0, 0, 1]
+
+
 def test_too_few_issues() -> None:
     """It says how many there are, and of which issue; records of another time have none."""
     rain = showers(25 * 24, 15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,6 +11,9 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 
+from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
+from greenroof_ros.forecast.live_dressing import LiveDressing
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.forecast.own_csv import read_forecasts
 
@@ -160,3 +164,105 @@ def test_temperature_is_a_column_of_its_own(tmp_path: Path) -> None:
     write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
     assert read_forecasts(file)[0].temperature is None
     assert np.isnan(live(file).at(SIX).temperature)
+
+
+def dressed(
+    directory: Path, all_members: bool = True, days: int = 100
+) -> tuple[Path, LiveForecast, LiveDressing]:
+    """Return forecasts that are dressed by days in early 2026: each issue came true."""
+    file, record = directory / "forecast.csv", directory / "dressed.csv"
+    issued = hours_since_1970(SIX) - 24 * 200 + 24 * np.arange(days)
+    fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
+    record.write_text(dressing_text(Dressing("given", (0, 3), issued, fell[:, :1] * 3, fell)))
+    dressing = LiveDressing(record, PAPER_SITE.tau)
+    found = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
+    return file, found, dressing
+
+
+def test_a_dressed_forecast(tmp_path: Path) -> None:
+    """Members are what fell after issues like it; temperature and evapotranspiration stay."""
+    file, found, _ = dressed(tmp_path)
+    write(file, SIX, [5.0, 5.0, 5.0])
+    found.file.look()
+    outlook = found.at(SIX + timedelta(minutes=30))
+    # The ten nearest that are two days apart, each multiplied to mean as much rain: 5 mm/h.
+    assert np.array(outlook.rain)[:, 0] == pytest.approx([5e-3 / 3600] * 10)
+    assert outlook.temperature == 15.0
+    assert np.array(outlook.evapotranspiration)[0] == pytest.approx(2.0 / 1000 / 86400 * 68.8)
+
+
+def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
+    """Without an issue that counts, members are spells of the record, the same all day."""
+    _, found, _ = dressed(tmp_path)
+    with pytest.raises(NoForecastError):
+        found.at(SIX)
+    usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day off the bed
+    rains = []
+    for hours in (0, 5, 24):
+        outlook = found.of_record(SIX + timedelta(hours=hours), usual)
+        assert outlook is not None
+        assert np.array(outlook.evapotranspiration) == pytest.approx(
+            np.full(len(outlook.evapotranspiration), usual)
+        )
+        rains.append(np.array(outlook.rain))
+    spells = {round(one / 10, 1) for one in range(100)}
+    assert {round(value * 3.6e6, 1) for value in rains[0].ravel()} <= spells
+    assert np.array_equal(rains[0], rains[1])
+    assert not np.array_equal(rains[0], rains[2])
+    assert found.of_record(SIX, None) is None
+    # One member alone would be a draw of a single spell.
+    _, found, _ = dressed(tmp_path, all_members=False)
+    assert found.of_record(SIX, usual) is None
+
+
+def test_a_live_site_learns(tmp_path: Path) -> None:
+    """An issue and the hours after it are in the file; an hour whose gauge failed is not known."""
+    file, found, dressing = dressed(tmp_path)
+    write(file, SIX, [5.0, 5.0, 5.0])
+    found.file.look()
+    found.at(SIX)
+    tick = timedelta(seconds=PAPER_SITE.tau)
+    fell = []
+    for hour, (rain, gaps) in enumerate([(2.0, 0.0), (4.0, 0.2), (8.0, 0.05), (0.0, 0.0)]):
+        for index in range(3600):
+            good = index >= gaps * 3600
+            dressing.measure(
+                SIX + hour * timedelta(hours=1) + index * tick, rain / 3.6e6 if good else None
+            )
+        dressing.close()
+        fell.append(read_dressing(tmp_path / "dressed.csv").fell[-1].tolist())
+    assert dressing.problem == ""
+    # Each hour is known when the next begins.
+    assert fell[1] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
+    assert fell[2] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
+    # Whole: the gap is bridged.
+    assert fell[3] == pytest.approx([2.0, 5.0, 8.0])
+
+
+def test_too_few_to_dress(tmp_path: Path) -> None:
+    """An issue is then used as it was issued, is learned from all the same, and it is said."""
+    file, found, dressing = dressed(tmp_path, days=5)
+    write(file, SIX, [5.0, 5.0, 5.0])
+    found.file.look()
+    outlook = found.at(SIX)
+    assert np.array(outlook.rain).shape[0] == 1
+    assert np.array(outlook.rain)[0, 0] == pytest.approx(5e-3 / 3600)
+    assert "are needed: take more months" in dressing.few
+    dressing.measure(SIX, 0.0)
+    dressing.measure(SIX + timedelta(hours=1), 0.0)
+    dressing.close()
+    assert len(read_dressing(tmp_path / "dressed.csv").issued) == 6
+
+
+def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
+    """Another one reads it, says so, and writes nothing; nor is a file written without an issue."""
+    _, _, dressing = dressed(tmp_path)
+    before = (tmp_path / "dressed.csv").read_bytes()
+    other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)
+    assert other.problem.startswith("nothing is added to it: ") and dressing.problem == ""
+    for hour in range(2):
+        other.measure(SIX + timedelta(hours=hour), 0.0)
+    other.close()
+    assert (tmp_path / "dressed.csv").read_bytes() == before
+    dressing.close()
+    LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau).close()

@@ -24,6 +24,14 @@ BROKEN = {
         "    flow.data = 0.0\n", "    pass\n",
         "has stopped after", r"first command after 1\.5 s of silence.*had not stopped",
     ),
+    "runs_in_silence": (
+        "watchdog = node.create_timer(SILENCE, on_silence,",
+        "from std_msgs.msg import String\n"
+        "states = node.create_publisher(String, 'pump/state', qos)\n"
+        "said = lambda: states.publish(String(data='running: as commanded'))\n"
+        "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
+        "has stopped after", r"/pump/state says 'running' at the end of the silence",
+    ),
     "follows_two": (
         "node.commanders > 1 or", "node.commanders > 9 or",
         "second publisher", r"m3/s 3 s after a second publisher came",

@@ -1,14 +1,13 @@
-"""The lock that keeps two bringups out of one namespace, transport, and the start of listening."""
+"""The lock that keeps two bringups out of one namespace, transport, and the executor."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.graph import domain
@@ -59,12 +58,15 @@ def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:
         assert new == text
 
 
-def test_messages_that_come_while_an_executor_begins_to_listen() -> None:
-    """A sample of test/swaps.py, by a private part of rclpy that a new one may lack."""
-    pytest.importorskip("rclpy", reason="it is about ROS 2")
-    done = subprocess.run(
-        [sys.executable, str(CHECKOUT / "test" / "swaps.py"), "--rounds", "1000"],
-        capture_output=True, text=True, timeout=300, check=False,
-    )
-    assert done.stdout == "0 of 1000 times a message was left behind\n", done.stderr
-    assert done.returncode == 0
+def test_an_rclpy_without_the_fast_executor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The slow one does the same."""
+    rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
+    from rclpy.executors import SingleThreadedExecutor
+
+    rclpy.init(args=[])
+    try:
+        assert not isinstance(domain.make_executor(), SingleThreadedExecutor)
+        monkeypatch.setitem(sys.modules, "rclpy.experimental", None)
+        assert isinstance(domain.make_executor(), SingleThreadedExecutor)
+    finally:
+        rclpy.try_shutdown()

@@ -46,10 +46,14 @@ def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
     options = ("--site", str(site_file(tmp_path, initial_cistern=70.0, initial_roof=1.5)))
     run = paper_run(*options)
     assert (run.initial, run.x1, run.x2) == ("site", 70.0, 1.5)
-    named = paper_run(*options, "--initial", "low-low")
-    # Table II: a1 z_o / 1.3 and a2 z_veg / 1.3.
-    assert named.initial == "low-low"
-    assert (named.x1, named.x2) == pytest.approx((75 / 1.3, 3.14416 / 1.3), rel=1e-12)
+    # Table II: a1 z_o and a2 z_veg, over 1.3 or times it.
+    for name, cistern, roof in (
+        ("low-low", 75 / 1.3, 3.14416 / 1.3), ("high-low", 75 * 1.3, 3.14416 / 1.3),
+        ("high-high", 75 * 1.3, 3.14416 * 1.3),
+    ):
+        named = paper_run(*options, "--initial", name)
+        assert named.initial == name
+        assert (named.x1, named.x2) == pytest.approx((cistern, roof), rel=1e-12)
     given = paper_run(*options, "--cistern", "60", "--roof", "2")
     assert (given.initial, given.x1, given.x2) == ("custom", 60.0, 2.0)
     assert paper_run().initial == "low-low"

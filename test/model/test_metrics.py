@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import random
 from dataclasses import fields, replace
-from pathlib import Path
 
 import pytest
 from paper import PAPER_SITE, site_with
-from places import CONFIG
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model import metrics as metrics_module
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Flows
-from greenroof_ros.model.site import Site, read_site, site_parameters
+from greenroof_ros.model.site import Site, site_parameters
 from greenroof_ros.model.soil import soil_of
 
 KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
@@ -90,14 +87,17 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     return found
 
 
-def results(site: Site, ticks: Ticks) -> dict[str, float]:
+STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
+
+
+def metrics_of(site: Site, ticks: Ticks) -> Metrics:
     """Return the metrics of ticks, of which the last is the end of the run."""
     metrics = Metrics()
     for x1, x2, command, rain, flows in ticks[:-1]:
         metrics.observe(site, x1, x2)
         metrics.step(command, rain, rain + flows.evapotranspiration, flows)
     metrics.observe(site, *ticks[-1][:2])
-    return metrics.results()
+    return metrics
 
 
 @pytest.mark.parametrize(("days", "weeks"), [(1, 1), (14, 2), (34, 5)])
@@ -105,17 +105,12 @@ def test_weeks(days: int, weeks: int) -> None:
     """Each week's deviation by hand, across blocks; the last tick counts in the last."""
     site = replace(PAPER_SITE, tau=600.0)
     ticks = drawn(days * 144 + 1, seed=days)
-    metrics = Metrics()
-    for x1, x2, command, rain, flows in ticks[:-1]:
-        metrics.observe(site, x1, x2)
-        metrics.step(command, rain, rain + flows.evapotranspiration, flows)
-    metrics.observe(site, *ticks[-1][:2])
     expected = [0.0] * weeks
     for k, tick in enumerate(ticks):
         expected[min(k // 1008, weeks - 1)] += abs(tick[1] - site.x2_star)
-    found = metrics.weekly_deviations()
-    assert found == pytest.approx(expected, rel=1e-12)
-    assert sum(found) == pytest.approx(metrics["total_deviation_m3"], rel=1e-12)
+    metrics = metrics_of(site, ticks)
+    assert metrics.weekly_deviations() == expected
+    assert sum(expected) == pytest.approx(metrics["total_deviation_m3"], rel=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 4096, 4097, 4098, 10_000])
@@ -152,24 +147,23 @@ def test_an_hour_holds_its_first_start_no_more(tau: float, gap: int, busiest: in
     assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
 
 
-def test_electric_energy_is_over_the_sites_efficiency(tmp_path: Path) -> None:
-    """A half unless the site file says otherwise."""
-    text = (CONFIG / "site.yaml").read_text()
-    [line] = [line for line in text.splitlines() if line.startswith("pump_efficiency")]
-    file = tmp_path / "site.yaml"
-    for new, efficiency in ((line, 0.5), ("", 0.5), ("pump_efficiency: 0.25", 0.25)):
-        file.write_text(text.replace(line, new))
-        metrics = Metrics()
-        site = read_site(file)
-        metrics.observe(site, 75.0, 1.0)
-        metrics.step(1.0, 0.0, 0.0, Flows(0.0, 0.004, 0.0, 0.0, False))
-        hydraulic = metrics["hydraulic_energy_kwh"]
-        assert hydraulic > 0
-        assert metrics["electric_energy_kwh"] == hydraulic / efficiency
-    for wrong in ("0", "1.01", "-0.5", "50"):
-        file.write_text(text.replace(line, f"pump_efficiency: {wrong}"))
-        with pytest.raises(ConfigurationError, match=r"pump_efficiency.*must be from 0.001 to 1"):
-            read_site(file)
+def test_energy_and_starts_by_hand() -> None:
+    """At 3 m the pumps lift 0.00842205 m3/s over L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
+
+    Half of it needs 13 m and a quarter of the 1.2 m of friction, with 9810 N/m3. Of the electric
+    energy a quarter becomes hydraulic.
+    """
+    full = 0.00842205211502804
+    head = 55.2 - 5.78e5 * full**2
+    flows = (full, full, 0.0, full / 2, 0.0, 0.0, full, 0.0)
+    found = metrics_of(
+        site_with(pump_efficiency=0.25),
+        [(75.0, 1.0, 1.0, 0.0, STILL._replace(pump=flow)) for flow in flows],
+    )
+    joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
+    assert found["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
+    assert found["electric_energy_kwh"] == 4 * found["hydraulic_energy_kwh"]
+    assert found["pump_starts"] == 3
 
 
 def test_mains_water_by_hand() -> None:
@@ -178,11 +172,8 @@ def test_mains_water_by_hand() -> None:
     The run ends below the valve's level of 1 m, 25 m3: there nothing flows any more.
     """
     site = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
-    metrics = Metrics()
-    for x1 in (24.0, 20.0, 24.999, 25.0, 60.0):
-        metrics.observe(site, x1, 1.0)
-        metrics.step(0.0, 0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
-    metrics.observe(site, 24.0, 1.0)
+    volumes = (24.0, 20.0, 24.999, 25.0, 60.0, 24.0)
+    metrics = metrics_of(site, [(x1, 1.0, 0.0, 0.0, STILL) for x1 in volumes])
     assert metrics["mains_m3"] == pytest.approx(0.006, rel=1e-12)
 
 
@@ -195,7 +186,7 @@ def test_an_owners_metrics_by_hand() -> None:
     metrics = Metrics()
     for x2, actual in ((target + 0.1, 4e-6), (target - 0.3, 2e-6), (0.0, 1e-6), (0.0, 0.0)):
         metrics.observe(site, 50.0, x2)
-        metrics.step(0.0, 0.0, 4e-6, Flows(0.0, 0.0, 0.0, actual, False))
+        metrics.step(0.0, 0.0, 4e-6, STILL._replace(evapotranspiration=actual))
     metrics.observe(site, 50.0, target + 0.2)
     found = metrics.results()
     assert found["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
@@ -211,11 +202,7 @@ def test_stress_is_that_of_the_soil() -> None:
         depletion_fraction=0.5,
     )
     volumes = (12.0, 6.8801, 6.8799, 3.0, 0.0)
-    metrics = Metrics()
-    for x2 in volumes:
-        metrics.observe(site, 50.0, x2)
-        metrics.step(0.0, 0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
-    metrics.observe(site, 50.0, 12.0)
+    metrics = metrics_of(site, [(50.0, x2, 0.0, 0.0, STILL) for x2 in (*volumes, 12.0)])
     assert metrics["stress_hours"] == sum(soil_of(site).water_stress(x2) < 1 for x2 in volumes) == 3
     assert "evapotranspiration_ratio" not in metrics.results()  # nothing was asked for
 
@@ -248,7 +235,7 @@ def test_rain_kept_by_hand() -> None:
     4.1 m3 in these 1.8 drain.
     """
     site = site_with(a2=100.0, tau=600.0)
-    found = results(site, hourly(
+    found = metrics_of(site, hourly(
         site, 72, rain={10: 3.0, 36: 0.4, 60: 0.6, 61: 0.5}, pumped={41: 0.6, 55: 0.6},
         drained={10: 0.6, 11: 0.9, 35: 0.3, 36: 0.1, 41: 0.5, 60: 0.2},
     ))
@@ -261,7 +248,7 @@ def test_rain_kept_by_hand() -> None:
 def test_a_storm_has_more(depth: float, there: bool) -> None:
     """An hour with 20 mm has not more; of one with more nothing is kept where more drains."""
     site = site_with(a2=100.0, tau=0.1)
-    found = results(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0}))
+    found = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
     assert found.get("rain_kept_share_hour") == (0.0 if there else None)
 
 
@@ -274,9 +261,10 @@ def test_storms_over_blocks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) 
     ]
     for size in (1, 7, 4096):
         monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module._TICK))
-        found.append(results(site, ticks))
+        metrics = metrics_of(site, ticks)
+        found.append((metrics.results(), metrics.weekly_deviations()))
     assert found[0] == found[1] == found[2]
-    assert all(0 < found[0][name] < 1 for name in KEPT)
+    assert all(0 < found[0][0][name] < 1 for name in KEPT)
 
 
 def test_each_has_its_words() -> None:

@@ -9,17 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, site_with, sites
+from places import CONFIG
 
 from greenroof_ros.model.plant import (
     Flows,
     Plant,
+    command_to,
     maximum_pump_flow,
     outlet_flow,
     pump_flow,
 )
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 
+MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
 # Its thresholds are binary fractions, so that tests hit them to the bit: the target at
 # x2 = 4 m3, the soil's capacity at 32 m3; the suction level stays at 18.75 m3.
 ROUND_SITE = site_with(a2=64.0, z_veg=0.0625, z_soil=0.5)
@@ -40,17 +43,27 @@ def just_above(value: float) -> float:
     return math.nextafter(value, math.inf)
 
 
-def test_outlet_flow_by_hand() -> None:
-    """A head of 1 m gives c_out = 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it."""
-    assert outlet_flow(PAPER_SITE, 100.0) == pytest.approx(0.1326322799584, rel=1e-12)
-    assert outlet_flow(PAPER_SITE, 81.25) == pytest.approx(0.0663161399792, rel=1e-12)
+LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
+"""1/5 of the main outlet's radius, 1/25 of its area."""
+OUT = 0.1326322799584
 
 
-def test_outlet_flows_above_its_elevation_only() -> None:
-    """Eq. (2): > z_o. The least bit above 75 m3 already flows, at about 3e-9 m3/s."""
-    assert outlet_flow(PAPER_SITE, 75.0) == 0.0
-    assert outlet_flow(PAPER_SITE, 0.0) == 0.0
-    assert 0 < outlet_flow(PAPER_SITE, just_above(75.0)) < 1e-8
+@pytest.mark.parametrize(
+    ("site", "x1", "flow"),
+    [
+        # A head of 1 m gives 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it.
+        (PAPER_SITE, 100.0, OUT), (PAPER_SITE, 81.25, OUT / 2),
+        (PAPER_SITE, 75.0, 0.0), (PAPER_SITE, 0.0, 0.0),
+        # At 4 m, with 1 m above the main outlet, both take water.
+        (LOW_OUTLET, 50.0, OUT / 25), (LOW_OUTLET, 31.25, OUT / 50), (LOW_OUTLET, 25.0, 0.0),
+        (LOW_OUTLET, 100.0, (25 + math.sqrt(3)) * OUT / 25),
+    ],
+)
+def test_outlet_flow_by_hand(site: Site, x1: float, flow: float) -> None:
+    """Eq. (2): > z_o. The least bit above 75 m3, or 25 m3, flows already, at about 3e-9 m3/s."""
+    assert outlet_flow(site, x1) == pytest.approx(flow, rel=1e-12)
+    if not flow and x1:
+        assert 0 < outlet_flow(site, just_above(x1)) < 1e-8
 
 
 def test_maximum_pump_flow_by_hand() -> None:
@@ -94,19 +107,29 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
     assert Plant(ROUND_SITE, x1, x2).pump_flow(0.5) == expected
 
 
+@pytest.mark.parametrize("site", [PAPER_SITE, MEASURED])
+def test_the_command_to_a_volume_leads_there(site: Site) -> None:
+    """A litre more in a tick, in rain and sun; 0 where it comes by itself, or nothing is lifted."""
+    plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
+    given = site, soil_of(site), plant.x1, plant.x2
+    wanted = plant.x2 + 1e-3
+    command = command_to(*given, wanted, *weather)
+    plant.step(weather[0], plant.flows(*weather, plant.pump_flow(command)))
+    assert plant.x2 == pytest.approx(wanted, rel=1e-12)
+    assert command_to(*given, wanted - 1e-3, *weather) == 0
+    weak = replace(site, c_hat=15.0)
+    assert command_to(weak, soil_of(weak), 24.0, 1.0, 2.0, *weather) == 0
+
+
 def test_commands_beyond_one_are_not_clamped() -> None:
     """The paper's on/off runs go up to v = 2: twice the maximum flow at 75 m3."""
     assert pump_flow(PAPER_SITE, 75.0, 0.0, 2.0) == pytest.approx(0.01684410423005609, rel=1e-12)
 
 
 def test_drainage_by_hand() -> None:
-    """At x2/a2 = z_soil it is 2 K a2; at x2 = 41.28 m3, 0.6 m deep, it is 2.2 K a2."""
+    """Eq. (4): 0 if x2 < z_cap; at x2/a2 = z_soil it is 2 K a2, and 0.6 m deep 2.2 K a2."""
     assert drainage_flow(PAPER_SITE, PAPER_SITE.z_cap) == pytest.approx(1.077408e-5, rel=1e-12)
     assert drainage_flow(PAPER_SITE, 41.28) == pytest.approx(1.1851488e-5, rel=1e-12)
-
-
-def test_soil_drains_from_its_capacity_on() -> None:
-    """Eq. (4): 0 if x2 < z_cap, so at z_cap it drains."""
     assert drainage_flow(ROUND_SITE, just_below(32.0)) == 0.0
     assert drainage_flow(ROUND_SITE, 32.0) == pytest.approx(2 * 7.83e-8 * 64, rel=1e-12)
 
@@ -122,23 +145,6 @@ def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: 
     x1, x2 = cistern * site.a1, roof * site.a2
     found = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
     assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
-
-
-# 1/5 of the main outlet's radius, 1/25 of its area.
-LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
-
-
-def test_low_outlet_by_hand() -> None:
-    """A head of 1 m gives 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s, one of 1/4 m half of it.
-
-    At 4 m, with 1 m above the main outlet, both take water: 0.13263228 + sqrt(3) 0.00530529.
-    """
-    one = 0.1326322799584 / 25
-    assert outlet_flow(LOW_OUTLET, 50.0) == pytest.approx(one, rel=1e-12)
-    assert outlet_flow(LOW_OUTLET, 31.25) == pytest.approx(one / 2, rel=1e-12)
-    assert outlet_flow(LOW_OUTLET, 100.0) == pytest.approx((25 + math.sqrt(3)) * one, rel=1e-12)
-    assert outlet_flow(LOW_OUTLET, 25.0) == 0.0
-    assert 0 < outlet_flow(LOW_OUTLET, just_above(25.0)) < 1e-9
 
 
 def test_low_outlet_empties_the_detention_volume_as_torricelli_says() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +44,7 @@ def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) ->
     assert SOIL.filled_share(x2) == pytest.approx(filled, abs=1e-15)
     assert SOIL.kept_share(x2) == pytest.approx(kept, abs=1e-15)
     assert SOIL.water_stress(x2) == pytest.approx(stress, abs=1e-15)
+    assert (x2 < SOIL.stress_volume) == (stress < 1)
     assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
 
 
@@ -68,18 +70,27 @@ def test_water_stress_in_millimetres() -> None:
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
-    assert SOIL.drained(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+    for percolation in (SOIL.drained, SOIL.mean_percolation):
+        assert percolation(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+
+
+def solved(rate: Callable[[float], float], x2: float, seconds: float) -> float:
+    """Return what dx/dt = rate(x) makes of a volume (m3), by scipy."""
+    steps = solve_ivp(
+        lambda _, x: [rate(float(x[0]))], (0, seconds), [x2], rtol=1e-9, atol=1e-12,
+        max_step=seconds / 50,
+    )
+    return float(steps.y[0, -1])
 
 
 @pytest.mark.parametrize("x2", [1.0, 2.0, 4.0, 5.9, 5.9999])
 def test_water_to_fill(x2: float) -> None:
     """What has arrived, m3 for m3, until the soil, solved by scipy, has come to x2."""
     needed = SOIL.water_to_fill(x2)
-    came = solve_ivp(
-        lambda _, y: [1 - SOIL.drained(y[0], 1.0, 1e-9)], (0, needed), [0.0],
-        rtol=1e-10, atol=1e-12, max_step=0.01,
+    assert solved(lambda x: 1 - SOIL.drained(x, 1.0, 1e-9), 0.0, needed) == pytest.approx(
+        x2, rel=1e-5
     )
-    assert came.y[0, -1] == pytest.approx(x2, rel=1e-5)
+    assert float(SOIL.filled_by(np.array(needed))) == pytest.approx(x2, rel=1e-9)
     assert PAPER_SOIL.water_to_fill(x2) == x2
 
 
@@ -130,13 +141,13 @@ def test_the_layer_follows_its_equation(
     """dV/dt = i - k V^2, by an implicit method of scipy; also ticks far longer than its time."""
     site = replace(ROOF, drainage_storage=100.0, drainage_time=time * 1e-4)
     k = 1 / (100 * 100 * time * 1e-4)
-    solved = solve_ivp(
+    steps = solve_ivp(
         lambda _, v: inflow - k * v * v, (0, seconds), [layer], method="Radau",
         jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-10, atol=1e-13,
     )
     flow = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
     left = layer + seconds * (inflow - flow)
-    assert left == pytest.approx(solved.y[0, -1], rel=1e-6, abs=1e-9)
+    assert left == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -148,19 +159,8 @@ def test_free_changes_follow_their_equations(
     x2: float, rain: float, asked: float, seconds: float
 ) -> None:
     """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy."""
-
-    def rate(inflow: float, wanted: float) -> object:
-        return lambda _, x: [
-            SOIL.kept_share(float(x[0])) * inflow - SOIL.water_stress(float(x[0])) * wanted
-        ]
-
-    volume = x2
-    for inflow, wanted in ((rain * ROOF.a2, 0.0), (0.0, asked)):
-        solved = solve_ivp(
-            rate(inflow, wanted), (0, seconds), [volume], rtol=1e-9, atol=1e-12,
-            max_step=seconds / 50,
-        )
-        volume = float(solved.y[0, -1])
+    volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
+    volume = solved(lambda x: -SOIL.water_stress(x) * asked, volume, seconds)
     found = SOIL.free_changes(x2, np.array([[rain]]), np.array([asked]), np.array([seconds])
     )
     assert found.shape == (1, 1)
@@ -176,17 +176,9 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
     x2: float, arriving: float, seconds: float
 ) -> None:
     """dx/dt = (1 - S^2) i, by scipy; what came and did not stay has percolated."""
-    solved = solve_ivp(
-        lambda _, x: [SOIL.kept_share(float(x[0])) * arriving], (0, seconds), [x2], rtol=1e-9,
-        atol=1e-12, max_step=seconds / 50,
-    )
+    volume = solved(lambda x: SOIL.kept_share(x) * arriving, x2, seconds)
     passed = seconds * SOIL.mean_percolation(x2, arriving, seconds)
-    assert passed == pytest.approx(x2 + seconds * arriving - solved.y[0, -1], abs=1e-6)
-
-
-def test_above_field_capacity_all_percolates() -> None:
-    """And the excess: 0.5 m3 in 10 s."""
-    assert SOIL.mean_percolation(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+    assert passed == pytest.approx(x2 + seconds * arriving - volume, abs=1e-6)
 
 
 def test_free_changes_of_the_papers_soil_are_the_weather() -> None:

@@ -6,6 +6,7 @@ import re
 import signal
 import socket
 import time
+from datetime import datetime
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,6 +18,7 @@ from test_nodes import parameter
 
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.controllers.registry import BUILT_IN
+from greenroof_ros.pumping.interlocks import CONDITIONS
 
 HERE = socket.gethostname()
 
@@ -45,8 +47,11 @@ def check(arrays: list[DiagnosticArray]) -> None:
             assert status.hardware_id == HERE
             assert status.level in (OK, WARN, ERROR, STALE)
             assert status.message
-            keys = [entry.key for entry in status.values]
-            assert len(set(keys)) == len(keys)
+            values = {entry.key: entry.value for entry in status.values}
+            assert len(values) == len(status.values)
+            # What is not well has a code for programs; a node's own values are JSON.
+            code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
+            assert (code in CONDITIONS and bool(since)) == (status.level != OK), status
     codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
     assert len(codes) == len(names) and "" not in codes
 
@@ -136,6 +141,8 @@ def test_failure_of_a_node(domain: int, tmp_path: Path, observer: Observer) -> N
     check(arrays)
     assert {level for level, _ in said()[:-1]} == {OK}
     values = observer.values("/plant")
+    assert values["code"] == "node_failed"
+    assert abs(datetime.fromisoformat(values["since"]).timestamp() - time.time()) < 300
     assert "no start within 10 s" in values["failure"]
     assert "/pump/command from the controller" in values["failure"]
     assert "weather" not in values["failure"]

@@ -46,16 +46,6 @@ def test_help_starts_no_node(tmp_path: Path, command: str) -> None:
     assert "[--ros-args ...]" in help_of(tmp_path, command)
 
 
-def test_help_without_a_reader(tmp_path: Path) -> None:
-    """As behind '| head -1': no traceback."""
-    line = f"{sys.executable} -m greenroof_ros.nodes.plant --help | true"
-    done = subprocess.run(
-        ["bash", "-c", line], cwd=tmp_path, env=environment(1000), stderr=subprocess.PIPE,
-        text=True, timeout=60, check=False,
-    )
-    assert done.stderr == ""
-
-
 def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
     """Return the description of each parameter of a started node, but rclpy's own."""
     names = [

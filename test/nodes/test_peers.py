@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from bag_topics import MPC_TOPICS
 from graphs import bag_file, bring_up, wait_for
 from mcap.reader import make_reader
 from places import Once
-from ros_rig import Observer, start_node
+from rclpy.duration import Duration
+from ros_rig import FORECASTS, Observer, start_node
+from rosgraph_msgs.msg import Clock
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.messages import message_class
 
 
 class Nodes:
@@ -115,3 +123,67 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
         "nothing came within 5 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
+
+
+# What the test's own node says to one under test: topics, each with a value.
+Said = list[tuple[str, Any]]
+LEVEL = ("/cistern/level", 2.5)
+INPUTS: Said = [
+    LEVEL, ("/roof/level", 0.03), ("/weather/frost", 0.0), *((name, [0.0]) for name in FORECASTS)
+]
+RUN = ("/run", [7.0, 0.0, 0.0])
+# One of each topic that is recorded of mpc, the recorder's default.
+EACH: Said = [
+    (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
+    for name, topic in read_topics().items() if name in MPC_TOPICS
+]
+COUNT = "of each topic 1 messages should have come; messages were lost or came twice: /cistern/"
+# The node, what it is told, what then after its first command, its exit code, and what it says.
+WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
+    "a level twice before the run": (
+        "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
+    "a level twice in the run": (
+        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+    "another run": (
+        "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
+        "the plant was started again, or there are two"),
+    "a plant of another version": (
+        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is of another version"),
+    "one more of a topic": ("recorder", [RUN, *EACH, LEVEL], [], 1, f"{COUNT}level: 2\n"),
+    "one less of a topic": (
+        "recorder", [RUN, *(one for one in EACH if one != LEVEL)], [], 1, f"{COUNT}level: 0\n"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer, case: str) -> None:
+    """By name: exit code 3 before the run, 1 in it."""
+    node, before, then, code, words = WRONG[case]
+    names = {"/clock", *(topic for topic, _ in before + then)}
+    publishers = {topic: observer.publisher(topic) for topic in names}
+    commands = observer.hear("/pump/command")
+
+    def say(said: Said) -> None:
+        for topic, value in said:
+            kind = message_class(read_topics()[topic].type)
+            publishers[topic].publish(kind() if kind is Clock else kind(data=value))
+
+    say(before)
+    nodes.node(node, **({"peer_limit": 0.5} if node == "recorder" else {}))
+    if then:
+        observer.until(lambda: commands, 60, "a command")
+        for publisher in publishers.values():  # a reader that joins now would hear the newest alone
+            observer.until(publisher.get_subscription_count, 60, "its reader")
+            assert publisher.wait_for_all_acked(Duration(seconds=60))
+        time.sleep(0.5)
+        say(then)
+    assert nodes.code(node, 60) in (code, -signal.SIGALRM)
+    assert words in nodes.log(node)
+
+
+def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> None:
+    """As nodes that were started by hand find it: bringup looks before it starts any."""
+    both = [observer.publisher(LEVEL[0]) for _ in range(2)]
+    nodes.node("onoff")
+    assert len(both) == 2 and nodes.code("onoff", 60) == 3
+    assert "/cistern/level has 2 publishers (" in nodes.log("onoff")

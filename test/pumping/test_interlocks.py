@@ -24,7 +24,7 @@ from greenroof_ros.pumping.interlocks import (
 from greenroof_ros.pumping.ledger import Record
 from greenroof_ros.pumping.limits import pump_parameters, settings_for
 from greenroof_ros.pumping.pump_control import Decision
-from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
+from greenroof_ros.watch.advice import advise
 
 
 def codes(decision: Decision) -> list[str]:
@@ -32,8 +32,8 @@ def codes(decision: Decision) -> list[str]:
 
 
 NODE = [
-    "not_active", "drive_lost", "drive_local", "drive_timeout", "drive_guards_later", "no_permit",
-    "two_controllers", "two_pumps", "no_command",
+    "not_active", "drive_lost", "drive_local", "second_master", "drive_timeout",
+    "drive_guards_later", "no_permit", "two_controllers", "two_pumps", "no_command",
 ]
 CAUSES: dict[str, dict[str, Any]] = {
     "drive_fault": {"change": {"drive_fault": "overload"}},
@@ -42,8 +42,8 @@ CAUSES: dict[str, dict[str, Any]] = {
     "speed_not_followed": {"stuck_speed": 0.05},
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
     "fault_unknown": {"record": {"fault": "its phase is lost", "fault_code": "phase_lost"}},
-    "operator_stop": {"record": {"held": "an operator stopped it"}},
-    "record_unknown": {"record": {"unknown": "state.json cannot be read"}},
+    "operator_stop": {"record": {"operator_stop": "an operator stopped it"}},
+    "record_unknown": {"record": {"unknown": "whether there was a stop or a fault is not known"}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
     "roof_level_unknown": {"change": {"roof_level": math.inf}},
@@ -59,6 +59,8 @@ CAUSES: dict[str, dict[str, Any]] = {
     "drive_not_ready": {"change": {"drive_ready": False}},
 }
 """what of a rig with a pump that runs is other than it should be"""
+# Of these the sentence says more than the code, or is made up here: see test/watch/test_advice.py.
+SAYS_MORE = {"delivery", "fault_unknown", *NODE}
 
 
 @pytest.mark.parametrize("code", INTERLOCKS)
@@ -82,12 +84,12 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
         LATCHED: ("fault",), INHIBIT: ("held",), ENABLE: ("off", "stopping", "unknown"),
     }[kind]
     assert decision.why.startswith(decision.interlocks[code])
-    if code not in (*NODE, "record_unknown"):  # whose reasons are made up here
-        advice = advise("/pump", "pump", "pump", f"{decision.state}: {decision.why}")
-        assert advice not in (OTHER, FOREIGN)
+    if code not in SAYS_MORE:
+        advice = advise("/a/pump", "pump", "pump", f"{decision.state}: {decision.interlocks[code]}")
+        assert advice == INTERLOCKS[code].advice.format(node="/a/pump")
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, held="", unknown="", day_run=0.0, day_volume=0.0
+        rig.ledger.record, operator_stop="", unknown="", day_run=0.0, day_volume=0.0
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)
@@ -160,7 +162,6 @@ def test_the_table_is_whole() -> None:
     with pytest.raises(KeyError):
         evaluate({"operator_stops": "x"})
     rows = INTERLOCKS.values()
-    assert {code for one in rows for code in one.explained_by} <= INTERLOCKS.keys()
     kinds = [one.kind for one in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
     assert all(meaning and advice for meaning, advice in CONDITIONS.values())
@@ -182,7 +183,7 @@ def test_the_table_is_whole() -> None:
 # --- the codes that the parts of the package report -----------------------------------------------
 
 PACKAGE = CHECKOUT / "greenroof_ros"
-NODES = [file for room in ("graph", "nodes") for file in (PACKAGE / room).glob("*.py")]
+NODES = [file for room in ("graph", "nodes", "bringup") for file in (PACKAGE / room).glob("*.py")]
 INPUT_RULES = PACKAGE / "pumping" / "input_rules.py"
 
 

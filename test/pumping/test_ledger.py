@@ -90,7 +90,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     """
     file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    assert (ledger.record.held, ledger.record.fault, ledger.why_not_kept(20.0)) == ("", "", "")
+    assert (ledger.record, ledger.why_not_kept(20.0)) == (Record(), "")
     assert file.stat().st_size == 8192
     ledger.count(1e8 + 0.5, 0.0, 0.0)
     for _ in range(101):
@@ -99,19 +99,22 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     ledger.stop(text)
     assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
-    assert (again.fault, again.held) == (kept, kept)
+    assert (again.fault, again.operator_stop) == (kept, kept)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
 
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
-    """It is told who has the file; when that one is gone, a new one finds what that one wrote."""
+    """It is told who has the file; when that one is gone it takes over what that one wrote.
+
+    What it was told meanwhile counts, but not a release.
+    """
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
     first.switch(True)
     assert first.why_not_kept() == ""
-    second = Ledger(file, clock)
-    assert not second.writes
+    second, third = Ledger(file, clock), Ledger(file, clock)
+    assert not second.take()
     second.count_unseen(25.0, 0.001)
     first.fault("burst pipe", "delivery")
     first.stop("an operator stopped it")
@@ -124,12 +127,16 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert "--state, state_file" in problem
     second.stop("")
     second.count(100.0, 10.0, 1.0)
-    assert second.close() == problem
+    third.stop("stopped here")
+    third.fault("overload", "drive_fault")
     assert first.close() == ""
-    found = Ledger(file, clock)
-    assert found.writes
-    assert (found.record.fault, found.record.held) == ("burst pipe", "an operator stopped it")
-    assert found.record.day_volume == 0
+    assert second.take() and not second.take()
+    assert (second.record.fault, second.record.fault_code) == ("burst pipe", "delivery")
+    assert second.record.operator_stop == "an operator stopped it"
+    assert (second.record.day_volume, second.close()) == (0, "")
+    assert third.take()
+    assert (third.record.fault, third.record.fault_code) == ("overload", "drive_fault")
+    assert (third.record.operator_stop, third.close()) == ("stopped here", "")
 
 
 def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Clock) -> None:
@@ -142,7 +149,15 @@ def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Cloc
     assert ledger.why_not_kept(20.0).startswith(f"{file} cannot be written: TypeError")
     clock.now = 1_800_000_000.0
     assert ledger.why_not_kept(20.0) == ""
-    assert read(file, clock).held == "an operator stopped it"
+    assert read(file, clock).operator_stop == "an operator stopped it"
+
+
+def test_starts_of_an_hour_are_known() -> None:
+    """At most one a second."""
+    ledger = Ledger(None, time.time)
+    for _ in range(3605):
+        ledger.switch(True)
+    assert len(ledger.record.starts) == 3600
 
 
 def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
@@ -230,8 +245,8 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
 def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> None:
     """It knew no codes; its fault and the day's use count on."""
     old = {
-        "sequence": 2, "held": "", "fault": "burst pipe", "elapsed": 60.0, "day_run": 30.0,
-        "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
+        "sequence": 2, "held": "look at it", "fault": "burst pipe", "elapsed": 60.0,
+        "day_run": 30.0, "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
     }
     lines = b""
     for sequence in (1, 2):
@@ -241,11 +256,12 @@ def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> N
     file.write_bytes(lines)
     record = Ledger(file, clock).record
     assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
+    assert record.operator_stop == "look at it"  # it called that held
     assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff" * 8192, b" " * 8192, b"[" * 100_000])
-def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
+def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     """Until somebody releases it, who is told to look at it first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
@@ -253,6 +269,7 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     decision = rig.run(30, 1.0)
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith(f"{file} cannot be read (")
+    assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
     assert decision.why.endswith("look at the pump, then release it")
     assert rig.ledger.why_not_kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
@@ -280,7 +297,7 @@ def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
         ledger.fault(f"fault {number}", "delivery")
         assert ledger.why_not_kept() == ""
         again = Ledger(file, clock).record
-        assert (again.held, again.fault) == (f"stop {number}", f"fault {number}")
+        assert (again.operator_stop, again.fault) == (f"stop {number}", f"fault {number}")
 
 
 def test_a_disk_that_was_full_before(disk: Path) -> None:
@@ -323,7 +340,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         os.kill(writer.pid, signal.SIGKILL)
         writer.wait()
         before = written(file)["sequence"]
-        assert read(file, time.time).held == "x" * 350
+        assert read(file, time.time).operator_stop == "x" * 350
 
 
 def test_fault_stop_volume_and_starts_survive_the_pump(tmp_path: Path) -> None:

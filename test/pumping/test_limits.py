@@ -8,12 +8,10 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, paper_run, site_with, sites
+from paper import PAPER_SITE, site_with, sites
 from pump_rig import Rig
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger
@@ -155,21 +153,21 @@ def test_volume_per_day() -> None:
 
 
 def test_run_time_per_day() -> None:
-    """Three minutes, in as many runs as it takes."""
-    rig = Rig(settings=settings_for(PAPER_SITE, greatest_run_per_day=180.0))
+    """Two minutes, in as many runs as it takes."""
+    rig = Rig(settings=settings_for(PAPER_SITE, greatest_run_per_day=120.0))
     for _ in range(8):
         rig.run(40, 0.3)
         rig.run(20, 0.0)
     assert rig.decisions[-1].state == "held"
-    assert "it ran for 4 min in this day, the most is 3 min" in rig.decisions[-1].why
+    assert "it ran for 3 min in this day, the most is 2 min" in rig.decisions[-1].why
     asked = sum(one.speed is not None for one in rig.decisions)
     # The seconds in which it came to rest count, too.
-    assert 140 <= asked <= 180
+    assert 80 <= asked <= 120
 
 
 def test_a_run_without_a_break() -> None:
     """100 s at length, then 100 s of rest; or less, once the command was 0."""
-    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=100.0))
+    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=99.5))
     rig.run(200, 0.3, until=lambda one: one.state == "held")
     assert rig.decisions[-1].why.startswith(
         "it ran for 100 s without a break; it rests until the command is 0, or for 100 s"
@@ -351,23 +349,6 @@ def test_volume_within_a_least_pulse(
     assert lead <= 0.1 * LEAST_PULSE
     assert not any(one.warning for one in rig.decisions)
     assert max(one.flow for one in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
-
-
-def test_hours_of_mpc() -> None:
-    """What mpc with weight 1e-3 commands in a simulated run, 3 mm of rain included."""
-    run = paper_run("--controller", "mpc", "--hours", "2", "--start", "2021-07-07T03:30")
-    rig: Rig | None = None
-    commanded = worst = 0.0
-    assert max(run.series.precipitation) > 2.9 / 3.6e6
-    for tick in closed_loop(run, run.make_controller(), Metrics()):
-        rig = rig or Rig(tick.x1, tick.x2)
-        # The pump sees the levels of the simulated run, so that both have the same full roof.
-        rig.plant.x1, rig.plant.x2 = tick.x1, tick.x2
-        rig.step(tick.command)
-        worst = max(worst, abs(commanded - rig.delivered))
-        commanded += tick.flows.pump
-    assert commanded > 15 * LEAST_PULSE
-    assert worst <= LEAST_PULSE
 
 
 def test_too_many_starts_are_said() -> None:

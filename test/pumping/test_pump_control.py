@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
+from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -49,6 +50,8 @@ def test_a_pulse_in_words() -> None:
         ("running", "a pulse, since the command is below the least flow"),
         ("stopping", "the next pulse is not due yet"),
     }
+    rig.run(600, 0.1)
+    assert "m3 are owed, more than a least pulse" in rig.decisions[-1].warning
 
 
 def test_it_stays_on_for_its_least_time() -> None:
@@ -112,7 +115,8 @@ def test_what_is_not_known_is_said_so() -> None:
     That is seen, or it was not heard for the 15 s of its own timeout; what says nonsense is heard.
     """
     rig = Rig()
-    assert rig.step(0.0).stands
+    decision = rig.step(0.0)
+    assert (decision.stands, decision.blind_for) == (True, 0.0)
     decision = rig.run(15, 0.5)
     assert (decision.stands, decision.flow_known) == (False, True)
     assert decision.turns_at is not None and decision.turns_at > 0.5
@@ -201,6 +205,14 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert 12 <= rig.now - begun <= 17
     rig.stuck_speed = None
     assert rig.run(100, command).state == "fault"
+
+
+@pytest.mark.parametrize(("speed", "stands"), [(0.015, True), (0.02, True), (0.021, False)])
+def test_the_driver_and_the_control_agree_on_what_stands(speed: float, stands: bool) -> None:
+    status = DriveStatus(True, False, "", "", speed, None, remote=True)
+    rig = Rig()
+    rig.change = {"speed": speed}
+    assert (status.stands, rig.step(0.0).stands) == (stands, stands)
 
 
 LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
@@ -351,6 +363,14 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     after = rig.ledger.record
     assert (after.day_run, after.day_volume) == (before.day_run, before.day_volume)
     assert rig.run(15, 0.5).state in ("starting", "running")
+
+
+def test_what_may_be_pumped_in_a_suspend_is_part_of_a_run() -> None:
+    """On for 49 s, and for 15 s in which nobody was there: more than a minute without a break."""
+    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=60.0))
+    assert rig.run(60, 1.0).state == "running"
+    rig.suspend(15.0, runs_on=15.0)
+    assert "longest_run" in rig.step(1.0).interlocks
 
 
 def test_what_is_not_heard_counts_at_worst() -> None:

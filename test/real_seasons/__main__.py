@@ -54,10 +54,13 @@ from greenroof_ros.weather.reading import read_weather  # noqa: E402
 Array = NDArray[np.float64]
 
 SERVICES = {"gem": "gem_global", "knmi": "knmi_seamless", "gfs": "gfs_seamless"}
-START = datetime(2024, 2, 20, 12, tzinfo=timezone.utc)
-HOURS = 7548.0
-# Weeks from the start of which May to October is made: 30 April to 29 October.
-SUMMER = slice(10, 36)
+# Start and hours of the runs: as far as the archives go, and a season that begins with a dry roof.
+# After the winter's rain the paper's roof, which drains when it is full only, stays full until
+# September: in the whole year there is little to decide.
+PERIODS = {
+    "20 February to 31 December": (datetime(2024, 2, 20, 12, tzinfo=timezone.utc), 7548.0),
+    "May to October": (datetime(2024, 5, 1, tzinfo=timezone.utc), 4416.0),
+}
 # The roofs, and so many hours a dressed forecast has on each: as far as its controllers look.
 ROOFS = {"paper": ("site.yaml", 120.0), "measured": ("site_catchment.yaml", 48.0)}
 MAINS = {"mains_level": 0.85, "mains_flow": 5e-4}
@@ -117,10 +120,13 @@ def grid(roof: str, sources: Sequence[str]) -> dict[str, object]:
     ]
     return {
         "site": f"{roof}.yaml",
-        "weather": [{
-            "file": "gauge.csv", "start": START.isoformat(), "hours": HOURS, "gaps": "fill",
-            "evapotranspiration": "assumed",
-        }],
+        "weather": [
+            {
+                "file": "gauge.csv", "start": start.isoformat(), "hours": hours, "gaps": "fill",
+                "evapotranspiration": "assumed",
+            }
+            for start, hours in PERIODS.values()
+        ],
         "initial": "low-low",
         "bound_block": 0,
         "controllers": {
@@ -174,8 +180,8 @@ class Row:
     weeks: Array
 
 
-def rows(study: Path) -> list[Row]:
-    """Return the runs of a study."""
+def rows(study: Path, hours: float) -> list[Row]:
+    """Return the runs of a study that have so many hours."""
     with (study / "results.csv").open(encoding="utf-8") as stream:
         return [
             Row(
@@ -185,6 +191,7 @@ def rows(study: Path) -> list[Row]:
                 np.array([float(value) for value in row["weekly_deviation_m3"].split()]),
             )
             for row in csv.DictReader(stream)
+            if float(row["hours"]) == hours
         ]
 
 
@@ -200,22 +207,25 @@ def ratio(own: Array, other: Array) -> str:
     return f"{own.sum() / other.sum():.3f} ({low:.3f} to {high:.3f})"
 
 
-def table(found: Sequence[Row], weeks: slice) -> Iterator[str]:
-    """Yield the rows of the table of a roof."""
-    onoff, dry, perfect = (
-        next(one.weeks[weeks] for one in found if one.forecast == name)
-        for name in ("on/off", "no_rain", "perfect")
-    )
-    for one in found:
-        own = one.weeks[weeks]
-        gained = (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
-        cells = [
-            one.forecast, "dressed" if one.dressed else "as issued",
-            "learned" if one.trusts else "full", ratio(own, onoff), ratio(own, dry),
-            f"{100 * gained:+.0f} %",
-        ]
-        if one.forecast == "on/off":
-            cells[1:3] = ["", ""]
+def table(found: Sequence[Row]) -> Iterator[str]:
+    """Yield the rows of the table of a roof in a period.
+
+    Forecasts that are trusted in full have a row of their own where that changes anything.
+    """
+    runs = {(one.forecast, one.trusts, one.dressed): one.weeks for one in found}
+    onoff, dry, perfect = (runs[name, False, False] for name in ("on/off", "no_rain", "perfect"))
+    for forecast, trusts in dict.fromkeys((one.forecast, one.trusts) for one in found):
+        ours = [runs.get((forecast, trusts, dressed)) for dressed in (False, True)]
+        learned = [runs.get((forecast, True, dressed)) for dressed in (False, True)]
+        if not trusts and all(map(np.array_equal, ours, learned)):
+            continue
+        cells = [forecast + (", trusted in full" if learned[0] is not None and not trusts else "")]
+        for own in ours:
+            if own is None:
+                cells += [""] * 3
+                continue
+            gained = (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
+            cells += [ratio(own, onoff), ratio(own, dry), f"{100 * gained:+.0f} %"]
         yield f"| {' | '.join(cells)} |"
 
 
@@ -225,8 +235,9 @@ def trust_over_time(directory: Path, roof: str, source: str) -> Array:
     site = read_site(site_file)
     weather = read_weather([directory / "gauge.csv"], site, "assumed", "fill")
     controller = find_controller("lookahead")
+    start, hours = PERIODS["May to October"]
     run = build_run(
-        site_file, site, weather, START.isoformat(), count_ticks(site, HOURS, "hours"),
+        site_file, site, weather, start.isoformat(), count_ticks(site, hours, "hours"),
         controller, controller.defaults(site), "low-low", initial_state(site, "low-low"),
         replace(choose(str(directory / f"{source}.csv")), delay=SERVICE_DELAY_H),
     )
@@ -239,9 +250,10 @@ def trust_over_time(directory: Path, roof: str, source: str) -> Array:
 
 def draw_trust(output: Path) -> None:
     """Draw how far each roof's controller trusts each source, over the months."""
+    first, _ = PERIODS["May to October"]
     values = [
         {
-            "day": (START + timedelta(days=day)).isoformat(), "trust (%)": 100 * trust,
+            "day": (first + timedelta(days=day)).isoformat(), "trust (%)": 100 * trust,
             "forecast": source, "roof": roof,
         }
         for roof in ROOFS
@@ -266,7 +278,8 @@ def main() -> None:
     if not inputs.exists():
         inputs.mkdir(parents=True)
         write_inputs(arguments.archives, inputs)
-    heads = "| forecast | | trust | over on/off | over no rain | of what perfect forecasts gain |"
+    three = "over on/off | over no rain | gained"
+    heads = f"| forecast | as issued: {three} | dressed: {three} |\n|---|---|---|---|---|---|---|"
     for roof in ROOFS:
         study = arguments.output / roof
         subprocess.run(
@@ -276,9 +289,9 @@ def main() -> None:
             ],
             check=True,
         )
-        for words, weeks in (("20 February to 31 December", slice(None)), ("summer", SUMMER)):
-            print(f"\n{roof}, {words}\n\n{heads}\n|---|---|---|---|---|---|")
-            for line in table(rows(study), weeks):
+        for words, (_, hours) in PERIODS.items():
+            print(f"\n{roof}, {words}\n\n{heads}")
+            for line in table(rows(study, hours)):
                 print(line, flush=True)
     draw_trust(arguments.output)
 

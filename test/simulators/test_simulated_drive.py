@@ -515,6 +515,16 @@ def test_dropped_closes_at_the_request(drive: Simulator) -> None:
             bus.ask(READ)
 
 
+def test_a_drive_that_runs_on_may_end_its_connections_but_at_no_order(drive: Simulator) -> None:
+    drive.inject("runs_on", 1)
+    with Bus(drive.ports[0]) as bus:
+        assert bus.ask(READ) == ANSWER
+        time.sleep(1.1)
+        bus.write(0, 0x047E)
+        with pytest.raises(ConnectionError):
+            bus.ask(READ)
+
+
 @pytest.mark.parametrize("gone", ["refused", "power_cycle"])
 def test_a_port_that_closes_and_comes_back(drive: Simulator, gone: str) -> None:
     """Refused until that ends; without power until it has booted, and the control word is gone."""
@@ -580,7 +590,6 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "silence has no parameter" in refused(*abb, "--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused(*abb, "--fault", "late=soon")
     assert "is no exception code" in refused(*abb, *FREE, "--fault", "exception=99")
-    assert "name one with --workbench" in refused(*abb, "--port", "65535")
     own = tmp_path / "own.yaml"
     own.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
     assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(own))

@@ -31,7 +31,7 @@ WRONG = {
     ),
     "site-value": (
         edited(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, a2: -1}"),
-        "a2 = -1.0: must be greater than 0",
+        "a2 = -1.0: must be from 1e-12 to 1e+09",
     ),
     "bound-block": (
         GRID + "bound_block: 0.5\n",
@@ -319,7 +319,7 @@ def test_a_site_with_a_wrong_value(tmp_path: Path) -> None:
         read_grid(tmp_path / grid(tmp_path, text))
     assert str(refused.value) == (
         f"{tmp_path / 'grid.yaml'}, line 2: site.yaml with these values: tau = 0.0: must be "
-        "greater than 0"
+        "from 0.001 to 3600 (s, duration of a tick)"
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, Wire, acs880
+from modbus_wire import Answer, Wire, acs880
 from paper import PAPER_SITE
 from pump_rig import Rig
 
@@ -42,25 +42,6 @@ def rig_that(**change: Any) -> Rig:
     return rig
 
 
-def dry() -> Rig:
-    rig = Rig(x1=0.0)
-    rig.run(3, 1.0)
-    return rig
-
-
-def held() -> Rig:
-    rig = Rig()
-    rig.control.stop(True)
-    rig.run(3, 1.0)
-    return rig
-
-
-def too_long(**limit: float) -> Rig:
-    rig = Rig(settings=settings_for(PAPER_SITE, **limit))
-    rig.run(300, 1.0, until=lambda one: one.state == "held")
-    return rig
-
-
 def fault(seconds: float, command: float, **broken: Any) -> Rig:
     """Return a rig in which something breaks when it has run, until its fault."""
     rig = Rig(x2=0.5)
@@ -71,36 +52,19 @@ def fault(seconds: float, command: float, **broken: Any) -> Rig:
     return rig
 
 
-STATES: dict[str, tuple[Any, str]] = {
-    "no command": (lambda: rig_that(command=None), "The controller says"),
-    "nonsense": (lambda: rig_that(command=-1.0), "The controller commands nonsense"),
-    "cistern unknown": (lambda: rig_that(cistern_level=None), "A water level is not known"),
-    "roof unknown": (lambda: rig_that(roof_level=None), "A water level is not known"),
-    "frost": (lambda: rig_that(frost=True), "Nothing to do: the pump stands in frost"),
-    "frost unknown": (lambda: rig_that(frost=None), "It is not known whether there is frost"),
-    "dry": (dry, "There is too little water in the cistern"),
-    "held": (held, "Somebody holds the pump off"),
-    "long": (lambda: too_long(greatest_run=60.0), "The pump ran for as long as it may"),
-    "a day": (lambda: too_long(greatest_run_per_day=60.0), "The pump has done all it may"),
-    "a day's volume": (
-        lambda: too_long(greatest_volume_per_day=0.3), "The pump has done all it may"
-    ),
-    "not ready": (lambda: rig_that(drive_ready=False), "The drive does not say"),
-    "no speed": (lambda: rig_that(speed=None), "The drive is not heard, and whether"),
-    "backwards": (lambda: rig_that(speed=-0.5), "Switch the drive off at its panel"),
-    "drive's fault": (
-        lambda: rig_that(drive_fault="overcurrent (code 2310)"), "The drive has switched"
-    ),
-    "runs on": (lambda: fault(60, 0.0, stuck_speed=0.7), "The pump turns although"),
-    "blocked": (lambda: fault(60, 1.0, stuck_speed=0.1), "The pump turns at another speed"),
-    "burst pipe": (lambda: fault(900, 1.0, arriving=0.0), "Water leaves the cistern"),
-    "closed valve": (lambda: fault(900, 1.0, arriving=0.0, leaving=0.0), "The pump runs and moves"),
-    "contactor": (lambda: fault(600, 0.0, contactor_stuck=True), "The pump turns although"),
-    "leak": (lambda: fault(4000, 0.3, leak=0.01), "The cistern loses more water"),
-    "stuck cistern": (
-        lambda: fault(900, 1.0, leaving=0.0), "Water arrives on the roof and the cistern"
-    ),
-}
+@pytest.mark.parametrize(("seconds", "command", "broken", "advice"), [
+    (900, 1.0, {"arriving": 0.0}, "Water leaves the cistern"),
+    (900, 1.0, {"arriving": 0.0, "leaving": 0.0}, "The pump runs and moves"),
+    (600, 0.0, {"contactor_stuck": True}, "The pump turns although"),
+    (4000, 0.3, {"leak": 0.01}, "The cistern loses more water"),
+    (900, 1.0, {"leaving": 0.0}, "Water arrives on the roof and the cistern"),
+], ids=["burst pipe", "closed valve", "contactor", "leak", "stuck cistern"])
+def test_what_the_levels_show(
+    seconds: float, command: float, broken: dict[str, Any], advice: str
+) -> None:
+    """On the other interlocks see test_interlocks.py."""
+    message = f"fault: {fault(seconds, command, **broken).decisions[-1].why}"
+    assert on_pump("pump", message).startswith(advice), message
 
 
 @pytest.mark.parametrize(("why", "advice"), [
@@ -110,27 +74,6 @@ STATES: dict[str, tuple[Any, str]] = {
 def test_a_stopped_pump_that_may_turn_is_not_to_be_released(why: str, advice: str) -> None:
     """What the pump node says then is that of PumpControl: see its tests."""
     assert on_pump("pump", f"held: an operator stopped it; {why}").startswith(advice)
-
-
-@pytest.mark.parametrize("name", STATES)
-def test_every_reason_why_the_pump_stands(name: str) -> None:
-    make, advice = STATES[name]
-    decision = make().decisions[-1]
-    assert decision.speed is None
-    message = f"{decision.state}: {decision.why}"
-    assert on_pump("pump", message).startswith(advice), message
-
-
-def test_services_that_are_advised_are_those_of_the_node() -> None:
-    state = held().decisions[-1]
-    advice = advise("/site1/pump", "pump", "pump", f"{state.state}: {state.why}")
-    assert advice.endswith(
-        'ros2 service call /site1/pump/stop std_srvs/srv/SetBool "{data: false}"'
-    )
-    latched = rig_that(drive_fault="overcurrent").decisions[-1].why
-    assert advise("/a/pump", "pump", "pump", f"fault: {latched}").endswith(
-        "ros2 service call /a/pump/reset std_srvs/srv/Trigger"
-    )
 
 
 def test_every_warning_about_the_pumps_limits() -> None:
@@ -228,24 +171,19 @@ def test_a_state_file_that_is_not_kept(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def registers() -> Registers:
-    return acs880()
-
-
-@pytest.fixture
-def wire(registers: Registers) -> Iterator[Wire]:
-    wire = Wire(registers)
+def wire() -> Iterator[Wire]:
+    wire = Wire(acs880())
     yield wire
     wire.close()
 
 
-def drive_at(address: str, **given: Any) -> Any:
+def drive_at(address: str) -> Any:
     """Return what the pump node knows of its drive, which it calls."""
     pump = pytest.importorskip("greenroof_ros.nodes.pump", reason="nodes need ROS 2")
     drive = pump._Drive({
         "drive": "abb_acs880", "address": address, "exchange_period": 0.05,
         "drive_timeout_limit": 10.0, "activate_without_drive_timeout": False,
-        "local_settings_stop_the_pump": False, **given,
+        "local_settings_stop_the_pump": False,
     }, "pump")
     drive.connect()
     return drive
@@ -260,30 +198,8 @@ def absence(drive: Any, words: str) -> str:
     return str(why)
 
 
-def closed(_: bytes) -> Answer:
-    return None
-
-
 def silent(_: bytes) -> Answer:
     return []
-
-
-def exception(request: bytes) -> Answer:
-    return [(0.0, request[:4] + b"\x00\x03" + request[6:7] + bytes([request[7] | 0x80, 4]))]
-
-
-@pytest.mark.parametrize(("answer", "words"), [
-    (closed, "connection was closed"), (silent, "no valid answer"), (exception, "exception 4"),
-])
-def test_a_drive_that_is_not_heard(answer: Any, words: str) -> None:
-    wire = Wire(answer)
-    drive = drive_at(wire.gateway)
-    try:
-        why = absence(drive, words)
-        assert on_pump("drive", why).startswith("The drive is not heard. See that"), why
-    finally:
-        drive._exchange.close()
-        wire.close()
 
 
 def test_a_drive_that_is_not_there_and_one_that_somebody_has(wire: Wire) -> None:
@@ -302,25 +218,6 @@ def test_a_drive_that_is_not_there_and_one_that_somebody_has(wire: Wire) -> None
     finally:
         for one in (first, second):
             one._exchange.close()
-
-
-@pytest.mark.parametrize(("change", "limit", "words"), [
-    ({5814: 0}, 10.0, "is off"), ({}, 1.0, "must be at most"),
-])
-def test_a_drive_that_would_run_on(
-    wire: Wire, registers: Registers, change: dict[int, int], limit: float, words: str
-) -> None:
-    registers.values.update(change)
-    drive = drive_at(wire.gateway, drive_timeout_limit=limit)
-    try:
-        until = time.monotonic() + 60
-        while words not in (why := drive.timeout_problem(drive.snapshot)):
-            assert time.monotonic() < until, why
-            time.sleep(0.01)
-        for part in ("drive timeout", "pump"):
-            assert on_pump(part, why).startswith("If this computer failed"), why
-    finally:
-        drive._exchange.close()
 
 
 # --- sensors and the weather ----------------------------------------------------------------------

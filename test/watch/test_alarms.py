@@ -18,7 +18,7 @@ from greenroof_ros.watch.alarms import Alarms, Status
 from greenroof_ros.watch.causes import Trouble, find_causes
 
 OK, WARN, ERROR, STALE = range(4)
-HELD = "an operator stopped it"
+STOPPED = "an operator stopped it"
 
 
 def node(
@@ -265,8 +265,8 @@ def test_events_of_parameters() -> None:
 def test_events_of_a_stop_and_a_fault() -> None:
     alarms = Alarms()
     overheat = "the drive reports: overheat"
-    for held, fault in (("", ""), (HELD, ""), (HELD, ""), ("", ""), ("", overheat), ("", "")):
-        alarms.hear(0.0, 5.0, node("/pump", "pump", held=held, fault=fault))
+    for stop, fault in (("", ""), (STOPPED, ""), (STOPPED, ""), ("", ""), ("", overheat), ("", "")):
+        alarms.hear(0.0, 5.0, node("/pump", "pump", stop=stop, fault=fault))
     assert happened(alarms) == [
         "stop was asked for: the pump is held off", "the stop was released",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
@@ -312,8 +312,8 @@ BRAKE = "the drive reports: brake check"
     (LOST, WARN, f"off: {LOST}; whether the pump stands is not known", "Go and see"),
     (LOST, ERROR, f"fault: {BRAKE}; {LOST}", "/pump/reset"),
     (LOST, ERROR, f"fault: {LEAK}; {LOST}", "/pump/reset"),
-    (LOST, WARN, f"held: {HELD}; {LOST}", "data: false"),
-    (LOST, WARN, f"held: {HELD}; {LOST}; the pump still turns, at 0.80", "at its drive's panel"),
+    (LOST, WARN, f"held: {STOPPED}; {LOST}", "data: false"),
+    (LOST, WARN, f"held: {STOPPED}; {LOST}; the pump still turns, at 0.80", "at its drive's panel"),
     ("the drive: it is in local control", ERROR, f"fault: {BRAKE}; the drive is not ready",
      "/pump/reset"),
     (LOST, WARN, f"off: {LOST}; " + "x" * 500, "The drive is not heard"),
@@ -399,7 +399,8 @@ def test_the_order_of_alarms() -> None:
         other,
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
         *node("/recorder", "recorder", ("recording", ERROR, "nothing is recorded: full")),
-        *node("/pump", "pump", ("limits", WARN, "5 m3 are owed"), ("pump", WARN, f"held: {HELD}")),
+        *node("/pump", "pump", ("limits", WARN, "5 m3 are owed"),
+              ("pump", WARN, f"held: {STOPPED}")),
     ])
     assert present(alarms) == [
         "/pump: pump", "/recorder: recording", "/mpc", "/weather: rain gauge", "/pump: limits",
@@ -444,8 +445,8 @@ def test_a_namespace_has_its_own_alarms() -> None:
     """Another graph's nodes are other devices, and never say what this one's pump does."""
     alarms = Alarms("/site1")
     alarms.hear(0.0, 0.0, [
-        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, held=HELD),
-        *node("/site1/pump", "pump", ("pump", WARN, f"held: {HELD}"), flow=1.0),
+        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, stop=STOPPED),
+        *node("/site1/pump", "pump", ("pump", WARN, f"held: {STOPPED}"), flow=1.0),
         *node("/site1/mpc", "controller"),
     ])
     said = alarms.said("pump")
@@ -512,7 +513,7 @@ _STATUSES = st.builds(
     Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS, _TEXTS,
     st.dictionaries(
         st.sampled_from([
-            "role", "refused", "held", "fault", "warnings", "waiting", "parameter_changes",
+            "role", "refused", "stop", "fault", "warnings", "waiting", "parameter_changes",
             "failure", "parameter_change_count",
         ]) | _TEXTS, _TEXTS, max_size=8,
     ),

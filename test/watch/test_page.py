@@ -373,7 +373,7 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(browser: Any) -> None:
 
 def test_the_release_of_a_stop_stands_beside_it(browser: Any) -> None:
     watched = site_watched("loop")
-    pump = replace(PUMP, values={**PUMP.values, "held": '"an operator stopped it"'})
+    pump = replace(PUMP, values={**PUMP.values, "stop": '"an operator stopped it"'})
     with saying(watched, PUMP) as said, served(watched) as port, opened(browser, port) as page:
         until_shown(page, "#stop-button")
         assert not page.locator("#release").is_visible()
@@ -529,7 +529,7 @@ def test_a_stop_that_was_only_accepted_keeps_its_button(browser: Any) -> None:
         state = json.dumps(f"held: an operator stopped it{why}")
         return status(
             "/pump", 0, "ready", role='"pump"', process='"a 1"', pump=state,
-            stands=json.dumps(stands), held=json.dumps("an operator stopped it"),
+            stands=json.dumps(stands), stop=json.dumps("an operator stopped it"),
         )
 
     watched = site_watched("simulated")

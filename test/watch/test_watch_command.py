@@ -378,11 +378,11 @@ def _stop_and_look_again(domain: int, tmp_path: Path, process: Process) -> None:
     answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
     assert answer.status == 200 and answer.json()["ok"], answer.json()
     wait_for(
-        lambda: (one := document(port))["stop"]["held"] and one["tiles"]["pump"]["state"] == "held",
-        60, "the pump held",
+        lambda: (one := document(port))["stop"]["stopped"]
+        and one["tiles"]["pump"]["state"] == "held", 60, "the stop",
     )
     again, second = watcher(domain, tmp_path)
-    wait_for(lambda: document(second)["stop"]["held"], 60, "the pump held, as another one sees it")
+    wait_for(lambda: document(second)["stop"]["stopped"], 60, "the stop, as another one sees it")
     again.process.send_signal(signal.SIGINT)
     assert again.wait(120) == 0
 

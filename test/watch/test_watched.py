@@ -27,7 +27,7 @@ from greenroof_ros.watch.incident_rows import Dated
 from greenroof_ros.watch.outlook import step_ends
 from greenroof_ros.watch.watched import LINES, Watched
 
-HELD = "an operator stopped it"
+STOPPED = "an operator stopped it"
 SITE = replace(PAPER_SITE, utc_offset=-5.0)
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, 00:00 at the paper's site
@@ -546,7 +546,7 @@ def test_a_watcher_that_knows_nothing() -> None:
 def test_another_run_begins() -> None:
     one = watched()
     one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
-    one.add_statuses(100.0, [node("pump", pump="held: an operator stopped it", held=HELD)])
+    one.add_statuses(100.0, [node("pump", pump="held: an operator stopped it", stop=STOPPED)])
     one.begin_anew()
     assert shown(one)["mode"] == "none"
     assert shown(one)["tiles"]["roof"]["number"] is None
@@ -639,7 +639,8 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
     assert not shown(one)["stop"]["possible"]  # it was there: whoever listens says whether it is
     one.set_pump("/pump")
     assert shown(one)["stop"] == {
-        "possible": True, "held": False, "node": "/pump", "label": "Stop the pump", "warning": "",
+        "possible": True, "stopped": False, "node": "/pump", "label": "Stop the pump",
+        "warning": "",
         "sentence": "Holds the pump off until somebody releases it at the pump node.",
         "call": 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: true}"', "release": "",
     }
@@ -650,9 +651,9 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
 
 def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
     document = stop_after(
-        "held: an operator stopped it; there is frost", stands=True, held=HELD
+        "held: an operator stopped it; there is frost", stands=True, stop=STOPPED
     )
-    assert document["stop"]["held"]
+    assert document["stop"]["stopped"]
     assert document["stop"]["label"] == "The pump is held off"
     assert "the pump is held off: an operator stopped it" in (
         document["tiles"]["summary"]["sentence"]
@@ -662,22 +663,22 @@ def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
 @pytest.mark.parametrize("state", ["off: the command is 0", "held: there is frost", "fault: leak"])
 def test_a_pump_that_is_off_can_be_kept_off(state: str) -> None:
     stop = stop_after(state, stands=True)["stop"]
-    assert (stop["possible"], stop["held"], stop["label"]) == (True, False, "Keep the pump off")
+    assert (stop["possible"], stop["stopped"], stop["label"]) == (True, False, "Keep the pump off")
 
 
 @pytest.mark.parametrize("state", ["held: an operator stopped it", "fault: a leak"])
 def test_a_stop_that_was_only_accepted(state: str) -> None:
     """The pump may turn for all that: the button stays, and so does what to do."""
-    document = stop_after(f"{state}; the pump still turns", stands=False, held=HELD)
+    document = stop_after(f"{state}; the pump still turns", stands=False, stop=STOPPED)
     stop = document["stop"]
-    assert (stop["possible"], stop["held"], stop["label"]) == (True, False, "Stop the pump")
+    assert (stop["possible"], stop["stopped"], stop["label"]) == (True, False, "Stop the pump")
     assert "Stop it at its drive's panel" in stop["warning"]
     assert document["tiles"]["summary"]["level"] == "error"
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
-    document = stop_after("held: an operator stopped it", 103.0, stands=True, held=HELD)
-    assert not document["stop"]["held"]
+    document = stop_after("held: an operator stopped it", 103.0, stands=True, stop=STOPPED)
+    assert not document["stop"]["stopped"]
     assert document["stop"]["sentence"].startswith("It was held off when last heard.")
     assert document["tiles"]["pump"]["value"] == "unknown"
     assert document["tiles"]["pump"]["sentence"].startswith("held when last heard")
@@ -795,11 +796,11 @@ def test_a_flow_that_is_not_known_is_a_gap() -> None:
 
 def test_the_release_of_a_stop_is_shown_while_one_holds() -> None:
     command = 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: %s}"'
-    stop = stop_after("held: an operator stopped it", stands=True, held=HELD)["stop"]
+    stop = stop_after("held: an operator stopped it", stands=True, stop=STOPPED)["stop"]
     assert (stop["call"], stop["release"]) == ("", command % "false")
-    stop = stop_after("held: an operator stopped it", stands=False, held=HELD)["stop"]
+    stop = stop_after("held: an operator stopped it", stands=False, stop=STOPPED)["stop"]
     assert (stop["call"], stop["release"]) == (command % "true", command % "false")
-    stop = stop_after("held: there is frost", stands=True, held="")["stop"]
+    stop = stop_after("held: there is frost", stands=True, stop="")["stop"]
     assert (stop["call"], stop["release"]) == (command % "true", "")
 
 
@@ -945,7 +946,7 @@ def test_an_ended_recording_has_no_stop() -> None:
     document = shown(one)
     assert document["tiles"]["pump"]["state"] == "held"
     assert document["tiles"]["controller"]["value"] == "not recorded"
-    assert (document["stop"]["possible"], document["stop"]["held"]) == (False, False)
+    assert (document["stop"]["possible"], document["stop"]["stopped"]) == (False, False)
 
 
 def test_a_recorded_fault_is_not_fine() -> None:

@@ -244,7 +244,7 @@ let stopBefore = { held: false, warning: "" };
 
 const showStop = (stop) => {
   byId("stop").hidden = !stop.possible;
-  byId("stop-button").disabled = stop.held;
+  byId("stop-button").disabled = stop.stopped;
   setText(byId("stop-button"), stop.label);
   setText(byId("ask-sentence"), stop.sentence);
   setText(byId("release-call"), stop.release);
@@ -254,7 +254,7 @@ const showStop = (stop) => {
   // An answer is of its time: it goes when the pump was released, or stands at last.
   const place = byId("answer");
   const unsure = place.classList.contains("failed") || stopBefore.warning;
-  if (stop.held !== stopBefore.held && (!stop.held || unsure)) place.hidden = true;
+  if (stop.stopped !== stopBefore.stopped && (!stop.stopped || unsure)) place.hidden = true;
   stopBefore = stop;
 };
 
@@ -292,7 +292,7 @@ const stopPump = async () => {
   } catch (error) {
     answer(`It is not known whether the pump stops: ${error.message}. Try again, or stop it at the pump itself.`, true);
   } finally {
-    byId("stop-button").disabled = Boolean(shown?.stop.held);
+    byId("stop-button").disabled = Boolean(shown?.stop.stopped);
     stream.open();
   }
 };
