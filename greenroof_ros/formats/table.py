@@ -1,12 +1,13 @@
-"""Hourly values in CSV: the lines, cells and checks that all formats share."""
+"""Values in columns of CSV: the lines, cells and checks that all formats share."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, tzinfo
+from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +18,15 @@ from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
     LAST_YEAR,
-    parse_local_time,
     parse_time,
     to_minutes,
 )
-from greenroof_ros.weather.records import HOUR, QUANTITIES
+from greenroof_ros.formats.records import HOUR, Limits
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a file, by the unit of :data:`QUANTITIES`: theirs = ours * per_ours + zero.
+    """A unit of a file, by the unit of ours: theirs = ours * per_ours + zero.
 
     Attributes:
         name: as the file writes it.
@@ -39,89 +39,144 @@ class Unit:
     zero: float = 0.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """A line of a table.
+class Table:
+    """A header and columns of cells, without space around them.
 
     Attributes:
         file: that it is from.
-        line: its number there, from 1.
-        cells: by the name of their column, without space around them.
+        header: the names of the columns.
+        lines: number of each row's line; empty where there are none, as in JSON.
     """
 
-    file: Path
-    line: int
-    cells: dict[str, str]
-
-    def refuse(self, expected: str, column: str | None = None) -> ConfigurationError:
-        """Return an error that names file and line, and of a column its value."""
-        value = None if column is None else self.cells[column]
-        return ConfigurationError(
-            expected, file=self.file, line=self.line, key=column, value=value
-        )
-
-    def value(
-        self, column: str, quantity: str, unit: Unit | None = None, missing: Container[str] = ()
-    ) -> float:
-        """Return a value of a quantity, in its unit of :data:`QUANTITIES`.
+    def __init__(
+        self, file: Path, header: list[str], read: Callable[[], list[list[str]]],
+        line: int | None = None, lines: Sequence[int] = (), key: str = "",
+    ) -> None:
+        """Take the header; the rows are read when a column is asked for.
 
         Args:
-            column: where it stands.
-            quantity: one of :data:`QUANTITIES`, which has its believable range.
-            unit: of the column; that of the quantity unless given.
+            file: that it is from.
+            header: the names of the columns.
+            read: returns the cells of each column.
+            line: number of the header's line; None where there are no lines, as in JSON.
+            lines: of each row.
+            key: under which the columns are in JSON, such as ``hourly.``
+        """
+        self.file, self.header = file, header
+        self.lines, self._read, self._line, self._key = lines, read, line, key
+
+    @cached_property
+    def columns(self) -> dict[str, list[str]]:
+        """The cells of each column, by its name."""
+        return dict(zip(self.header, self._read(), strict=True))
+
+    def refuse(
+        self, expected: str, column: str | None = None, row: int | None = None
+    ) -> ConfigurationError:
+        """Return an error that names the place and text of a cell, or of the header's cell."""
+        if column is None or row is None:
+            return ConfigurationError(expected, file=self.file, line=self._line, value=column)
+        key = f"{self._key}{column.partition(' ')[0]}[{row}]" if self._key else column
+        return ConfigurationError(
+            expected, file=self.file, line=self.lines[row] if self.lines else None, key=key,
+            value=self.columns[column][row],
+        )
+
+    def require(self, columns: Iterable[str], whose: str) -> None:
+        """Refuse a header that does not have each of some columns once."""
+        for column in columns:
+            if column not in self.header:
+                raise self.refuse(f"must have a column '{column}', as {whose} have")
+            if self.header.count(column) > 1:
+                raise self.refuse("is the name of two columns", column)
+
+    def numbers(
+        self, column: str, limits: Limits, unit: Unit | None = None, missing: Container[str] = ()
+    ) -> NDArray[np.float64]:
+        """Return a column's values in our unit, shape (rows,).
+
+        Args:
+            column: its name.
+            limits: our unit, and the believable range.
+            unit: of the column; ours unless given.
             missing: texts that stand for a missing value, which is NaN.
 
         Raises:
-            ConfigurationError: it is not a number, or not a believable one.
+            ConfigurationError: a cell is not a number, or not a believable one.
         """
-        text = self.cells[column]
-        if text in missing:
-            return math.nan
-        ours, low, high = QUANTITIES[quantity]
+        ours, low, high = limits
         unit = unit or Unit(ours)
-        try:
-            value = (float(text) - unit.zero) / unit.per_ours
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
-            raise self.refuse(
-                f"must be a number from {' to '.join(ends)} {unit.name}"
-                + (", or empty" if "" in missing else ""),
-                column,
-            )
-        return value
+        values = np.full(len(self.columns[column]), np.nan)
+        for row, text in enumerate(self.columns[column]):
+            if text in missing:
+                continue
+            try:
+                value = (float(text) - unit.zero) / unit.per_ours
+            except ValueError:
+                value = math.nan
+            if not low <= value <= high:
+                ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
+                raise self.refuse(
+                    f"must be a number from {' to '.join(ends)} {unit.name}"
+                    + (", or empty" if "" in missing else ""),
+                    column, row,
+                )
+            values[row] = value
+        return values
 
-    def time(self, column: str) -> datetime:
-        """Return an ISO 8601 time, which must say its offset from UTC."""
-        try:
-            time = parse_time(self.cells[column])
-        except ValueError:
-            raise self.refuse(
-                f"must be a time such as {DEFAULT_START}, {FIRST_YEAR} to {LAST_YEAR}", column
-            ) from None
-        if time.utcoffset() is None:
-            raise self.refuse(f"must say its offset from UTC, as in {DEFAULT_START}", column)
-        return time
+    def times(
+        self, column: str, parse: Callable[[str], datetime] = parse_time,
+        example: str = DEFAULT_START,
+    ) -> list[datetime]:
+        """Return a column's times.
 
-    def local_time(self, column: str, zone: tzinfo, example: str) -> datetime:
-        """Return a time that says no offset, in a zone; ``example`` is for the message."""
-        try:
-            return parse_local_time(self.cells[column], zone)
-        except ValueError:
-            raise self.refuse(
-                f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}", column
-            ) from None
+        Args:
+            column: its name.
+            parse: raises ValueError where a text is no time; ISO 8601 with an offset from UTC
+                unless given.
+            example: of a time, for messages.
+
+        Raises:
+            ConfigurationError: a cell is no time, or says no offset from UTC.
+        """
+        times = []
+        for row, text in enumerate(self.columns[column]):
+            try:
+                time = parse(text)
+            except ValueError:
+                raise self.refuse(
+                    f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}", column, row
+                ) from None
+            if time.utcoffset() is None:
+                raise self.refuse(
+                    f"must say its offset from UTC, as in {DEFAULT_START}", column, row
+                )
+            times.append(time)
+        return times
+
+    def first_hour(
+        self, column: str, parse: Callable[[str], datetime] = parse_time,
+        example: str = DEFAULT_START,
+    ) -> datetime:
+        """Return the first of a column's times, each of which must be an hour after the other.
+
+        Raises:
+            ConfigurationError: one is not; or as :meth:`times` says.
+        """
+        first, *later = self.times(column, parse, example)
+        for row, time in enumerate(later, start=1):
+            self.check_due(column, row, time, first + row * HOUR)
+        return first
 
     def check_due(
-        self, column: str, time: datetime, due: datetime, what: str = "the records"
+        self, column: str, row: int, time: datetime, due: datetime, what: str = "the records"
     ) -> None:
         """Refuse a time that is not the hour that must follow."""
         if time != due:
             raise self.refuse(
                 f"must be {to_minutes(due.astimezone(time.tzinfo))}: {what} must be hour after "
                 "hour, without gap or repetition",
-                column,
+                column, row,
             )
 
 
@@ -146,98 +201,41 @@ def split_cells(file: Path, line: int, text: str) -> list[str]:
         raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
 
 
-class Table:
-    """A header and rows with as many cells.
-
-    Attributes:
-        file: that it is from.
-        line: number of the header's line.
-        header: the names of the columns.
-    """
-
-    def __init__(self, file: Path, lines: Sequence[tuple[int, str]]) -> None:
-        """Split the header.
-
-        Args:
-            file: that the lines are from.
-            lines: as :func:`numbered_lines` returns them, the header first.
-
-        Raises:
-            ConfigurationError: there is no line, or the header is not CSV.
-        """
-        if not lines:
-            raise ConfigurationError(
-                "holds comments only; a header and records must follow", file=file
-            )
-        self.file = file
-        self.line, header = lines[0]
-        self.header = split_cells(file, self.line, header)
-        self._lines = lines[1:]
-
-    def refuse(self, expected: str, cell: str | None = None) -> ConfigurationError:
-        """Return an error that names the header's line, and a cell of it."""
-        return ConfigurationError(expected, file=self.file, line=self.line, value=cell)
-
-    def require(self, columns: Iterable[str], whose: str) -> None:
-        """Refuse a header that does not have each of some columns once."""
-        for column in columns:
-            if column not in self.header:
-                raise self.refuse(f"must have a column '{column}', as {whose} have")
-            if self.header.count(column) > 1:
-                raise self.refuse("is the name of two columns", column)
-
-    def rows(self, observed_from: int = 0) -> Iterator[Row]:
-        """Return the rows, one after the other.
-
-        Args:
-            observed_from: index of the first column of values; a row that ends before it is of an
-                hour that is missing: its further cells are empty. 0 where there are no such rows.
-
-        Raises:
-            ConfigurationError: there is none, or one has more or fewer cells than the header.
-        """
-        if not self._lines:
-            raise ConfigurationError("has a header but no records", file=self.file)
-        for line, text in self._lines:
-            cells = split_cells(self.file, line, text)
-            if len(cells) <= observed_from:
-                cells += [""] * (len(self.header) - len(cells))
-            if len(cells) != len(self.header):
-                raise ConfigurationError(
-                    f"must have {len(self.header)} cells as the header has, not {len(cells)}",
-                    file=self.file, line=line,
-                )
-            yield Row(self.file, line, dict(zip(self.header, cells, strict=True)))
-
-
-def read_hours(
-    rows: Iterable[Row],
-    column: str,
-    time: Callable[[Row], datetime],
-    values: dict[str, Callable[[Row], float]],
-) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
-    """Read rows that are hour after hour.
+def read_table(
+    file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
+) -> Table:
+    """Return lines of CSV as a table.
 
     Args:
-        rows: at least one.
-        column: of the time, for messages.
-        time: returns a row's time.
-        values: for each quantity, what returns its value in a row.
-
-    Returns:
-        The first time, and the values of each quantity, shape (rows,).
+        file: that the lines are from.
+        lines: as :func:`numbered_lines` returns them, the header first.
+        observed: columns of values; a row that ends before the first of them is of an hour that is
+            missing: its further cells are empty.
 
     Raises:
-        ConfigurationError: a time is not an hour after the one before; or what ``time`` and
-            ``values`` raise.
+        ConfigurationError: there is no header; and when a column is asked for: there is no row, or
+            one has more or fewer cells than the header.
     """
-    first: datetime | None = None
-    series: dict[str, list[float]] = {quantity: [] for quantity in values}
-    for number, row in enumerate(rows):
-        now = time(row)
-        first = first or now
-        row.check_due(column, now, first + number * HOUR)
-        for quantity, value in values.items():
-            series[quantity].append(value(row))
-    assert first is not None
-    return first, {quantity: np.array(numbers) for quantity, numbers in series.items()}
+    if not lines:
+        raise ConfigurationError("holds comments only; a header and records must follow", file=file)
+    (header_line, text), *rest = lines
+    header = split_cells(file, header_line, text)
+    first = next((index for index, name in enumerate(header) if name in observed), 0)
+
+    def read() -> list[list[str]]:
+        if not rest:
+            raise ConfigurationError("has a header but no records", file=file)
+        rows = []
+        for line, text in rest:
+            cells = split_cells(file, line, text)
+            if len(cells) <= first:
+                cells += [""] * (len(header) - len(cells))
+            if len(cells) != len(header):
+                raise ConfigurationError(
+                    f"must have {len(header)} cells as the header has, not {len(cells)}",
+                    file=file, line=line,
+                )
+            rows.append(cells)
+        return [list(column) for column in zip(*rows, strict=True)]
+
+    return Table(file, header, read, header_line, [line for line, _ in rest])
