@@ -8,13 +8,11 @@ from pathlib import Path
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.issue import SERVICE_DELAY_H as SERVICE_DELAY_H
+from greenroof_ros.formats.reading import SUFFIXES
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 PERFECT = "perfect"
 FILE = "file"
-
-# How an archive of forecasts ends in its name, where it is not a directory.
-SUFFIXES = (".csv", ".json", ".nc")
 
 # Each model and those of OPTIONS that it has; an archive is named by its path.
 MODELS: dict[str, tuple[str, ...]] = {

@@ -1,6 +1,6 @@
 """Models of hourly forecasts.
 
-When they are issued, :mod:`greenroof_ros.forecast.issue_times` says; a perfect forecast has no
+When they are issued, :mod:`greenroof_ros.formats.issue` says; a perfect forecast has no
 issues, and a file has its own. The present hour is observed, not forecast;
 :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
 """
@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.forecast.archive import refuse_between_hours
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.error_model import ErrorModel
-from greenroof_ros.forecast.issue_times import newest_issue, records_at
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.formats.issue import SERVICE_DELAY_H, Archive, Issue
+from greenroof_ros.formats.issue import SERVICE_DELAY_H, Archive, Issue, newest_issue
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.series import Weather, records_at, refuse_between_hours
 
 Array = NDArray[np.float64]
 
@@ -128,7 +126,7 @@ class PersistenceModel:
 
 
 class FileModel:
-    """Forecasts of an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
+    """Forecasts of an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
     The newest is the last that was available by the start of the hour. Past its end there is no
     rain, as after all forecasts, and the evapotranspiration of its last day, or of its last hour

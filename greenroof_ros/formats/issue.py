@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.times import hours_since_1970
+
 ISSUE_HOURS = 6
-"""Services start a run of a global model so often (h)."""
+"""Services start a run of a global model so often (h): at 00, 06, 12 and 18 UTC."""
 SERVICE_DELAY_H = 6.0
 """After its nominal time a service has a run in so many hours. Open-Meteo, Single Runs API:
 "typically 4-6 hours for global models"."""
@@ -79,3 +81,25 @@ class Archive:
     def members(self) -> int:
         """How many forecasts an issue is of."""
         return len(self.issues[0].rain)
+
+
+def newest_issue(first: datetime, hour: int) -> tuple[int, int]:
+    """Return when the newest forecast in an hour of the records was made.
+
+    It is known from its time of issue on, or so many hours later as a service takes to compute it,
+    and is the newest until the next is. Where records do not begin on a whole hour of UTC, an issue
+    counts from the first hour of the records that begins after it. The issue that is the newest
+    where the records begin was made before them: it keeps its own time, and the first record stands
+    for the hours before it.
+
+    Args:
+        first: start of hour 0.
+        hour: index of the hour.
+
+    Returns:
+        Hours since 1970, and the index of the first hour of the records from then on, which is
+        negative for one made before them.
+    """
+    since_1970 = hours_since_1970(first)
+    issue = (since_1970 + hour) // ISSUE_HOURS * ISSUE_HOURS
+    return issue, issue - since_1970

@@ -23,7 +23,6 @@ from greenroof_ros.common.files import (
 )
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import (
     NUMBERS,
     OPTIONS,
@@ -34,6 +33,7 @@ from greenroof_ros.forecast.choice import (
 )
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
+from greenroof_ros.formats.issue import Issue
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, Records, name_hours
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import FAO56, why_missing
@@ -251,3 +252,39 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
             f"{why_missing(records, unknown)}; {way_out}",
             file=weather.source,
         )
+
+
+def records_at(
+    weather: Weather, quantity: str, hours: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return records; the first stands for those before it, and the last for those after it.
+
+    Raises:
+        ConfigurationError: one of them is missing.
+    """
+    series: NDArray[np.float64] = getattr(weather, quantity)
+    index = np.clip(hours, 0, len(series) - 1)
+    values = series[index]
+    if np.isnan(values).any():
+        missing = np.unique(index[np.isnan(values)])
+        raise ConfigurationError(
+            f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, of which "
+            "the run's forecasts are made; choose another window or another kind of forecast",
+            file=weather.source,
+        )
+    return values
+
+
+def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
+    """Refuse issues that are not whole hours from where the records begin.
+
+    Raises:
+        ConfigurationError: one is not.
+    """
+    for issue in issues:
+        if (issue.issued - weather.first) % HOUR:
+            raise ConfigurationError(
+                f"must be a whole number of hours from {to_minutes(weather.first)}, where "
+                f"{weather.source} begins",
+                file=issue.file, line=issue.line, key="issued", value=to_minutes(issue.issued),
+            )

@@ -15,10 +15,10 @@ from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.models import FileModel, make_model
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import Records
 from greenroof_ros.study.grid import read_grid
 from greenroof_ros.weather.series import Weather

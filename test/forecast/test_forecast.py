@@ -23,7 +23,6 @@ from paper import PAPER_SITE, paper_run, site_with
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.models import (
@@ -36,6 +35,7 @@ from greenroof_ros.forecast.models import (
 from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
 from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import Records
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries

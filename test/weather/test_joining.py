@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from commands import run_command
-from graphs import environment
 from paper import paper_run
 from places import CONFIG, DATA
 
@@ -201,32 +198,3 @@ def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
     parameters = yaml.safe_load(file.read_text())["/**/weather"]["ros__parameters"]
     assert parameters["weather_files"] == [str(kept / "july.csv"), str(kept / "july-2.csv")]
     same(read_weather(sorted(kept.glob("*")), TORONTO), run.weather)
-
-
-def simulate(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the command for an hour of July."""
-    return run_command(
-        "simulate", "--controller", "onoff", "--start", "2021-07-07T02:00", "--hours", "1",
-        "--json", *options, cwd=directory, env=environment(0),
-    )
-
-
-def test_command_line(tmp_path: Path) -> None:
-    """Two files, a pattern, and a pattern that matches nothing."""
-    piece(tmp_path, "july-1.csv", 0, 150)
-    piece(tmp_path, "july-2.csv", 151, 743)
-
-    def results(*options: str) -> list[str]:
-        done = simulate(tmp_path, *options)
-        assert done.returncode == 0, done.stderr
-        names = ("total_deviation_m3", "rain_m3", "evapotranspiration_m3", "filled_hours")
-        return [line for line in done.stdout.splitlines() if any(name in line for name in names)]
-
-    expected = results("--weather", str(JULY))
-    assert len(expected) == 4
-    assert results("--weather", "july-2.csv", "july-1.csv") == expected
-    assert results("--weather", "july-*.csv") == expected
-    done = simulate(tmp_path, "--weather", "june-*.csv")
-    assert done.returncode == 2
-    assert "--weather = 'june-*.csv': matches no file" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from paper import PAPER_SITE
 from places import DATA
 
@@ -19,7 +16,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import Weather, WeatherSeries
+from greenroof_ros.weather.series import WeatherSeries
 
 HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
 # A line of comment, the header in line 2, and three hours in lines 3 to 5.
@@ -101,41 +98,6 @@ def test_an_hour_holds_from_its_time_to_the_next(tmp_path: Path) -> None:
         assert run.evapotranspiration[tick] == pytest.approx(expected, rel=1e-12)
 
 
-def test_windows_look_ahead(tmp_path: Path) -> None:
-    """Four seconds before the hour, a window of ten is four of this hour and six of the next."""
-    run = PerfectForecast(series(tmp_path, "2021-07-07T03:00-05:00", 7200), 10)
-    assert list(run.precipitation(3596)) == pytest.approx([RAIN[0]] * 4 + [RAIN[1]] * 6, rel=1e-15)
-    evapotranspiration = list(run.evapotranspiration(3596))
-    assert len(set(evapotranspiration[:4])) == len(set(evapotranspiration[4:])) == 1
-    assert evapotranspiration[3] > 2 * evapotranspiration[4]
-    assert len(run.precipitation(7200)) == len(run.evapotranspiration(7200)) == 10
-
-
-@given(
-    tau=st.sampled_from([0.5, 1.0, 7.0, 60.0, 600.0]),
-    lookahead=st.integers(1, 30),
-    offset=st.integers(0, 3600),
-    data=st.data(),
-)
-def test_every_tick_is_in_its_hour(
-    tmp_path_factory: pytest.TempPathFactory,
-    tau: float,
-    lookahead: int,
-    offset: int,
-    data: st.DataObject,
-) -> None:
-    """Any tick, look-ahead and start: entry i of tick k is the hour of start + (k + i) tau."""
-    start = datetime.fromisoformat("2021-07-07T03:00-05:00") + timedelta(seconds=offset)
-    steps = int((3 * 3600 - offset) / tau)
-    directory = tmp_path_factory.mktemp("weather")
-    run = PerfectForecast(
-        series(directory, start.isoformat(), steps, tau, lookahead), lookahead
-    )
-    tick = data.draw(st.integers(0, steps))
-    hours = [min(int((offset + (tick + i) * tau) // 3600), 2) for i in range(lookahead)]
-    assert list(run.precipitation(tick)) == pytest.approx([RAIN[hour] for hour in hours], rel=1e-15)
-
-
 @pytest.mark.parametrize(
     ("steps", "repeats"), [(3 * 3600, True), (3 * 3600 - 9, True), (3 * 3600 - 10, False)]
 )
@@ -196,15 +158,6 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
     assert unnamed.method == "unnamed"
 
 
-def test_records_may_be_read_back(tmp_path: Path) -> None:
-    """The hours as they were written."""
-    weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
-    assert isinstance(weather, Weather)
-    assert weather.precipitation.tolist() == [0.2, 3.0, 0.0]
-    assert weather.evapotranspiration.tolist() == [3.44779366, 1.22675507, 2.4]
-    assert weather.method == "made up"
-
-
 @pytest.mark.parametrize(
     ("header", "reason"),
     [
@@ -226,59 +179,6 @@ def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
 
 
 RAIN_CELL, ET_CELL = HEADER.split(",")[1:]
-
-
-def test_the_hour_that_is_due_is_named(tmp_path: Path) -> None:
-    """In the offset of the record that is wrong: 04:00-05:00 is 05:00-04:00."""
-    path = write(tmp_path, HOURS[0], "2021-07-07T04:00-04:00,3.0,1.2")
-    assert refusal(path) == (
-        f"{path}, line 4: time = '2021-07-07T04:00-04:00': must be 2021-07-07T05:00-04:00: "
-        "the records must be hour after hour, without gap or repetition"
-    )
-
-
-@pytest.mark.parametrize(
-    ("record", "reason"),
-    [
-        ("2021-07-07T04:00-05:00,3.0", "must have 3 cells as the header has, not 2"),
-        ("2021-07-07T04:00-05:00,3.0,1.2,", "must have 3 cells as the header has, not 4"),
-        ("2021-07-07T04:00,3.0,1.2", "time = '2021-07-07T04:00': must say its offset from UTC"),
-        ("07/07/2021 04:00,3.0,1.2", "time = '07/07/2021 04:00': must be a time such as"),
-        (",3.0,1.2", "time = '': must be a time such as"),
-        ("2021-07-07T05:00-05:00,3.0,1.2", "time = '2021-07-07T05:00-05:00': must be 2021-07-07"),
-        ("2021-07-07T03:00-05:00,3.0,1.2", "time = '2021-07-07T03:00-05:00': must be 2021-07-07"),
-        ("2021-07-07T04:00-04:00,3.0,1.2", "time = '2021-07-07T04:00-04:00': must be 2021-07-07"),
-        ("2021-07-07T04:00:01-05:00,3,1.2", "time = '2021-07-07T04:00:01-05:00': must be 2021-07-"),
-        ("2021-07-07T04:00-05:00,M,1.2", f"{RAIN_CELL} = 'M': must be a number from 0 to 500 mm/h"),
-        ("2021-07-07T04:00-05:00,-0.1,1.2", f"{RAIN_CELL} = '-0.1': must be a number from 0 to"),
-        ("2021-07-07T04:00-05:00,500.1,1.2", f"{RAIN_CELL} = '500.1': must be a number from 0 to"),
-        ("2021-07-07T04:00-05:00,nan,1.2", f"{RAIN_CELL} = 'nan': must be a number from 0 to 500"),
-        ("2021-07-07T04:00-05:00,inf,1.2", f"{RAIN_CELL} = 'inf': must be a number from 0 to 500"),
-        ("2021-07-07T04:00-05:00,3.0,-1", f"{ET_CELL} = '-1': must be a number from 0 to 50 mm"),
-        ("2021-07-07T04:00-05:00,3.0,50.1", f"{ET_CELL} = '50.1': must be a number from 0 to 50"),
-    ],
-)
-def test_refused_records(tmp_path: Path, record: str, reason: str) -> None:
-    """Named with file, line, column and value, and what would be right."""
-    path = write(tmp_path, HOURS[0], record, HOURS[2])
-    assert refusal(path).startswith(f"{path}, line 4: {reason}")
-
-
-def test_refused_further_columns(tmp_path: Path) -> None:
-    """A column that no run uses is checked all the same."""
-    path = write(tmp_path, HOURS[0] + ",235.7", header=HEADER + ",temperature [degC]")
-    start = f"{path}, line 3: temperature [degC] = '235.7': must be a number from -90 to 60 degC"
-    assert refusal(path).startswith(start)
-
-
-def test_file_without_records(tmp_path: Path) -> None:
-    """Comments only, a header only."""
-    path = write(tmp_path)
-    assert refusal(path) == f"{path}: has a header but no records"
-    path.write_text("# nothing\n")
-    assert refusal(path).startswith(f"{path}: holds comments only")
-    path.write_text("\n")
-    assert refusal(path) == f"{path}: is empty"
 
 
 def test_a_rain_gauge_alone(tmp_path: Path) -> None:

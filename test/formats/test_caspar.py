@@ -19,7 +19,7 @@ from paper import PAPER_SITE
 from studies import edited, grid
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.study.grid import read_grid
 
 TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)

@@ -1,0 +1,132 @@
+"""What all formats in CSV share: one case for each rule; of JSON what differs."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta, timezone
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import parse_local_time
+from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
+
+FILE = Path("hours.csv")
+RAIN = ("mm/h", 0.0, 500.0)
+HEADER = "# A comment\n\ntime, rain [mm/h] ,temperature\n"
+ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
+
+
+def table(*rows: str, header: str = HEADER) -> Table:
+    """Return a table of rows whose first is in line 4."""
+    return read_table(FILE, numbered_lines(header + "\n".join(rows) + "\n"))
+
+
+def refusal(read: object, *arguments: object) -> str:
+    """Return what is said where reading must not go on."""
+    with pytest.raises(ConfigurationError) as caught:
+        read(*arguments)  # type: ignore[operator]
+    return str(caught.value)
+
+
+def test_cells_numbers_and_times() -> None:
+    """Comments and empty lines may stand anywhere; cells have no space around them."""
+    read = table(ROWS[0], "# gauge read", "", ROWS[1])
+    assert read.header == ["time", "rain [mm/h]", "temperature"]
+    assert read.lines == [4, 7]
+    assert read.numbers("rain [mm/h]", RAIN).tolist() == [0.2, 3.0]
+    assert read.first_hour("time") == datetime.fromisoformat("2021-07-07T03:00-05:00")
+    assert table('"2021-07-07T03:00Z","1,5",2').columns["rain [mm/h]"] == ["1,5"]
+
+
+@pytest.mark.parametrize(
+    ("row", "reason"),
+    [
+        ("2021-07-07T04:00-05:00,3.0", "must have 3 cells as the header has, not 2"),
+        ("2021-07-07T04:00-05:00,3.0,1.2,", "must have 3 cells as the header has, not 4"),
+        ('2021-07-07T04:00-05:00,3.0,"1.2', "is not valid CSV: unexpected end of data"),
+        ('2021-07-07T04:00-05:00,3.0,"1.2"3', "is not valid CSV: "),
+    ],
+)
+def test_rows_that_are_none(row: str, reason: str) -> None:
+    """Named with file and line, when the first column is asked for."""
+    assert refusal(lambda: table(ROWS[0], row).columns).startswith(f"{FILE}, line 5: {reason}")
+
+
+def test_no_rows() -> None:
+    """Comments only, a header only."""
+    assert refusal(read_table, FILE, []) == (
+        f"{FILE}: holds comments only; a header and records must follow"
+    )
+    assert refusal(lambda: table().columns) == f"{FILE}: has a header but no records"
+
+
+@pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan", "inf", "1 0"])
+def test_numbers_that_are_not_believed(text: str) -> None:
+    """Named with file, line, column and value, and the range that would be right."""
+    read = table(ROWS[0], f"2021-07-07T04:00-05:00,{text},1")
+    assert refusal(read.numbers, "rain [mm/h]", RAIN) == (
+        f"{FILE}, line 5: rain [mm/h] = {text!r}: must be a number from 0 to 500 mm/h"
+    )
+
+
+def test_missing_values_and_other_units() -> None:
+    """What stands for none is NaN; the range is said in the unit of the file."""
+    read = table("2021-07-07T03:00Z,1,68", "2021-07-07T04:00Z,,NaN", "2021-07-07T05:00Z,1,200")
+    limits, unit = ("degC", -90.0, 60.0), Unit("°F", 1.8, 32.0)
+    assert refusal(read.numbers, "temperature", limits, unit, ("", "NaN")) == (
+        f"{FILE}, line 6: temperature = '200': must be a number from -130 to 140 °F, or empty"
+    )
+    found = read.numbers("temperature", ("degC", -90.0, 100.0), unit, ("", "NaN"))
+    assert found[0] == pytest.approx(20.0) and np.isnan(found[1])
+
+
+@pytest.mark.parametrize(
+    ("time", "reason"),
+    [
+        ("2021-07-07T04:00", "must say its offset from UTC, as in 2021-07-07T02:00-05:00"),
+        ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
+        ("1970-07-07T04:00Z", "must be a time such as"),
+        ("", "must be a time such as"),
+        ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must be hour aft"),
+        ("2021-07-07T03:00-05:00", "must be 2021-07-07T04:00-05:00: the records must be hour aft"),
+        ("2021-07-07T04:00:01-05:00", "must be 2021-07-07T04:00-05:00: the records must be hour"),
+        # In the offset of the record that is wrong.
+        ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must be hour aft"),
+    ],
+)
+def test_times_that_are_wrong(time: str, reason: str) -> None:
+    """Named likewise, with the hour that is due."""
+    read = table(ROWS[0], f"{time},1,1")
+    said = refusal(read.first_hour, "time")
+    assert said.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
+
+
+def test_times_of_a_clock() -> None:
+    """In a zone, which they must not say themselves."""
+    parse = partial(parse_local_time, zone=timezone(timedelta(hours=-5)))
+    first = table("2021-07-01 0:00,1,1").first_hour("time", parse, "2021-07-01 0:00")
+    assert first.isoformat() == "2021-07-01T00:00:00-05:00"
+    said = refusal(table("2021-07-01T00:00Z,1,1").first_hour, "time", parse, "2021-07-01 0:00")
+    assert "must be a time such as 2021-07-01 0:00, 1971 to 2037" in said
+
+
+def test_columns_that_must_be_there() -> None:
+    """Each once."""
+    read = table(ROWS[0], header="time,a,a\n")
+    assert refusal(read.require, ["b"], "such files") == (
+        f"{FILE}, line 1: must have a column 'b', as such files have"
+    )
+    assert refusal(read.require, ["a"], "such files") == (
+        f"{FILE}, line 1: 'a': is the name of two columns"
+    )
+
+
+def test_cells_of_json_are_named_by_their_key() -> None:
+    """There are no lines."""
+    read = Table(Path("a.json"), ["rain (mm)"], lambda: [["1", "wet"]], key="hourly.")
+    assert refusal(read.numbers, "rain (mm)", RAIN) == (
+        "a.json: hourly.rain[1] = 'wet': must be a number from 0 to 500 mm/h"
+    )
