@@ -85,32 +85,27 @@ def _topics() -> dict[str, Topic]:
     """Read the interface once: every site, node and page asks for it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
-    topics = {}
-    for name, entry in interface["topics"].items():
-        low, high = entry.get("range", (-math.inf, math.inf))
-        undecided = entry.get("undecided", math.nan)
-        topics[name] = Topic(
-            name=name,
-            type=entry["type"],
-            unit=entry["unit"],
-            # No limit there still means a finite value.
-            low=max(low, -sys.float_info.max),
-            high=min(high, sys.float_info.max),
-            publishers=tuple(entry["publishers"]),
-            subscribers=tuple(entry["subscribers"]),
-            per_tick=entry["per_tick"],
-            qos=profiles[entry["qos"]],
-            meaning=entry["meaning"],
-            optional=entry.get("optional", False),
-            display=Display(**entry["display"]) if "display" in entry else None,
-            dimensions=tuple(entry.get("dimensions", ())),
-            undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
-            absolute=entry.get("absolute", False),
-            live=entry.get("live", True),
-            live_publishers=tuple(entry.get("live_publishers", ())),
-            live_subscribers=tuple(entry.get("live_subscribers", ())),
-        )
-    return topics
+    return {
+        name: _topic(name, profiles[entry.pop("qos")], **entry)
+        for name, entry in interface["topics"].items()
+    }
+
+
+def _topic(
+    name: str, qos: Qos, *, range: Sequence[float] = (-math.inf, math.inf),
+    undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
+    **entry: Any,
+) -> Topic:
+    """Return a topic by its entry in the interface."""
+    low, high = range
+    return Topic(
+        name=name, qos=qos,
+        # No limit there still means a finite value.
+        low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
+        undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
+        display=None if display is None else Display(**display),
+        **{key: tuple(each) if isinstance(each, list) else each for key, each in entry.items()},
+    )
 
 
 def read_topics() -> dict[str, Topic]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -56,11 +57,9 @@ _ROUNDING_MM = 0.05
 class _Member(NamedTuple):
     """A file."""
 
-    file: Path
-    issued: datetime
+    issue: Issue
+    """of this member alone"""
     number: int
-    rain: NDArray[np.float64]
-    """mm/h, shape (hours,)"""
     product: str
 
 
@@ -87,40 +86,39 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         )
     members = [_read(file, site.latitude, site.longitude) for file in files]
     product = members[0].product
-    for member in members:
+    by_issue: dict[datetime, list[_Member]] = {}
+    for member in sorted(members, key=lambda one: (one.issue.issued, one.number)):
+        by_issue.setdefault(member.issue.issued, []).append(member)
         if member.product != product:
             raise ConfigurationError(
                 f"must be of {product}, as {files[0].name} is, not of {member.product}",
-                file=member.file,
+                file=member.issue.file,
             )
-    by_issue: dict[datetime, list[_Member]] = {}
-    for member in sorted(members, key=lambda one: (one.issued, one.number)):
-        by_issue.setdefault(member.issued, []).append(member)
     issues = [_issue(issue) for issue in by_issue.values()]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 
 def _issue(members: Sequence[_Member]) -> Issue:
     """Return an issue of all its members."""
-    first = members[0]
-    if [member.number for member in members] != list(range(len(members))):
-        numbers = ", ".join(f"{member.number:03}" for member in members)
+    parts = [member.issue for member in members]
+    first, wrong = parts[0], ""
+    numbers = [member.number for member in members]
+    if numbers != list(range(len(members))):
+        listed = ", ".join(f"{number:03}" for number in numbers)
+        wrong = f"members {listed}; they must be 000, 001 and so on, each once"
+    elif len(members) > MOST_MEMBERS:
+        wrong = f"{len(members)} members, and must have at most {MOST_MEMBERS}"
+    if wrong:
         raise ConfigurationError(
-            f"the issue of {to_minutes(first.issued)} has members {numbers}; they must be 000, 001 "
-            "and so on, each once", file=first.file,
+            f"the issue of {to_minutes(first.issued)} has {wrong}", file=first.file
         )
-    if len(members) > MOST_MEMBERS:
-        raise ConfigurationError(
-            f"the issue of {to_minutes(first.issued)} must have at most {MOST_MEMBERS} members",
-            file=first.file,
-        )
-    for member in members:
-        if len(member.rain) != len(first.rain):
+    for part in parts:
+        if part.hours != first.hours:
             raise ConfigurationError(
-                f"has {len(member.rain)} hours, but must have {len(first.rain)} as "
-                f"{first.file.name}", file=member.file,
+                f"has {part.hours} hours, but must have {first.hours} as {first.file.name}",
+                file=part.file,
             )
-    return Issue(first.issued, first.file, None, np.stack([member.rain for member in members]))
+    return replace(first, rain=np.concatenate([part.rain for part in parts]))
 
 
 def _read(file: Path, latitude: float, longitude: float) -> _Member:
@@ -136,7 +134,8 @@ def _read(file: Path, latitude: float, longitude: float) -> _Member:
             sums = _numbers(file, dataset[name], *point)
     except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
         raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
-    return _Member(file, issued, number, _rain(file, name, hours, 1000 * sums), product)
+    rain = _rain(file, name, hours, 1000 * sums)
+    return _Member(Issue(issued, file, None, rain[None, :]), number, product)
 
 
 def _named(file: Path) -> tuple[datetime, int]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeAlias, TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
@@ -19,25 +19,19 @@ SUFFIXES = (".csv", ".json", ".nc")
 """How files of forecasts end; what is in one says which format it has."""
 _HEAD_BYTES = 4096
 
-
-class _Format(Protocol):
-    """A module that says by a file's name and first bytes whether it reads it."""
-
-    def recognises(self, file: Path, head: bytes, /) -> bool: ...
-
-
-class _OfWeather(_Format, Protocol):
-    def read_records(self, file: Path, site: Site, /) -> Records: ...
-
-
-class _OfForecasts(_Format, Protocol):
-    def read_archive(self, files: Sequence[Path], site: Site, /) -> Archive: ...
-
+_Read = TypeVar("_Read")
+_Formats: TypeAlias = Sequence[tuple[Callable[[Path, bytes], bool], _Read]]
+"""By what a file is recognised, by its name and first bytes, and what reads it."""
 
 # The first that recognises a file reads it, the last recognises any.
-_WEATHER: tuple[_OfWeather, ...] = (eccc, open_meteo, own_csv)
-_FORECASTS: tuple[_OfForecasts, ...] = (caspar, open_meteo, own_csv)
-_Either = TypeVar("_Either", bound=_Format)
+_WEATHER: _Formats[Callable[[Path, Site], Records]] = (
+    (eccc.recognises, eccc.read_records), (open_meteo.recognises, open_meteo.read_records),
+    (own_csv.recognises, own_csv.read_records),
+)
+_FORECASTS: _Formats[Callable[[Sequence[Path], Site], Archive]] = (
+    (caspar.recognises, caspar.read_archive), (open_meteo.recognises, open_meteo.read_archive),
+    (own_csv.recognises, own_csv.read_archive),
+)
 
 
 def read_records(file: Path, site: Site) -> Records:
@@ -46,7 +40,7 @@ def read_records(file: Path, site: Site) -> Records:
     Raises:
         ConfigurationError: the file is not as its format must be.
     """
-    return _format_of(file, _WEATHER).read_records(file, site)
+    return _reader_of(file, _WEATHER)(file, site)
 
 
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
@@ -109,16 +103,16 @@ def _read_forecasts(files: Sequence[Path], site: Site) -> Archive:
     Raises:
         ConfigurationError: they are of several, or one is not as its format must be.
     """
-    found = _format_of(files[0], _FORECASTS)
+    read = _reader_of(files[0], _FORECASTS)
     for file in files[1:]:
-        if _format_of(file, _FORECASTS) is not found:
+        if _reader_of(file, _FORECASTS) is not read:
             raise ConfigurationError(
                 f"must be of the format of {files[0].name}: an archive has one", file=file
             )
-    return found.read_archive(files, site)
+    return read(files, site)
 
 
-def _format_of(file: Path, formats: Sequence[_Either]) -> _Either:
+def _reader_of(file: Path, formats: _Formats[_Read]) -> _Read:
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of some", file=file)
     try:
@@ -126,4 +120,4 @@ def _format_of(file: Path, formats: Sequence[_Either]) -> _Either:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
-    return next(each for each in formats if each.recognises(file, head))
+    return next(read for recognises, read in formats if recognises(file, head))
