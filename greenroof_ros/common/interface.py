@@ -98,13 +98,15 @@ def _topic(
 ) -> Topic:
     """Return a topic by its entry in the interface."""
     low, high = range
+    given: dict[str, Any] = {
+        key: tuple(each) if isinstance(each, list) else each for key, each in entry.items()
+    }
     return Topic(
         name=name, qos=qos,
         # No limit there still means a finite value.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
         undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
-        display=None if display is None else Display(**display),
-        **{key: tuple(each) if isinstance(each, list) else each for key, each in entry.items()},
+        display=None if display is None else Display(**display), **given,
     )
 
 
