@@ -29,7 +29,7 @@ from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.reports import OK, WARN, Reports
+from greenroof_ros.graph.reports import ERROR, OK, WARN, Reports
 from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
@@ -53,7 +53,6 @@ class LinkedNode(Node):
     Attributes:
         role: what the interface calls it: its name, or ``controller``.
         live: whether its graph is live.
-        sent: how many messages went out, by topic.
         error: why the node cannot go on.
         acted: whether the run has begun for the node.
         over: whether the node may end by itself: nobody supervises it, the run is over, and all
@@ -63,16 +62,13 @@ class LinkedNode(Node):
         reports: what it says of itself.
     """
 
-    def __init__(
-        self, name: str, role: str, *, may_be_live: bool = True, always_live: bool = False
-    ) -> None:
+    def __init__(self, name: str, role: str, *, live: bool | None = None) -> None:
         """Join the graph.
 
         Args:
             name: of the node.
             role: what the interface calls it: its name, or ``controller``.
-            may_be_live: whether it has the parameter ``live``.
-            always_live: whether it is for live graphs alone, and needs no such parameter.
+            live: whether its graph is live; None where its parameter ``live`` says that.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
@@ -84,8 +80,7 @@ class LinkedNode(Node):
         except RuntimeError as error:  # of rcl
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
-        self.live = always_live or (may_be_live and declare(self, [LIVE])["live"])
-        self.sent: dict[str, int] = {}
+        self.live: bool = declare(self, [LIVE])["live"] if live is None else live
         self.error: Exception | None = None
         self.acted = False
         self.over = False
@@ -146,15 +141,18 @@ class LinkedNode(Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        Each report says from then on which file it was, as ``site``, an absolute path: who looks on
-        judges by the same site.
+        Its tau is the period of a node in a live graph. Each report says from then on which file it
+        was, as ``site``, an absolute path: who looks on judges by the same site.
 
         Raises:
             ConfigurationError: the file, or a value in it, is wrong.
         """
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(file.resolve())}
-        return read_site(file)
+        site = read_site(file)
+        if isinstance(self._trigger, Live):
+            self._trigger.act_every(site.tau)
+        return site
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
         """Open a subscription, but not rclpy's own to the clock.
@@ -183,15 +181,8 @@ class LinkedNode(Node):
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
         self._outputs.append(publisher)
-        self.sent[name] = 0
-        encode = encoder(topic.type, topic.dimensions)
-        send, sent = publisher.publish, self.sent
-
-        def publish(value: Any) -> None:
-            sent[name] += 1
-            send(encode(value))
-
-        return publish
+        encode, send = encoder(topic.type, topic.dimensions), publisher.publish
+        return lambda value: send(encode(value))
 
     def subscribe(
         self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
@@ -215,7 +206,7 @@ class LinkedNode(Node):
         )
         self.inputs.by_name[name] = entry
         if isinstance(self._trigger, Live):
-            self._open(publishers, self._trigger.hold_to_rules(entry, level, callback))
+            self._open(publishers, self._trigger.judge_by_rules(entry, level, callback))
             return entry
         if callback is None:
             self._open(publishers, self._trigger.await_input(entry))
@@ -253,11 +244,6 @@ class LinkedNode(Node):
         publishers = Publishers(self, self.interface[name], live=True)
         self._open(publishers, lambda message: None)
         return publishers.said
-
-    def act_every(self, period: float) -> None:
-        """Say how long a tick is (s): in a live graph it is the node's own period."""
-        if isinstance(self._trigger, Live):
-            self._trigger.act_every(period)
 
     @property
     def run_length(self) -> int | None:
@@ -332,6 +318,24 @@ class LinkedNode(Node):
         else:
             self.get_logger().error(message)
 
+    def say(
+        self, part: str, problem: str, well: str, code: str, level: bytes = ERROR, cause: str = ""
+    ) -> None:
+        """Say of a part of the node that it has a problem, or where that is empty that it is well.
+
+        Args:
+            part: its name.
+            problem: a sentence; empty where there is none.
+            well: a sentence for when there is none.
+            code: of the problem; see :meth:`diagnose`.
+            level: likewise.
+            cause: likewise.
+        """
+        if problem:
+            self.diagnose(part, level, problem, code, cause)
+        else:
+            self.diagnose(part, OK, well)
+
     def listen_s(self) -> float:
         """How long the node may wait for the next message (s)."""
         if isinstance(self._trigger, Live):
@@ -377,7 +381,7 @@ class LinkedNode(Node):
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
-        self._final_values = {"sent": dict(self.sent), **self.summary()}
+        self._final_values = self.summary()
         self.reports.state = FINISHED
         self._report(time.monotonic())
 

@@ -150,10 +150,10 @@ class Live:
         self._period = period
         self.due = boot_time() + period
 
-    def hold_to_rules(
+    def judge_by_rules(
         self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Have an input keep the rules of a live graph; returns what receives its messages.
+        """Judge an input by the rules of a live graph; returns what receives its messages.
 
         Args:
             entry: the input.

@@ -205,7 +205,7 @@ class PumpCheck:
             self._stop("command 0", {_COMMAND: 0.0})
         with self._check("answers each command with exactly one flow"):
             self._spin(0.5)
-            self._hold_to_one(0)
+            self._count_answers(0)
             if self._lockstep_problem:
                 raise _ProblemError(self._lockstep_problem)
 
@@ -348,7 +348,7 @@ class PumpCheck:
             self._executor.spin_once(timeout_sec=left)
         self._spin(began + self._limits.period - time.monotonic())
         flow = self._flows[0]
-        self._hold_to_one(1)
+        self._count_answers(1)
         high = self._interface["/pump/flow"].high
         if not 0 <= flow <= high:
             raise _ProblemError(f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
@@ -356,7 +356,7 @@ class PumpCheck:
         self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow
 
-    def _hold_to_one(self, answers: int) -> None:
+    def _count_answers(self, answers: int) -> None:
         """Note flows beyond those that were asked for, and forget all that came."""
         if len(self._flows) > answers and not self._lockstep_problem:
             self._lockstep_problem = (
@@ -428,7 +428,7 @@ class PumpCheck:
         """Say nothing; the first flow after it tells whether the pump had stopped meanwhile."""
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
-        self._hold_to_one(0)
+        self._count_answers(0)
         state = self._state.partition(":")[0]
         after = self._answer({})
         if after > _AT_REST * before:
@@ -450,7 +450,7 @@ class PumpCheck:
             yield
         finally:
             other.destroy_node()
-            self._hold_to_one(0)
+            self._count_answers(0)
 
 
 def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:

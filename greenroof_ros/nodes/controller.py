@@ -76,7 +76,6 @@ class ControllerNode(LinkedNode):
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
         self._site = site = self.declare_site()
-        self.act_every(site.tau)
         self._choice = choice
         self._values = declare(self, choice.parameters_on(site))
         live = declare(self, LIVE_PARAMETERS)

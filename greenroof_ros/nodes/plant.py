@@ -62,7 +62,7 @@ class PlantNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        super().__init__("plant", "plant", may_be_live=False)
+        super().__init__("plant", "plant", live=False)
         site = self.declare_site()
         self._site = site
         values = declare(self, parameters(site))
@@ -194,7 +194,7 @@ class PlantNode(LinkedNode):
             self._publish_flow(flows.pump)
 
     def on_idle(self) -> float:
-        """Start when the graph is whole, let a held tick go, and watch the clock."""
+        """Start when the graph is whole, let a tick go that waits, and watch the clock."""
         now = time.monotonic()
         if self._done:
             return LISTEN_S

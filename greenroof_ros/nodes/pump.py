@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import re
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -123,7 +122,7 @@ class _Drive:
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
         self._exchange: DriveExchange | None = None
-        self._leaving: threading.Thread | None = None
+        self._leaving = False  # the exchange is ending
 
     @property
     def snapshot(self) -> Snapshot:
@@ -132,8 +131,8 @@ class _Drive:
 
     def connect(self) -> None:
         """Begin to keep it stopped, once it is let go of."""
-        if self._leaving is not None and not self._leaving.is_alive():
-            self._exchange = self._leaving = None
+        if self._leaving and self._exchange is not None and self._exchange.close(0.0):
+            self._exchange, self._leaving = None, False
         if self._exchange is None:
             self._exchange = DriveExchange(
                 self.file, self._address, self._period, _DEAD_MAN_S,
@@ -141,32 +140,24 @@ class _Drive:
             )
             self._exchange.start()
 
-    def let_go(self, within: float | None = None) -> str:
+    def let_go(self, within: float) -> str:
         """Stop it, and return what it says then.
 
         Args:
-            within: how long to wait for that at most (s); without it the longest ramp and a few
-                seconds.
+            within: how long to wait for that at most (s); the longest ramp and a few seconds are
+                enough for any drive.
 
         Raises:
             RefusedError: it takes longer, and goes on.
             OSError: it was not heard at the end, or does not stand.
         """
-        if self._exchange is None:
+        exchange = self._exchange
+        if exchange is None:
             return ""
-        if self._leaving is None:
-            leaving = threading.Thread(target=self._exchange.close, daemon=True)
-            try:
-                leaving.start()
-            except RuntimeError:  # the system has no thread to give: then this one waits
-                self._exchange.close()
-            else:
-                self._leaving = leaving
-        if self._leaving is not None:
-            self._leaving.join(within)
-            if self._leaving.is_alive():
-                raise RefusedError("the drive is still slowing down, or not heard; ask again")
-        snapshot, self._exchange, self._leaving = self._exchange.snapshot, None, None
+        self._leaving = not exchange.close(within)
+        if self._leaving:
+            raise RefusedError("the drive is still slowing down, or not heard; ask again")
+        self._exchange, snapshot = None, exchange.snapshot
         status = snapshot.status
         what = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
@@ -208,7 +199,7 @@ class _Drive:
 
     def absence(self, now: float) -> str:
         """Return why it cannot be heard; empty where it can."""
-        if self._leaving is not None:
+        if self._leaving:
             return "no connection to the drive: it is being let go of; clean up first"
         if self.status(now) is not None:
             return ""
@@ -246,12 +237,17 @@ class PumpNode(Lifecycle, LinkedNode):
         """Declare the parameters, and open topics and services."""
         LinkedNode.__init__(self, "pump", "pump")
         self._site = site = self.declare_site()
-        self.act_every(site.tau)
         values = declare(self, parameters(site))
         self._drive = _Drive(values, self.get_name())
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
-        self._command_limit = self._checked_command_limit(values)
+        limit = LIMITS["/pump/command"].name
+        self._command_limit: float = values[limit]
+        if self.live and self._command_limit <= site.tau:
+            raise ConfigurationError(
+                f"must be more than tau of the site, {site.tau:g} s: a command comes once in that "
+                "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
+            )
         given = {one.name: values[one.name] for one in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         self._settings = PumpSettings(**given)
@@ -272,7 +268,14 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()  # as of the last decision
-        self._begin_times()
+        # All that is measured from now on; none of it is on the wire.
+        self._simulated = 0.0
+        self._stepped = boot_time() if self.live else 0.0
+        self._watched = time.monotonic()
+        self._resetting_until = 0.0
+        self._tried = self._looked_at = -math.inf
+        self._commanded, self._idle_at = -math.inf, boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
         on_command = self._on_command if self.live else None
         self._command = self.subscribe("/pump/command", on_command, tolerates_second=True)
         self._levels = Levels(site, values, self.subscribe)
@@ -290,31 +293,6 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self._step(boot_time())
-
-    def _checked_command_limit(self, values: dict[str, Any]) -> float:
-        """Return the greatest age of a command (s).
-
-        Raises:
-            ConfigurationError: in a live graph the pump would never run with it.
-        """
-        name, tau = LIMITS["/pump/command"].name, self._site.tau
-        limit: float = values[name]
-        if self.live and limit <= tau:
-            raise ConfigurationError(
-                f"must be more than tau of the site, {tau:g} s: a command comes once in that time",
-                key=f"parameter {name} of {self.get_name()}", value=limit,
-            )
-        return limit
-
-    def _begin_times(self) -> None:
-        """Set all that is measured from now on; none of it is on the wire."""
-        self._simulated = 0.0
-        self._stepped = boot_time() if self.live else 0.0
-        self._watched = time.monotonic()
-        self._resetting_until = 0.0
-        self._tried = self._looked_at = -math.inf
-        self._commanded, self._idle_at = -math.inf, boot_time()
-        self._suspended, self._suspend_seen = suspended_time(), -math.inf
 
     # --- what is kept over restarts ---------------------------------------------------------------
 
@@ -393,13 +371,13 @@ class PumpNode(Lifecycle, LinkedNode):
             OSError: it could not be read; the node's exit code says so, too.
         """
         try:
-            self._let_go(None)
+            self._let_go(math.inf)
         finally:
             problem = self._ledger.close()
             if problem:
                 self.get_logger().error(problem)
 
-    def _let_go(self, within: float | None) -> None:
+    def _let_go(self, within: float) -> None:
         said = self._drive.let_go(within)
         if said:
             self.get_logger().info(said)
@@ -618,30 +596,28 @@ class PumpNode(Lifecycle, LinkedNode):
         say("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
-        self._say(
-            "levels", ERROR, "; ".join(f"{one.name} {one.why}" for one in bad),
-            bad[0].code if bad else "", "both levels are good",
+        self.say(
+            "levels", "; ".join(f"{one.name} {one.why}" for one in bad), "both levels are good",
+            bad[0].code if bad else "",
         )
         blind = (
             "blind: a level is unknown, or both were not known for "
             f"{self._settings.averaging_time:g} s yet"
         )
-        self._say(
-            "delivery", WARN, blind if decision.blind_for else "", "delivery_blind",
-            "what is pumped is compared with both levels",
+        self.say(
+            "delivery", blind if decision.blind_for else "",
+            "what is pumped is compared with both levels", "delivery_blind", WARN,
         )
-        self._say(
-            "state file", ERROR, self._ledger.problem, "state_not_kept", "stops and faults are kept"
+        self.say(
+            "state file", self._ledger.problem, "stops and faults are kept", "state_not_kept"
         )
         frost, code = f"{self._frost.name} {self._frost.why}", self._cause("frost_unknown")
         if self._frost.good:
             frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
-        self._say("frost", WARN, frost, code, "there is no frost")
+        self.say("frost", frost, "there is no frost", code, WARN)
         if self._permit.given:
-            self._say(
-                "supervisor", WARN, self._permit.missing(now), "no_permit",
-                "bringup lets the pump run",
-            )
+            missing = self._permit.missing(now)
+            self.say("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
         self._diagnose_drive(now)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
@@ -657,13 +633,6 @@ class PumpNode(Lifecycle, LinkedNode):
             "delivery": {"blind_for_s": decision.blind_for},
             "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
         }
-
-    def _say(self, part: str, level: bytes, problem: str, code: str, well: str) -> None:
-        """Say that a part has a problem, or where there is none that it is well."""
-        if problem:
-            self.diagnose(part, level, problem, code)
-        else:
-            self.diagnose(part, OK, well)
 
     def _cause(self, code: str) -> str:
         """Return the code from which an interlock follows; empty where that is not known."""
@@ -684,7 +653,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("command", STALE, silence, "no_command")
         else:
             code = command.code or "two_controllers"
-            self._say("command", ERROR, trouble, code, silence or "commands come")
+            self.say("command", trouble, silence or "commands come", code)
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
@@ -704,9 +673,9 @@ class PumpNode(Lifecycle, LinkedNode):
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
             code = "second_master" if snapshot.second_master else "drive_warning"
-            self._say(
-                "drive", WARN, said and f"the drive: {said}",
-                code if status.remote else "drive_local", f"connected to {snapshot.identity}",
+            self.say(
+                "drive", said and f"the drive: {said}", f"connected to {snapshot.identity}",
+                code if status.remote else "drive_local", WARN,
             )
         own = self._drive.timeout
         beware = f"; beware: {own.traps}" if own is not None and own.traps else ""

@@ -42,7 +42,7 @@ class RecorderNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
-        super().__init__("recorder", "recorder", may_be_live=False)
+        super().__init__("recorder", "recorder", live=False)
         values = declare(self, parameters())
         directory = values["directory"]
         self._limit = values["peer_limit"]

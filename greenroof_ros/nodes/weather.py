@@ -197,7 +197,6 @@ class WeatherNode(LinkedNode):
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
         site = self.declare_site()
-        self.act_every(site.tau)
         values = declare(self, parameters(site))
         self._site = site
         if self.live:
@@ -292,10 +291,9 @@ class WeatherNode(LinkedNode):
             self.diagnose(part, WARN, why, "record_short")
         elif dressing.problem:
             self.diagnose(part, WARN, f"is not kept: {dressing.problem}", "record_not_kept")
-        elif not self._rain_gauge.good:
-            self.diagnose(part, OK, "is used; without /gauge/precipitation nothing is added to it")
         else:
-            self.diagnose(part, OK, "is kept")
+            well = "is used; without /gauge/precipitation nothing is added to it"
+            self.diagnose(part, OK, "is kept" if self._rain_gauge.good else well)
 
     def on_stop(self) -> None:
         """Let what was learned be written."""

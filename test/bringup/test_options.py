@@ -13,11 +13,10 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup.__main__ import make_parser
+from greenroof_ros.bringup.__main__ import make_parser, simulated_run
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import live_site
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
-from greenroof_ros.bringup.simulated import simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
