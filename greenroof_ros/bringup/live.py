@@ -235,7 +235,10 @@ class _Record:
         self._warnings: set[str] = set()
         self._summary = Newest(
             partial(summary.write, directory=state),
-            lambda error: f"{state}: {getattr(error, 'strerror', None) or error}",
+            lambda error: (
+                f"{getattr(error, 'filename', None) or state}: "
+                f"{getattr(error, 'strerror', None) or error}"
+            ),
         )
         self._began = _now()
         self._last_time = before = _last_time(state)

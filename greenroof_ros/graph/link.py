@@ -101,10 +101,11 @@ class LinkedNode(Node):
         if not self.live and role != PLANT:
             run = Publishers(self, self.interface[RUN], live=False)
             decode = decoder(run.topic.type)
-            self._open(run, lambda message: self._lockstep.hear_run(decode(message)))
+            self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
 
     @property
-    def _lockstep(self) -> Lockstep:
+    def lockstep(self) -> Lockstep:
+        """What makes it act, in a simulation."""
         return cast(Lockstep, self._trigger)
 
     def act(self) -> None:
@@ -248,7 +249,7 @@ class LinkedNode(Node):
     @property
     def run_length(self) -> int | None:
         """N of the run that the node takes part in; None before the plant has said it."""
-        run = None if self.live else self._lockstep.run
+        run = None if self.live else self.lockstep.run
         return None if run is None else round(run.last_tick)
 
     def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
@@ -275,14 +276,6 @@ class LinkedNode(Node):
         if isinstance(self._trigger, Live):
             self._trigger.judge()
         return all(one.good for one in self.inputs.by_name.values() if not one.optional)
-
-    def absent(self) -> str:
-        """Name the topics without a publisher, and who should publish them."""
-        return self.inputs.say(self.inputs.absent())
-
-    def missing(self) -> str:
-        """Name the topics that a node in lockstep waits for, and who should publish them."""
-        return self._lockstep.missing()
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input in a live graph: it cannot be acted on.

@@ -180,7 +180,7 @@ class Live:
             except (LockstepError, ValueError, struct.error) as error:
                 entry.refused += 1
                 entry.verdict = Verdict("input_refused", f"was refused: {error}")
-            rules.came(now, entry.value, entry.why)
+            rules.came(now, entry.value, entry.verdict.why)
             self._judge(entry, rules)
             if callback is not None:
                 callback(entry.value)
@@ -238,5 +238,5 @@ class Live:
         alarming = [one for one in bad if one.verdict.alarming]
         self._diagnose(
             "inputs", ERROR if alarming else WARN,
-            "; ".join(f"{one.name} {one.why}" for one in bad), (alarming or bad)[0].code,
+            "; ".join(one.problem for one in bad), (alarming or bad)[0].verdict.code,
         )

@@ -241,8 +241,7 @@ class ControllerNode(LinkedNode):
         if not self._choice.needs_forecast:
             return ""
         return "; ".join(
-            f"{one.name} {one.why}" for one in (self._rain, self._evapotranspiration)
-            if not one.good
+            one.problem for one in (self._rain, self._evapotranspiration) if not one.good
         )
 
     def _say_forecast(self) -> None:
@@ -261,8 +260,8 @@ class ControllerNode(LinkedNode):
             self._without_since = to_people(wall.replace(microsecond=0))
         if self._without_since:
             problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
-        cause = next(one.code for one in (self._rain, self._evapotranspiration) if not one.good)
-        self.diagnose("forecast", WARN, problem, "no_forecast", cause)
+        bad = self._evapotranspiration if self._rain.good else self._rain
+        self.diagnose("forecast", WARN, problem, "no_forecast", bad.verdict.code)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.

@@ -19,6 +19,7 @@ from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.graph.supervision import FINISHED
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -87,7 +88,6 @@ class PlantNode(LinkedNode):
         self._written = 0
         self._running = False
         self._paused = False  # the tick is due, but not yet allowed: pace or recorder
-        self._done = False
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
@@ -166,7 +166,6 @@ class PlantNode(LinkedNode):
         self._metrics.observe(self._site, plant.x1, plant.x2, plant.layer)
         if self._tick == self._run_length:
             self._publish_flows(flows)
-            self._done = True
             self._wall_s = time.monotonic() - self._began
             self.finish()
             deviation = self._metrics["total_deviation_m3"]
@@ -196,7 +195,7 @@ class PlantNode(LinkedNode):
     def on_idle(self) -> float:
         """Start when the graph is whole, let a tick go that waits, and watch the clock."""
         now = time.monotonic()
-        if self._done:
+        if self.reports.state == FINISHED:
             return LISTEN_S
         if not self._running:
             if self.ready:
@@ -205,7 +204,8 @@ class PlantNode(LinkedNode):
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: {self.absent()}"
+                    f"no start within {self._start_limit:g} s: "
+                    f"{self.inputs.say(self.inputs.absent())}"
                 )
             return LISTEN_S
         if self._paused and not self._behind():
@@ -218,7 +218,7 @@ class PlantNode(LinkedNode):
         answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder" if self._paused else self.missing()
+            missing = "/recorder/written from recorder" if self._paused else self.lockstep.missing()
             raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
         return LISTEN_S
 

@@ -101,7 +101,13 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class _Drive:
-    """The drive of the parameters, and what speaks against using it."""
+    """The drive of the parameters, and what speaks against using it.
+
+    Attributes:
+        file: what it is like.
+        timeout: of its file: its own communication timeout, at this address; None without one.
+        exchange: with it.
+    """
 
     def __init__(self, values: dict[str, Any], node_name: str) -> None:
         """Read its file.
@@ -121,24 +127,27 @@ class _Drive:
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
-        self._exchange: DriveExchange | None = None
-        self._leaving = False  # the exchange is ending
+        self._renew()
+
+    def _renew(self) -> None:
+        """Have an exchange that has not begun."""
+        self.exchange = DriveExchange(
+            self.file, self._address, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit
+        )
+        self._begun = self._leaving = False
 
     @property
     def snapshot(self) -> Snapshot:
         """What is known of it."""
-        return Snapshot() if self._exchange is None else self._exchange.snapshot
+        return self.exchange.snapshot
 
     def connect(self) -> None:
         """Begin to keep it stopped, once it is let go of."""
-        if self._leaving and self._exchange is not None and self._exchange.close(0.0):
-            self._exchange, self._leaving = None, False
-        if self._exchange is None:
-            self._exchange = DriveExchange(
-                self.file, self._address, self._period, _DEAD_MAN_S,
-                timeout_limit_s=self._limit,
-            )
-            self._exchange.start()
+        if self._leaving and self.exchange.close(0.0):
+            self._renew()
+        if not self._begun:
+            self.exchange.start()
+            self._begun = True
 
     def let_go(self, within: float) -> str:
         """Stop it, and return what it says then.
@@ -151,14 +160,14 @@ class _Drive:
             RefusedError: it takes longer, and goes on.
             OSError: it was not heard at the end, or does not stand.
         """
-        exchange = self._exchange
-        if exchange is None:
+        if not self._begun:
             return ""
-        self._leaving = not exchange.close(within)
+        self._leaving = not self.exchange.close(within)
         if self._leaving:
             raise RefusedError("the drive is still slowing down, or not heard; ask again")
-        self._exchange, snapshot = None, exchange.snapshot
+        snapshot = self.snapshot
         status = snapshot.status
+        self._renew()
         what = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
             # A thread that still talks to it has not read that it stands.
@@ -171,26 +180,16 @@ class _Drive:
             rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
         raise OSError(f"{what}; {rest}")
 
-    def demand(self, speed: float | None) -> None:
-        """Ask for a speed, share of the rated one; None for off."""
-        if self._exchange is not None:
-            self._exchange.demand(speed)
-
     def keep_to_speed_of(self, run: RunIdentity | None) -> None:
         """Take part in a run that is not in real time with the drive simulator alone.
 
         Raises:
             ConfigurationError: it is another drive.
         """
-        if run is not None and run.speed != 1 and self._exchange is not None:
-            self._exchange.only_simulator()
+        if run is not None and run.speed != 1:
+            self.exchange.only_simulator()
             if why := self.snapshot.no_simulator:
                 raise no_real_time(why, "the plant's speed", run.speed)
-
-    def reset(self) -> None:
-        """Have its fault acknowledged."""
-        if self._exchange is not None:
-            self._exchange.reset()
 
     def status(self, now: float) -> DriveStatus | None:
         """Return what it said last, unless that is too old."""
@@ -266,7 +265,7 @@ class PumpNode(Lifecycle, LinkedNode):
             None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
-        self._state = self._logged = ""
+        self._state = ""
         self._reasons: tuple[object, ...] = ()  # as of the last decision
         # All that is measured from now on; none of it is on the wire.
         self._simulated = 0.0
@@ -410,7 +409,7 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> Trigger.Response:
         self._take_state()
         cleared = self._control.reset()
-        self._drive.reset()
+        self._drive.exchange.reset()
         self._resetting_until = boot_time() + RESET_S
         self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
@@ -433,7 +432,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = boot_time()
         if not self.live:
-            self._drive.keep_to_speed_of(self._lockstep.run)
+            self._drive.keep_to_speed_of(self.lockstep.run)
             self._commanded = boot_time()
             self._simulated += self._site.tau
         self._step(now)
@@ -445,7 +444,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Stop where something speaks against running, whether or not commands come."""
         now = boot_time()
         if not self.live:
-            self._drive.keep_to_speed_of(self._lockstep.run)
+            self._drive.keep_to_speed_of(self.lockstep.run)
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
@@ -458,7 +457,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._reasons = reasons
             self._step(now)
         self._idle_at = boot_time()
-        self._drive.demand(self._decision.speed)
+        self._drive.exchange.demand(self._decision.speed)
         if self._autostart:
             self._start_by_itself(now)
         if now - self._looked_at > _LOOK_S:
@@ -557,15 +556,13 @@ class PumpNode(Lifecycle, LinkedNode):
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
         self._decision = decision = self._control.step(dt, seen, drive_dt)
-        self._drive.demand(decision.speed)
+        self._drive.exchange.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
-        if state != self._state:
-            self._state = state
+        before, self._state = self._state, state
+        if state != before:
             self._publish_state(state)
-        without_numbers = re.sub(r"[\d.]+", "", state)
-        if without_numbers != self._logged:
-            self._logged = without_numbers
-            self.get_logger().info(state)
+            if re.sub(r"[\d.]+", "", state) != re.sub(r"[\d.]+", "", before):
+                self.get_logger().info(state)
 
     # --- what is said -----------------------------------------------------------------------------
 
@@ -597,8 +594,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
         self.say(
-            "levels", "; ".join(f"{one.name} {one.why}" for one in bad), "both levels are good",
-            bad[0].code if bad else "",
+            "levels", "; ".join(one.problem for one in bad), "both levels are good",
+            bad[0].verdict.code if bad else "",
         )
         blind = (
             "blind: a level is unknown, or both were not known for "
@@ -611,7 +608,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.say(
             "state file", self._ledger.problem, "stops and faults are kept", "state_not_kept"
         )
-        frost, code = f"{self._frost.name} {self._frost.why}", self._cause("frost_unknown")
+        frost, code = self._frost.problem, self._cause("frost_unknown")
         if self._frost.good:
             frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
         self.say("frost", frost, "there is no frost", code, WARN)
@@ -640,7 +637,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
             "frost_unknown": self._frost, "command_unknown": self._command,
         }
-        cause = inputs[code].code if code in inputs else ""
+        cause = inputs[code].verdict.code if code in inputs else ""
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
 
@@ -648,11 +645,11 @@ class PumpNode(Lifecycle, LinkedNode):
         command, silence = self._command, self._silence()
         trouble = command.publishers.said(time.monotonic())
         if not trouble and not command.good:
-            trouble = f"{command.name} {command.why}"
+            trouble = command.problem
         if silence and self.acted and not trouble:
             self.diagnose("command", STALE, silence, "no_command")
         else:
-            code = command.code or "two_controllers"
+            code = command.verdict.code or "two_controllers"
             self.say("command", trouble, silence or "commands come", code)
 
     def _diagnose_drive(self, now: float) -> None:

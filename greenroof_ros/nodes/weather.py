@@ -117,10 +117,16 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 def _forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the forecasts that the parameters choose."""
+    """Return the forecasts that the parameters choose.
+
+    Raises:
+        ConfigurationError: they choose none.
+    """
     name = "forecast"
     try:
         choice = choose(values[name])
+        if values["live"] and choice.file is None:
+            raise ValueError("must be a FILE.csv in a live graph, or empty where there is none")
         name = "forecast_skill"
         check_skill(values[name])
     except ValueError as error:
@@ -138,17 +144,6 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
             )
         given["dressed"] = Path(values["dressed"])
     return replace(choice, **given)
-
-
-def _forecast_file(values: dict[str, Any]) -> Path:
-    """Return the file of forecasts of a live graph."""
-    file = _forecast(values).file
-    if file is None:
-        raise ConfigurationError(
-            "must be a FILE.csv in a live graph, or empty where there is none",
-            key="parameter forecast of weather", value=values["forecast"],
-        )
-    return file
 
 
 class _Records:
@@ -204,11 +199,12 @@ class WeatherNode(LinkedNode):
             self._dressing = self._record(values["dressed"])
             # A file of many members takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
-            self._live_forecast = None if not values["forecast"] else LiveForecast(
-                ForecastFile(_forecast_file(values)), site, values["horizon"],
-                values["issue_limit"], values["all_members"], self._dressing,
-            )
-            if self._live_forecast is not None:
+            self._live_forecast: LiveForecast | None = None
+            if values["forecast"] and (file := _forecast(values).file) is not None:
+                self._live_forecast = LiveForecast(
+                    ForecastFile(file), site, values["horizon"], values["issue_limit"],
+                    values["all_members"], self._dressing,
+                )
                 self._live_forecast.file.look()
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
@@ -358,7 +354,7 @@ class WeatherNode(LinkedNode):
             self.diagnose(part, OK, f"{gauge.name} is good")
         elif gauge.heard:
             self.diagnose(
-                part, WARN, f"{gauge.name} {gauge.why}; {instead}", "gauge_bad", gauge.code
+                part, WARN, f"{gauge.problem}; {instead}", "gauge_bad", gauge.verdict.code
             )
 
 

@@ -12,7 +12,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
@@ -712,27 +711,3 @@ def test_a_parameter_that_it_does_not_have(given: str, words: str | None) -> Non
     )
     with pytest.raises(ConfigurationError, match=words) if words else nullcontext():
         refuse_unknown(node, ["pump", "--ros-args", "-p", given])
-
-
-def test_the_drive_is_stopped_where_no_thread_is_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The machine has none to give at the worst moment: the node's own waits for the drive then."""
-    registers = acs880()
-    wire = Wire(registers)
-    drive = _Drive({
-        "drive": "abb_acs880", "address": wire.gateway, "exchange_period": 0.05,
-        "drive_timeout_limit": 10.0, "local_settings_stop_the_pump": False,
-    }, "pump")
-    try:
-        drive.connect()
-        wait_for(lambda: drive.snapshot.connected, 60, "the drive")
-
-        def start(_: threading.Thread) -> None:
-            raise RuntimeError("can't start new thread")
-
-        with monkeypatch.context() as patch:
-            patch.setattr(threading.Thread, "start", start)
-            registers.written.clear()
-            assert drive.let_go().startswith("let go of the drive: ")
-        assert [each for each in registers.written if each[0] == 0][-1] == (0, 0x047E)  # off
-    finally:
-        wire.close()
