@@ -45,7 +45,7 @@ _REPORT_S = 0.25
 class LinkedNode(Node):
     """A node of a graph, simulated or live.
 
-    It opens its topics by :meth:`publish_topic` and :meth:`subscribe`, by their names in the
+    It opens its topics by :meth:`open_outputs` and :meth:`subscribe`, by their names in the
     interface, and overrides :meth:`on_inputs`, and of the other ``on_`` methods, ``progress`` and
     ``summary`` those that it needs. Its parameter ``live`` says which graph it is; in a simulated
     one it lives in simulated time (``use_sim_time`` is true).
@@ -88,7 +88,8 @@ class LinkedNode(Node):
         self.inputs = Inputs(role)
         self._heard: list[Publishers] = []  # of all that it subscribes to
         self._warnings: list[str] = []
-        self._outputs: list[Publisher] = []
+        # Of each topic its publisher, and what makes its messages.
+        self._outputs: dict[str, tuple[Publisher, Callable[[Any], bytes]]] = {}
         self._reported = self._warned = self._looked = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
@@ -170,20 +171,20 @@ class LinkedNode(Node):
         now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
         self._ros_clock.set_ros_time_override(now)
 
-    def publish_topic(self, name: str) -> Callable[[Any], None]:
-        """Open an output and return what publishes a value on it.
+    def open_outputs(self, *names: str) -> None:
+        """Open topics of the interface for :meth:`publish`."""
+        for name in names:
+            topic = self.interface[name]
+            publisher = self.create_publisher(
+                message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            )
+            self._outputs[name] = publisher, encoder(topic.type, topic.dimensions)
 
-        Args:
-            name: of the topic in the interface.
-        """
-        topic = self.interface[name]
-        publisher = self.create_publisher(
-            message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-        )
-        self._outputs.append(publisher)
-        encode, send = encoder(topic.type, topic.dimensions), publisher.publish
-        return lambda value: send(encode(value))
+    def publish(self, name: str, value: Any) -> None:
+        """Publish a value on a topic of the interface that is open."""
+        publisher, encode = self._outputs[name]
+        publisher.publish(encode(value))
 
     def subscribe(
         self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
@@ -381,7 +382,7 @@ class LinkedNode(Node):
     def all_arrived(self) -> bool:
         """Whether all that the node said has come to who hears it."""
         now = Duration()
-        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs)
+        return all(publisher.wait_for_all_acked(now) for publisher, _ in self._outputs.values())
 
     def _report(self, now: float) -> None:
         self._reported = now
@@ -406,6 +407,6 @@ class LinkedNode(Node):
             self._final_values["failure"] = failure
         self._report(time.monotonic())
         until = time.monotonic() + _FLUSH_S
-        for publisher in [*self._outputs, self.reports.publisher]:
+        for publisher in [*(one for one, _ in self._outputs.values()), self.reports.publisher]:
             left = max(0.0, until - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))

@@ -106,11 +106,8 @@ class ControllerNode(LinkedNode):
             self._kept_at = time.monotonic()
         else:
             self.subscribe(CLOCK, self.set_time)
-        self._publish_command = self.publish_topic("/pump/command")
-        self._publish_outputs = [
-            (self.publish_topic(topic.name), attribute, topic.undecided)
-            for topic, attribute in optional_topics(choice.outputs)
-        ]
+        self._optional = list(optional_topics(choice.outputs))
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def on_inputs(self) -> None:
@@ -119,10 +116,11 @@ class ControllerNode(LinkedNode):
         if self.live:
             allowed = self._command_live(allowed)
         else:
-            self._publish_command(self._decide(allowed))
+            self.publish("/pump/command", self._decide(allowed))
         self._tick += 1
-        for publish, attribute, undecided in self._publish_outputs:
-            publish(getattr(self._controller, attribute) if allowed else undecided)
+        for topic, attribute in self._optional:
+            value = getattr(self._controller, attribute) if allowed else topic.undecided
+            self.publish(topic.name, value)
 
     def _decide(self, allowed: bool) -> float:
         there = allowed and self._rain.good and self._evapotranspiration.good
@@ -164,7 +162,7 @@ class ControllerNode(LinkedNode):
             self._without_pumped = self._without_pumped or command > 0
         if command and not self.good:
             command = 0.0
-        self._publish_command(command)
+        self.publish("/pump/command", command)
         self._expect(command)
         self._shown = {
             "command": command,

@@ -49,7 +49,8 @@ class LevelSensorNode(LinkedNode):
         values = declare(self, parameters())
         sensors = read_sensors(Path(values["sensors_file"]), values[_LIMIT.name])
         self._sensor = sensors.cistern if tank == "cistern" else sensors.roof
-        self._publish = self.publish_topic(f"/{tank}/level")
+        self._topic = f"/{tank}/level"
+        self.open_outputs(self._topic)
         self._level: float | None = None
         self._started = self._published = time.monotonic()
         self.reports.hardware = f"{self._sensor.address}, device {self._sensor.device_id}"
@@ -70,7 +71,7 @@ class LevelSensorNode(LinkedNode):
             self._level = reading.level
             self.reports.numbers["sensor"] = {"level": reading.level}
             if reading.level is not None:
-                self._publish(reading.level)
+                self.publish(self._topic, reading.level)
             problem = reading.problem if reading.level is None else ""
             self.say("sensor", problem, "the sensor is read", "sensor_lost")
         return LISTEN_S

@@ -91,11 +91,9 @@ class PlantNode(LinkedNode):
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
-        self._publish_clock = self.publish_topic(CLOCK)
-        self._publish_cistern = self.publish_topic("/cistern/level")
-        self._publish_roof = self.publish_topic("/roof/level")
-        self._publish_outflow = self.publish_topic("/cistern/outflow")
-        self._publish_drainage = self.publish_topic("/roof/drainage")
+        self.open_outputs(
+            CLOCK, "/cistern/level", "/roof/level", "/cistern/outflow", "/roof/drainage", RUN
+        )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
@@ -104,11 +102,11 @@ class PlantNode(LinkedNode):
         if self._external:
             self._flow = self.subscribe("/pump/flow")
         else:
-            self._publish_flow = self.publish_topic("/pump/flow")
+            self.open_outputs("/pump/flow")
         if self._record:
             self.subscribe("/recorder/written", self._on_written)
         identity = float(secrets.randbits(_IDENTITY_BITS))
-        self.publish_topic(RUN)(RunIdentity(identity, self._run_length, self._speed).values)
+        self.publish(RUN, RunIdentity(identity, self._run_length, self._speed).values)
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)
@@ -137,10 +135,10 @@ class PlantNode(LinkedNode):
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
         now = self._start_ns + self._tick * self._tick_ns
-        self._publish_clock(now)
+        self.publish(CLOCK, now)
         cistern, roof = self._levels()
-        self._publish_cistern(cistern)
-        self._publish_roof(roof)
+        self.publish("/cistern/level", cistern)
+        self.publish("/roof/level", roof)
         self._paused = False
         self._waiting_since = time.monotonic()
         self.set_time(now)
@@ -187,10 +185,10 @@ class PlantNode(LinkedNode):
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
-        self._publish_outflow(flows.outflow)
-        self._publish_drainage(flows.drainage)
+        self.publish("/cistern/outflow", flows.outflow)
+        self.publish("/roof/drainage", flows.drainage)
         if not self._external:
-            self._publish_flow(flows.pump)
+            self.publish("/pump/flow", flows.pump)
 
     def on_idle(self) -> float:
         """Start when the graph is whole, let a tick go that waits, and watch the clock."""

@@ -286,8 +286,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._rival = self.rivals("/pump/flow")
         else:
             self.subscribe(CLOCK, self.set_time)
-        self._publish_flow = self.publish_topic("/pump/flow")
-        self._publish_state = self.publish_topic("/pump/state")
+        self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
@@ -438,7 +437,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._step(now)
         if self.live and self._cistern.good and self._roof.good:
             self._levels.expect(self._decision.flow)
-        self._publish_flow(self._decision.flow)
+        self.publish("/pump/flow", self._decision.flow)
 
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
@@ -560,7 +559,7 @@ class PumpNode(Lifecycle, LinkedNode):
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
         if state != before:
-            self._publish_state(state)
+            self.publish("/pump/state", state)
             if re.sub(r"[\d.]+", "", state) != re.sub(r"[\d.]+", "", before):
                 self.get_logger().info(state)
 

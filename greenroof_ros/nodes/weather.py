@@ -55,6 +55,11 @@ from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
+_FROST = "/weather/frost"
+_RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
+_RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
+    "/forecast/precipitation", "/forecast/evapotranspiration",
+)
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -212,13 +217,9 @@ class WeatherNode(LinkedNode):
         else:
             self._records = _Records(site, values)
             self._time = self.subscribe(CLOCK)
-        self._publish_rain_forecast = self.publish_topic("/forecast/precipitation")
-        self._publish_evapotranspiration_forecast = self.publish_topic(
-            "/forecast/evapotranspiration"
+        self.open_outputs(
+            _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
         )
-        self._publish_rain = self.publish_topic("/weather/precipitation")
-        self._publish_evapotranspiration = self.publish_topic("/weather/evapotranspiration")
-        self._publish_frost = self.publish_topic("/weather/frost")
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts that are known at it."""
@@ -229,11 +230,11 @@ class WeatherNode(LinkedNode):
         tick = records.tick(self._time.value)
         hour = records.series.at(tick)
         # What the controller waits for comes first: it needs longest.
-        self._publish_frost(hour.frost)
-        self._publish_rain_forecast(records.forecast.precipitation(tick))
-        self._publish_evapotranspiration_forecast(records.forecast.evapotranspiration(tick))
-        self._publish_rain(hour.precipitation)
-        self._publish_evapotranspiration(hour.evapotranspiration)
+        self.publish(_FROST, hour.frost)
+        self.publish(_RAIN_FORECAST, records.forecast.precipitation(tick))
+        self.publish(_EVAPOTRANSPIRATION_FORECAST, records.forecast.evapotranspiration(tick))
+        self.publish(_RAIN, hour.precipitation)
+        self.publish(_EVAPOTRANSPIRATION, hour.evapotranspiration)
         self.set_time(self._time.value)
 
     def _publish_live(self) -> None:
@@ -247,18 +248,18 @@ class WeatherNode(LinkedNode):
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
-        self._publish_frost(self._frost(temperature))
+        self.publish(_FROST, self._frost(temperature))
         evapotranspiration: float | None
         if outlook is not None:
-            self._publish_rain_forecast(outlook.rain)
-            self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
+            self.publish(_RAIN_FORECAST, outlook.rain)
+            self.publish(_EVAPOTRANSPIRATION_FORECAST, outlook.evapotranspiration)
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))
         if rain is not None:
-            self._publish_rain(rain)
+            self.publish(_RAIN, rain)
         if evapotranspiration is not None:
-            self._publish_evapotranspiration(evapotranspiration)
+            self.publish(_EVAPOTRANSPIRATION, evapotranspiration)
         instead = "unknown" if forecast is None else "forecast"
         self._say_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
         self._say_gauge(
@@ -311,27 +312,25 @@ class WeatherNode(LinkedNode):
             self._files_read = forecast.file.count
             self.get_logger().info("the file of forecasts was read")
         problem = forecast.file.problem
+        unreadable = "forecast_unreadable" if problem else ""
         try:
             outlook = forecast.at(now, rain)
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
             usual = self._site.climatic_evapotranspiration(self._month(now))
             of_record = forecast.of_record(now, usual, rain)
-            cause = "forecast_unreadable" if problem else ""
             self.reports.numbers.pop("forecast", None)
             if of_record is None:
-                self.diagnose("forecast", ERROR, why, "forecast_missing", cause)
+                self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
             else:
                 why = f"the record of past weather stands for a forecast: {why}"
-                self.diagnose("forecast", WARN, why, "forecast_of_record", cause)
+                self.diagnose("forecast", WARN, why, "forecast_of_record", unreadable)
             return of_record
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
-        if problem:
-            issued += f"; what was read before holds on: {problem}"
-        code = "forecast_unreadable" if problem else ""
-        self.diagnose("forecast", WARN if problem else OK, issued, code)
+        trouble = problem and f"{issued}; what was read before holds on: {problem}"
+        self.say("forecast", trouble, issued, unreadable, WARN)
         return outlook
 
     def _frost(self, temperature: float) -> float:

@@ -108,12 +108,12 @@ class Ledger:
         self._file = file
         self._clock = system_clock
         self._unsaved = 0.0
-        self._sequence = 0
         self._unseen = 0.0
         self._only: FileIO | None = None  # the lock
         self.record = self._found = Record()
         if file is not None:
-            self._newest = Newest(partial(self._write, file), partial(_why, file))
+            self._lines = _Lines(file)
+            self._newest = Newest(self._lines.write, partial(_why, file))
             self._lock(file)
             self._begin(file)
 
@@ -147,7 +147,7 @@ class Ledger:
 
     def _begin(self, file: Path) -> None:
         """Begin with what the file says, and the time since that was written."""
-        self.record, self._sequence, whole = _read(file)
+        self.record, self._lines.sequence, whole = _read(file)
         self._found = self.record
         down = self._clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
@@ -242,14 +242,26 @@ class Ledger:
         if self._only is not None:
             self._newest.give(replace(self.record, written_at=self._clock()))
 
-    def _write(self, file: Path, record: Record) -> None:
+
+class _Lines:
+    """The two lines of the file.
+
+    Attributes:
+        sequence: number of the newest; 0 where the file must be made.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.sequence = 0
+
+    def write(self, record: Record) -> None:
         """Write a record, on the disk's thread."""
-        if self._sequence == 0 or not file.exists():
-            _make(file, record)
-            self._sequence = 2
+        if self.sequence == 0 or not self._file.exists():
+            _make(self._file, record)
+            self.sequence = 2
         else:
-            _overwrite(file, self._sequence + 1, record)
-            self._sequence += 1
+            _overwrite(self._file, self.sequence + 1, record)
+            self.sequence += 1
 
 
 def _why(file: Path, error: Exception) -> str:
