@@ -268,7 +268,7 @@ class LinkedNode(Node):
 
     @property
     def ready(self) -> bool:
-        """Whether every input had its publisher once."""
+        """Whether every input had its publisher once; live, and it acted, if it acts by itself."""
         return self.reports.state != STARTING
 
     @property
@@ -357,7 +357,8 @@ class LinkedNode(Node):
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        if not self.ready and not self.inputs.absent():
+        begun = self._trigger.has_begun if isinstance(self._trigger, Live) else True
+        if not self.ready and begun and not self.inputs.absent():
             self.reports.state = READY
             self._report(now)
         if now - self._reported > _REPORT_S:

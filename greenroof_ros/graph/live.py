@@ -33,6 +33,8 @@ from greenroof_ros.pumping.input_rules import (
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what
 # comes may have waited.
 PAUSE_S = 1.0
+# How long after its start a node acts first, at most (s).
+_FIRST_S = 1.0
 
 RECOVERY = Parameter(
     "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
@@ -126,6 +128,7 @@ class Live:
 
     Attributes:
         due: when the node acts next (s since the machine started).
+        has_begun: whether it has acted, if it acts by itself: before that it has judged nothing.
     """
 
     def __init__(
@@ -142,13 +145,14 @@ class Live:
         self._inputs: dict[str, tuple[Input, InputRules]] = {}
         self._period = math.inf
         self.due = math.inf
+        self.has_begun = True
         self._looked = boot_time()
         self._deaf_until = self._looked
 
     def act_every(self, period: float) -> None:
-        """Let the node act from now on every period (s)."""
-        self._period = period
-        self.due = boot_time() + period
+        """Let the node act from now on every period (s), and first after a second at most."""
+        self._period, self.has_begun = period, False
+        self.due = boot_time() + min(period, _FIRST_S)
 
     def judge_by_rules(
         self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
@@ -213,6 +217,7 @@ class Live:
         self.judge()
         self._say()
         self._act()
+        self.has_begun = True
         # What a node takes to decide is no pause: what it decides on must not be too old then. A
         # suspend in the middle of it is one.
         slept = suspended_time() - before

@@ -527,6 +527,7 @@ def test_live_weather_that_lacks_something(domain: int, tmp_path: Path, site: Si
     )
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
+    arrays = listen(site.watcher)
     with live_node(
         domain, tmp_path, "weather", forecast=file, unknown_frost_may_pump="true", dressed=record,
         site_file=tmp_path / "mine.yaml",
@@ -535,9 +536,13 @@ def test_live_weather_that_lacks_something(domain: int, tmp_path: Path, site: Si
         site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
         site.until(lambda: len(frost) > 2, LATE, "frost")
         assert site.says("/weather: forecast", ERROR, f"{file}: cannot be read")()
+        # It is ready once it has said what it lacks, not before it has looked.
+        for array in arrays:
+            said = {one.name: one.message for one in array.status}
+            assert said.get("/weather") != "ready" or "/weather: frost" in said
         assert not evapotranspiration
-        said = site.says("/weather: record of forecasts", WARN, "as they are issued", str(record))
-        site.until(said, LATE, "why")
+        useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
+        site.until(site.says(*useless), LATE, "why")
         write_forecast(file, timedelta(0), 3.6, 15.0)
         site.until(lambda: forecast, LATE, "the forecast")
         assert list(newest(forecast)) == pytest.approx([1e-6] * 10)
