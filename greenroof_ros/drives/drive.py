@@ -427,7 +427,7 @@ class Drive:
         return f"{register.meaning} (register {register.manual})"
 
 
-class HeldError(DriveError):
+class DriveInUseError(DriveError):
     """Another process has the lock.
 
     Attributes:
@@ -449,25 +449,25 @@ class DriveLock:
     def __init__(self, file: DriveFile, address: Address) -> None:
         """Take nothing yet."""
         self._file, self._address = file, address
-        self._held: tuple[FileIO, Path] | None = None
+        self._lock: tuple[FileIO, Path] | None = None
 
     @property
     def taken(self) -> bool:
         """Whether this has it."""
-        return self._held is not None
+        return self._lock is not None
 
     def take(self) -> None:
         """Take it; may wait for the name of a host to be looked up.
 
         Raises:
-            HeldError: another process has it.
+            DriveInUseError: another process has it.
             DriveError: its file cannot be opened, or the host is not known.
         """
         path = self._path()
         try:
-            self._held = take_lock(path, 0o666), path
+            self._lock = take_lock(path, 0o666), path
         except LockedError as error:
-            raise HeldError(
+            raise DriveInUseError(
                 f"{self._address}: process {error.holder or 'unknown'} of this machine runs this "
                 f"drive already (lock {path}); end that one, and this one goes on by itself",
                 error.holder,
@@ -481,12 +481,12 @@ class DriveLock:
 
     def release(self) -> None:
         """Give it back, if it was taken."""
-        if self._held is not None:
-            lock, path = self._held
+        if self._lock is not None:
+            lock, path = self._lock
             with contextlib.suppress(OSError):  # another user's file stays
                 path.unlink()
             lock.close()
-            self._held = None
+            self._lock = None
 
     def _path(self) -> Path:
         """Return the file, by the same name for each way to write the address.

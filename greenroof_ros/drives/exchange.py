@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.common.clock import boot_time
-from greenroof_ros.drives.drive import Drive, DriveLock, DriveStatus, HeldError
+from greenroof_ros.drives.drive import Drive, DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known
 
@@ -276,17 +276,29 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._guarded_from = -math.inf
         self._simulator_only = False
 
-    def close(self) -> None:
+    def close(self, within_s: float = math.inf) -> bool:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
 
         It goes on for as long as the speed falls, `LEAVE_S` at most; a drive whose speed does not
         fall, or that does not answer, is left after a few seconds.
+
+        Args:
+            within_s: how long to wait for it at most (s).
+
+        Returns:
+            Whether it is over; otherwise it goes on.
         """
+        now = time.monotonic()
         self._demand = (None, -math.inf)
-        self._leave_by = time.monotonic() + LEAVE_S
-        if not self._end(LEAVE_S + LONGEST_WAIT_S):
-            self._update(state=State.CONNECTING, status=None)
-            self._fail("whether the drive stands was not read: its connection hangs")
+        self._leave_by = min(self._leave_by, now + LEAVE_S)
+        longest_s = max(0.0, self._leave_by + LONGEST_WAIT_S - now)
+        if self._end(min(within_s, longest_s)):
+            return True
+        if within_s < longest_s:
+            return False
+        self._update(state=State.CONNECTING, status=None)
+        self._fail("whether the drive stands was not read: its connection hangs")
+        return True
 
     def demand(self, speed: float | None) -> None:
         """Ask for a speed (share of rated speed), or for off (None); holds for `dead_man_s`.
@@ -587,13 +599,13 @@ def stop_drive(
         What the drive said when it was stopped, which may be that it does not stand.
 
     Raises:
-        HeldError: another process runs it, and nothing was sent.
+        DriveInUseError: another process runs it, and nothing was sent.
         DriveError: it could not be told to in three attempts; the message says why.
     """
     only = DriveLock(file, address)
     try:
         only.take()
-    except HeldError as error:
+    except DriveInUseError as error:
         if error.holder not in (None, driver):
             raise
     except DriveError:

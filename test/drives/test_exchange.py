@@ -19,7 +19,7 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.clock import boot_time
-from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
+from greenroof_ros.drives.drive import DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
     DriveExchange,
@@ -763,7 +763,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(
     time.sleep(1.5)
     assert not exchange.snapshot.connected and exchange.snapshot.errors == 1
     # The supervisor's stop goes by, where that one is its own.
-    with pytest.raises(HeldError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
         stop_drive(file, parse_address(wire.at), driver=1)
     assert wire.connections == 0
     assert str(stop_drive(file, parse_address(wire.at), driver=os.getpid())) == "speed 0.0%, off"
@@ -785,7 +785,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(file: DriveFile, tmp_path
         for name in ("ttyUSB0,1", "by-id,2")
     )
     one.take()
-    with pytest.raises(HeldError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
         two.take()
     one.release()
     two.take()
