@@ -1,7 +1,7 @@
 """How the makes of drives obey their control words: state machines for the simulated drive.
 
 Each is written from the maker's manual, not from the drive file, which has the control words and
-conditions that the driver goes by; so the two hold each other to account. What a manual leaves open
+conditions that the driver goes by; so each checks the other. What a manual leaves open
 is decided against the driver: the stricter reading stands here.
 """
 

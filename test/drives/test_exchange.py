@@ -587,7 +587,7 @@ class Told:
         until = self.now + seconds
         while self.now < until:
             self.now += 0.1
-            self.obedience.told_to_stop(self.now)
+            self.obedience.stop_written(self.now)
             said = speed(self.now)
             try:
                 if said is None:

@@ -535,18 +535,6 @@ def test_a_connection_without_an_answer_is_reset() -> None:
     assert ended == ["reset"]
 
 
-def test_a_connection_is_watched_by_the_kernel() -> None:
-    """Timer 2 of /proc/net/tcp, keepalive, runs while nothing is sent: proc_net_tcp.txt."""
-    with closing(Wire(lambda _request: [])) as wire:
-
-        def look(_drive: Drive) -> list[str]:
-            lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-            return [line[5][:2] for line in lines if line[2].endswith(f":{wire.port:04X}")
-                    and line[3] == "01"]
-
-        assert talk("abb_acs880", wire.at, look) == ["02"]
-
-
 def test_nobody_there() -> None:
     wire = Wire(lambda _request: [])
     wire.close()

@@ -51,7 +51,7 @@ def test_a_pulse_in_words() -> None:
         ("stopping", "the next pulse is not due yet"),
     }
     rig.run(600, 0.1)
-    assert "m3 are owed, more than a least pulse" in rig.decisions[-1].warning
+    assert "m3 are outstanding, more than a least pulse" in rig.decisions[-1].warning
 
 
 def test_it_stays_on_for_its_least_time() -> None:
