@@ -32,7 +32,7 @@ class DriveStatus:
     Attributes:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
-        fault: in words; empty for none. That the pump turns backwards is one, too.
+        fault: in words; empty for none. To turn backwards is a fault, too.
         warning: in words; empty for none.
         speed: as share of rated speed; below 0 only where the pump turns backwards.
         flow: m3/s; None where the drive has none.

@@ -50,15 +50,15 @@ class Tcp:
     """Modbus TCP."""
 
     port: int = entry("TCP port, of a gateway, too", 1, 65535)
-    device_id: int = entry("unit identifier; behind a gateway it is that of `serial`", 0, 255)
+    device_id: int = entry("unit identifier; behind a gateway `serial` has it", 0, 255)
 
 
 @dataclass(frozen=True)
 class Register:
     """A holding register, or two that are one value.
 
-    The value in the stated unit is scale x raw, divided by that of the register `full_scale` where
-    one is named.
+    The value in the stated unit is scale x raw, divided by the value of the register `full_scale`
+    where one is named.
     """
 
     address: int = entry("on the wire, the first register is 0", 0, 65535)
@@ -208,7 +208,7 @@ class Timeouts:
 
     @property
     def known(self) -> dict[str, Timeout]:
-        """Those of which the file tells, by interface."""
+        """The timeouts that the file has, by interface."""
         return {name: own for name, own in vars(self).items() if own is not None}
 
     def over(self, address: Address) -> Timeout | None:
@@ -253,8 +253,8 @@ class DriveFile:
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
-        It is the address's own where that has one, else that of the interface that is reached:
-        behind a gateway it is the slave address.
+        It is the address's own where that has one, else the one of the interface that is reached:
+        behind a gateway the slave address.
         """
         if address.device_id is not None:
             return address.device_id

@@ -323,7 +323,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _wanted(self) -> float | None:
         speed, at = self._demand
-        fresh = boot_time() - at <= self._dead_man_s  # nor is one of before a suspend
+        fresh = boot_time() - at <= self._dead_man_s  # a demand from before a suspend is not
         return speed if fresh and not self._closing and not self._unguarded() else None
 
     def _unguarded(self) -> str:

@@ -26,8 +26,8 @@ class Reading(Known):
 class LevelSensor(DeviceThread[Reading]):
     """Reads a sensor once a period. It connects when it must, and again after every failure.
 
-    A value that is refused, or a failure, empties the filter: the level after it is of new readings
-    alone.
+    A value that is refused, or a failure, empties the filter: the next level comes from new
+    readings alone.
     """
 
     def __init__(self, sensor: Sensor, timeout_s: float = 0.5) -> None:

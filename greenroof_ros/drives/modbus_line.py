@@ -88,7 +88,7 @@ class Address:
         host: of Modbus TCP; empty for a serial line.
         port: of Modbus TCP; None for the one that the device's file names.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
-        gateway: host and port are those of a gateway to the device's serial port.
+        gateway: host and port are of a gateway to the device's serial port.
         device_id: unit identifier or slave address; None for the one that the device's file names.
     """
 
@@ -111,7 +111,7 @@ class Address:
         """Return which interface of the device is reached.
 
         ``tcp`` is its own Ethernet port, ``serial`` its serial port, be it through a gateway. A
-        drive has a communication timeout for each, and only that of the one in use guards.
+        drive has a communication timeout for each, and only the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
@@ -331,7 +331,7 @@ class ModbusLine:
         self, what: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Return the answer to a request, if it is one to that function and no exception."""
+        """Return the answer to a request, if it has that function and is no exception."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:

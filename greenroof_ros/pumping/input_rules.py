@@ -241,7 +241,7 @@ class InputRules:
         Args:
             now: s.
             value: that came.
-            refused: why it is none; empty where it is one.
+            refused: why it counts for nothing; empty where it counts.
         """
         self.judge(now)  # it may have been silent
         self._came = now

@@ -250,7 +250,7 @@ class BagFile:
     """An mcap file that is written; where no more of it can be, it ends with its last flush.
 
     Of what did not fit, a part would else be in the file; how much can be recovered would then be
-    another number than that of what is known to be safe.
+    another number than what is known to be safe.
 
     Attributes:
         path: the file.

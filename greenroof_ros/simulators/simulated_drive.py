@@ -79,7 +79,7 @@ class SimulatedDrive(ABC):
         lost: whether the bus was silent for longer than the timeout.
         fault: code, or bits, of what has tripped it; 0 if nothing has.
         last_fault: what has tripped it last.
-        loss: that of the timeout.
+        loss: the fault after the timeout.
         word: the control word.
         state: of its state machine, where it has one.
     """
