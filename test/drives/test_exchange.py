@@ -225,7 +225,7 @@ def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence
         wait(lambda: drive.values[4] == 10000)
 
 
-def test_one_lost_answer_does_not_stop_the_pump(
+def test_one_lost_answer_does_not_stop_the_pump_and_close_connects_once_more_to_stop(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
     run_at_half(exchange, drive, hand)
@@ -236,12 +236,6 @@ def test_one_lost_answer_does_not_stop_the_pump(
     wait(lambda: exchange.snapshot.problem == "")
     assert exchange.snapshot.connected and wire.connections == 1
     assert OFF not in drive.written
-
-
-def test_close_connects_once_more_to_stop(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    run_at_half(exchange, drive, hand)
     wire.answer = lambda _request: None
     wire.drop()
     wait(lambda: not exchange.snapshot.connected)
@@ -259,21 +253,6 @@ def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> No
         assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
         with closing(Wire(drive, port)):
             wait(lambda: exchange.snapshot.connected, seconds=5.5)
-
-
-def test_the_timeout_of_another_port_guards_nothing(
-    file: DriveFile, drive: Registers, wire: Wire
-) -> None:
-    """ABB's embedded fieldbus is serial: an Ethernet port is an adapter's, with 50.02 and 50.03."""
-    with driving(file, wire.at) as exchange:
-        wait(lambda: exchange.snapshot.connected)
-        now = exchange.snapshot
-        assert not now.timeout_known and now.timeout_s is None
-        assert "1234" in now.identity
-        for words in ("abb_acs880.yaml", "timeout.tcp", "gateway://HOST:PORT"):
-            assert words in now.timeout_note
-        asked = {frame[-8:-4] for frame in wire.frames if frame[14:16] == "03"}
-        assert not asked & {"16b5", "16b7"}  # neither 58.14 nor 58.16 was read
 
 
 def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
@@ -438,20 +417,14 @@ def silences(times: list[float]) -> list[float]:
     return [gap for gap in gaps if gap > 1.0]
 
 
-@pytest.mark.parametrize(
-    ("timeout", "silence"), [(15, 2.5), (None, 1.8)], ids=["its own timeout", "the limit"]
-)
 def test_a_drive_that_refuses_to_stop_is_left_in_silence(
-    file: DriveFile, drive: Registers, wire: Wire, timeout: int | None, silence: float
+    file: DriveFile, drive: Registers, wire: Wire
 ) -> None:
-    """Its own timeout, 58.16, is 1.5 s, or unknown, and the limit 0.8 s; the margin is 1 s.
+    """Its own timeout, 58.16, is unknown, and the limit 0.8 s; the margin is 1 s.
 
     Closed in a silence it tries once more, and ends.
     """
-    if timeout is None:
-        del drive.values[5815]
-    else:
-        drive.values[5815] = timeout
+    del drive.values[5815]
     times: list[float] = []
     with closing(made(file, wire.gateway, timeout_limit_s=0.8)) as exchange, closing(
         Hand(exchange, None)
@@ -459,7 +432,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
         run_at_half(exchange, drive, hand)
         drive.written.clear()
         wire.answer = refusing(drive, times)
-        wait(lambda: f"so nothing is sent for {silence} s" in exchange.snapshot.problem)
+        wait(lambda: "so nothing is sent for 1.8 s" in exchange.snapshot.problem)
         assert "refused with exception 6" in exchange.snapshot.problem
         assert exchange.snapshot.state is State.SILENT
         assert not exchange.snapshot.connected and exchange.snapshot.status is None
@@ -470,7 +443,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
             time.sleep(0.3)
         exchange.reset()
         wait(lambda: len(silences(times)) == 2, seconds=8)
-        assert min(silences(times)) >= silence
+        assert min(silences(times)) >= 1.8
         assert wire.connections == connections + 2  # one attempt after each silence
         wire.answer = drive
         wait(lambda: exchange.snapshot.connected, seconds=5)
@@ -572,8 +545,8 @@ def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
 # --- whether a drive obeys, by a clock of the test's own ------------------------------------------
 
 
-class Told:
-    """Tells a drive to stop ten times a second, and listens to what it says."""
+class Stopping:
+    """Writes *stop* ten times a second, and listens to what the drive says."""
 
     def __init__(self) -> None:
         self.now, self.obedience, self.faults = 0.0, Obedience("there"), set[str]()
@@ -615,48 +588,48 @@ class Told:
 
 def test_a_ramp_however_slow_is_obedience() -> None:
     """1 % in 9 s; then noise at rest."""
-    told = Told()
-    told.listen(900, lambda now: max(0.019, 1.0 - 0.01 * (now // 9)))
-    assert told.faults == {""} and not told.left
+    stopping = Stopping()
+    stopping.listen(900, lambda now: max(0.019, 1.0 - 0.01 * (now // 9)))
+    assert stopping.faults == {""} and not stopping.left
 
 
 def test_one_that_runs_on_is_left_after_it_could_be_seen_and_again_after_a_minute() -> None:
-    told = Told()
-    told.listen(200, lambda _now: 0.5)
-    assert told.faults == {"", ACKNOWLEDGES.replace("1 s", "10 s")}
-    assert [round(at, -1) for at, _ in told.left] == [10, 80, 140]
-    assert 12 < told.left[0][0] < 12.5
-    assert told.left[0][1].endswith("not fallen for 10 s (it is 50.0%)")
+    stopping = Stopping()
+    stopping.listen(200, lambda _now: 0.5)
+    assert stopping.faults == {"", ACKNOWLEDGES.replace("1 s", "10 s")}
+    assert [round(at, -1) for at, _ in stopping.left] == [10, 80, 140]
+    assert 12 < stopping.left[0][0] < 12.5
+    assert stopping.left[0][1].endswith("not fallen for 10 s (it is 50.0%)")
 
 
 def test_what_is_known_of_the_speed_outlives_connections_that_break() -> None:
-    told = Told()
-    while not told.left and told.now < 60:
-        told.listen(0.7, lambda _now: 0.5)
-        told.lose()
-    assert 12 < told.left[0][0] < 20 and "has not fallen" in told.left[0][1]
+    stopping = Stopping()
+    while not stopping.left and stopping.now < 60:
+        stopping.listen(0.7, lambda _now: 0.5)
+        stopping.lose()
+    assert 12 < stopping.left[0][0] < 20 and "has not fallen" in stopping.left[0][1]
 
 
 @pytest.mark.parametrize("way", ["stood", "was run", "in local control"])
 def test_one_that_stood_or_was_run_or_is_a_persons_begins_anew(way: str) -> None:
-    told = Told()
-    told.listen(9.5, lambda _now: 0.5)
+    stopping = Stopping()
+    stopping.listen(9.5, lambda _now: 0.5)
     if way == "was run":
-        told.obedience.forget()
+        stopping.obedience.forget()
     else:
-        told.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
-    told.lose()
-    told.listen(9.5, lambda _now: 0.5)
-    told.listen(60, lambda _now: 0.5, remote=False)
-    assert told.faults == {""} and not told.left
+        stopping.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
+    stopping.lose()
+    stopping.listen(9.5, lambda _now: 0.5)
+    stopping.listen(60, lambda _now: 0.5, remote=False)
+    assert stopping.faults == {""} and not stopping.left
 
 
 def test_one_whose_speed_cannot_be_read_is_left_and_again_after_a_minute() -> None:
-    told = Told()
-    told.listen(5, lambda _now: 0.0)
-    told.listen(100, lambda _now: None)
-    assert [round(at, -1) for at, _ in told.left] == [20, 80]
-    assert told.left[0][1].startswith("; its speed cannot be read")
+    stopping = Stopping()
+    stopping.listen(5, lambda _now: 0.0)
+    stopping.listen(100, lambda _now: None)
+    assert [round(at, -1) for at, _ in stopping.left] == [20, 80]
+    assert stopping.left[0][1].startswith("; its speed cannot be read")
 
 
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
@@ -797,6 +770,8 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
     """Nobody's process has it, so that its file is nobody's; then root takes it over."""
     port = free_ports(1)[0]
     lock = DriveLock(file, parse_address(f"tcp://localhost:{port}"))
+    lock.take()  # what that imports nobody may not be able to read
+    lock.release()
     ours, theirs = os.pipe()
     ready, said = os.pipe()
     child = os.fork()
@@ -809,6 +784,7 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
             os.read(ours, 1)
         finally:
             os._exit(0)
+    os.close(said)
     assert os.read(ready, 1) == b"x"
     with pytest.raises(DriveError, match=f"process {child} of this machine"):
         lock.take()
@@ -816,7 +792,7 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
     os.waitpid(child, 0)
     lock.take()
     lock.release()
-    for each in (ours, theirs, ready, said):
+    for each in (ours, theirs, ready):
         os.close(each)
 
 

@@ -334,7 +334,7 @@ def run_commands(commands: list[tuple[float, int]], rig: Rig) -> tuple[float, fl
 @settings(max_examples=20, deadline=None)
 @given(
     commands=st.lists(
-        st.tuples(st.floats(1e-4, 0.0105), st.integers(1, 3000)), min_size=1, max_size=6
+        st.tuples(st.floats(1e-4, 0.0105), st.integers(1, 3000)), min_size=1, max_size=3
     ),
     drive_ramp=st.sampled_from([0.1, 0.2, 1.0]),
 )
