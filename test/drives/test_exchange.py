@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -479,67 +480,50 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("soon")
-def test_a_drive_that_runs_on_is_left_in_silence(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+@pytest.mark.parametrize(
+    ("says", "left_for"),
+    [
+        # It says from now on that it is off, as after OFF1, and turns all the same.
+        ({3: 0x1231, 4: 10000}, re.escape(f"{ACKNOWLEDGES} (it is 50.0%)")),
+        # -32768 of 20000 is no speed.
+        ({3: 0x1231, 4: 0x8000}, "register 400005.* is -32768.*; its speed cannot be read.*, "
+         r"although \*stop\* is written"),
+        # Without bit 9 a person at the panel has it, and sees to it.
+        ({3: 0x1031, 4: 0x8000}, ""),
+    ],
+    ids=["runs on", "no speed", "no speed, in local control"],
+)
+def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, says: dict[int, int],
+    left_for: str,
 ) -> None:
     """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
     drive.values[5815] = 15
     times: list[float] = []
     run_at_half(exchange, drive, hand)
     wire.answer = refusing(drive, times, refuses=False)
-    # It says from now on that it is off, as after OFF1, and turns all the same.
-    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 10000})
+    drive.on_write = lambda _address, _word: drive.values.update(says)
     hand.speed = None
-    # Who asks for it sees the cause before the silence.
-    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
-    assert exchange.snapshot.state is State.STOPPING and not silences(times)
-    assert exchange.snapshot.connected
-    wait(lambda: f"{ACKNOWLEDGES} (it is 50.0%), so nothing is sent for 2.5 s"
-         in exchange.snapshot.problem)
+    if says[4] == 10000:  # who asks for it sees the cause before the silence
+        wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
+        assert exchange.snapshot.state is State.STOPPING and not silences(times)
+    if not left_for:
+        time.sleep(4.0)
+        assert "nothing is sent" not in exchange.snapshot.problem
+        assert max(silences(times), default=0.0) < 2.5
+        return
+    wait(lambda: re.search(f"{left_for}, so nothing is sent for 2.5 s", exchange.snapshot.problem))
     assert "two connections" not in exchange.snapshot.problem
     assert not exchange.snapshot.connected and exchange.snapshot.status is None
-    drive.written.clear()
-    wait(lambda: exchange.snapshot.connected)
-    assert drive.written[0] == OFF
-    assert len(silences(times)) == 1 and silences(times)[0] >= 2.5
-    # It obeys again.
-    drive.values.update({3: 0x1231, 4: 0})
-    drive.on_write = lambda _address, _word: None
-    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
-    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
-
-
-@pytest.mark.usefixtures("soon")
-@pytest.mark.parametrize(
-    ("word", "left"), [(0x1231, True), (0x1031, False)], ids=["on the bus", "in local control"]
-)
-def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, word: int, left: bool
-) -> None:
-    """-32768 of 20000 is no speed. Without bit 9 a person at the panel has it, and sees to it."""
-    drive.values[5815] = 15
-    times: list[float] = []
-    run_at_half(exchange, drive, hand)
-    wire.answer = refusing(drive, times, refuses=False)
-    drive.on_write = lambda _address, _word: drive.values.update({3: word, 4: 0x8000})
-    hand.speed = None
-
-    def is_left() -> bool:
-        return "so nothing is sent for 2.5 s" in exchange.snapshot.problem
-
-    if not left:
-        with pytest.raises(AssertionError, match="did not come"):
-            wait(is_left, seconds=4.0)
-        return
-    wait(is_left)
-    for words in (
-        "(register 400005) is -32768", "its speed cannot be read", "although *stop* is written"
-    ):
-        assert words in exchange.snapshot.problem
-    count = len(times)
-    wait(lambda: len(times) > count)
-    assert times[count] - times[count - 1] >= 2.5
     assert drive.written[-1] in (OFF, (1, 0))
+    drive.written.clear()
+    # It obeys again.
+    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 0})
+    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
+    assert drive.written[0] == OFF
+    # Where no speed is read connections are lost before, with shorter waits.
+    assert silences(times)[-1] >= 2.5 and (says[4] != 10000 or len(silences(times)) == 1)
+    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
 
 
 # --- whether a drive obeys, by a clock of the test's own ------------------------------------------
@@ -681,44 +665,45 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- where time is not real -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("answers", [True, False])
+SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
+
+
+@pytest.mark.parametrize("before", ["the simulator", "another", "a silent one"])
 def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, answers: bool
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, before: str
 ) -> None:
-    """Though it ran; and one that does not answer that question is as little run."""
-    wire.answer = lambda request: drive(request) if answers or request[7] != 43 else []
-    run_at_half(exchange, drive, hand)
-    exchange.only_simulator()
-    assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
+    """Though it ran; one that does not answer that question is as little run.
+
+    Each connection may lead to another one.
+    """
+
+    def answer(request: bytes) -> Any:
+        if request[7] != 43 or before == "another":
+            return drive(request)
+        body = request[6:7] + SIMULATOR
+        whole = request[:4] + len(body).to_bytes(2, "big") + body
+        return [(0.0, whole)] if before == "the simulator" else []
+
+    wire.answer = answer
+    if before == "the simulator":
+        exchange.only_simulator()
+        run_at_half(exchange, drive, hand)
+        assert exchange.snapshot.no_simulator == ""
+        wire.answer = drive
+        wire.drop()
+        wait(lambda: exchange.snapshot.no_simulator)
+        wait(lambda: drive.values[0] == 0x047E)
+    else:
+        run_at_half(exchange, drive, hand)
+        exchange.only_simulator()
+        assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
     drive.written.clear()
     wait(lambda: len(drive.written) > 5)
     assert RUN not in drive.written
     assert exchange.snapshot.no_simulator != ""
-    if answers:
-        assert "does not identify itself" in exchange.snapshot.unguarded
-
-
-def test_the_simulator_is_asked_again_on_each_connection(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    names = b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
-
-    def answer(request: bytes) -> Any:
-        body = request[6:7] + bytes.fromhex("2b0e0101000002") + names
-        head = request[:4] + len(body).to_bytes(2, "big")
-        return [(0.0, head + body)] if request[7] == 43 else drive(request)
-
-    wire.answer = answer
-    exchange.only_simulator()
-    run_at_half(exchange, drive, hand)
-    assert exchange.snapshot.no_simulator == ""
-    wire.answer = drive
-    wire.drop()
-    wait(lambda: exchange.snapshot.no_simulator)
-    wait(lambda: drive.values[0] == 0x047E)
-    drive.written.clear()
-    wait(lambda: len(drive.written) > 5)
-    assert RUN not in drive.written
+    assert before == "a silent one" or (
+        "does not identify itself" in exchange.snapshot.unguarded
+    )
 
 
 # --- two drivers ----------------------------------------------------------------------------------
