@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE, paper_run, site_with
+from paper import PAPER_SITE, site_with
 from places import CONFIG
 from pump_rig import Rig
 
@@ -429,25 +429,6 @@ def test_a_meter_that_says_nothing_hides_no_volume() -> None:
     assert time_to_fault(rig, 300, 1.0) < 300
     assert rig.plant.x2 > 0.3
     assert rig.ledger.record.day_volume == pytest.approx(rig.plant.x2, rel=0.02)
-
-
-def test_weather_and_noise_are_no_alarm() -> None:
-    """The real weather, second by second, in the loop with a controller on the noisy site.
-
-    The wettest hours in the packaged file, from a full cistern and an empty roof.
-    """
-    run = paper_run(
-        "--controller", "onoff", "--fraction", "0.05", "--hours", "6", "--start", "2021-07-08T08:00"
-    )
-    assert max(run.series.precipitation) > 7 / 3.6e6
-    rig, decide = Rig(75.0, 0.0, noise=NOISE), run.make_controller()
-    for k in range(run.steps):
-        command = decide.command(
-            *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)
-        )
-        rig.step(command, run.series.precipitation[k], run.series.evapotranspiration[k])
-    assert {one.state for one in rig.decisions} <= {"off", "starting", "running", "stopping"}
-    assert rig.delivered > 0.05
 
 
 @pytest.mark.parametrize(
