@@ -118,7 +118,7 @@ class Ledger:
             self._begin(file)
 
     def take(self) -> bool:
-        """Take the file, if another one had it or it could not be made; return whether that is new.
+        """Take the file, if another had it or it could not be made; return whether that is new.
 
         What it says by now counts, and what was stopped or found here meanwhile. A release of
         before was not one of what it says now, or of its not being readable.
@@ -187,7 +187,7 @@ class Ledger:
         self._save()
 
     def count(self, dt: float, run: float, volume: float) -> None:
-        """Count the time that passed, that of it in which the pump was on (s), and m3 pumped."""
+        """Count the time that passed (s), in how much of it the pump was on (s), and m3 pumped."""
         self._pass(dt)
         self.record = replace(
             self.record,
