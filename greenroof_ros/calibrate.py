@@ -45,10 +45,10 @@ from greenroof_ros.calibration.target import reachable_target
 from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import read_text, shared_directory
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import Site, edited, read_site
 
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
@@ -128,7 +128,7 @@ def main() -> int:
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     site = read_site(site_file)
     refuse_other_forms(site_file)
-    text = read_text(site_file)
+    text = edited(site_file, {})
     sheet = None
     notes = []
     if arguments.pump_data is not None:

@@ -24,9 +24,9 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.formats.records import Records
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import Records
+from greenroof_ros.model.site import Site, edited
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TABLE_I: dict[str, float] = {
@@ -85,7 +85,7 @@ def site_with(**changes: float) -> Site:
 def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> Path:
     """Write a packaged site file with other values, and with more."""
     path = directory / "site.yaml"
-    lines = (CONFIG / base).read_text(encoding="utf-8").splitlines()
+    lines = edited(CONFIG / base, {}).splitlines()
     kept = [line for line in lines if line.partition(":")[0] not in changes]
     given = [f"{key}: {value!r}" for key, value in changes.items()]
     path.write_text("\n".join([*kept, *given]) + "\n", encoding="utf-8")

@@ -12,7 +12,7 @@ from paper import PAPER_SITE
 
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
 
 STEP_S = 300
 NOISE_M = 0.002

@@ -23,7 +23,7 @@ from greenroof_ros.bringup.drive import (
     refuse,
 )
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, command
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, say
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table

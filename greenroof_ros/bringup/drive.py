@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_INTERRUPTED, within
+from greenroof_ros.common.command_line import EXIT_INTERRUPTED, namespace, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.namespace import namespace
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, parse_drive_address

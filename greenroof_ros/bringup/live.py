@@ -23,10 +23,8 @@ from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.lock import LockedError, take_lock
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, LockedError, Signals, take_lock
 from greenroof_ros.common.standard_error import say
-from greenroof_ros.common.systemd import notify
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary
@@ -41,6 +39,7 @@ from greenroof_ros.experiment.options import parse_run_arguments
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
+from greenroof_ros.model.site import edited
 from greenroof_ros.pumping.interlocks import advice_on
 
 # How often systemd is told (s), and how long the start may then still take (microseconds).
@@ -432,7 +431,10 @@ def _write_configuration(
     directory.mkdir(exist_ok=True)
     for name, file in [*site.files().items(), *(("nodes", file) for file in own)]:
         (directory / name).mkdir()
-        shutil.copyfile(file, directory / name / file.name)
+        if name == "site":
+            (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
+        else:
+            shutil.copyfile(file, directory / name / file.name)
     parameters = {
         f"/**/{node.name}": {"ros__parameters": node.parameters}
         for node in site.nodes(state, place)

@@ -20,9 +20,9 @@ from greenroof_ros.calibration.row_steps import means_of_steps, steps_of_rows, s
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
+from greenroof_ros.formats.table import Table, numbered_lines, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.table import Row, Table, numbered_lines
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
@@ -90,17 +90,15 @@ def read_csv_record(file: Path, site: Site, months: Months | None = None) -> Rec
     Raises:
         ConfigurationError: the file breaks any of this; the message names line, column and value.
     """
-    table = Table(file, numbered_lines(read_text(file, byte_order_mark=True)))
+    table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)))
     columns = _columns(table, site)
     offset = timezone(timedelta(hours=site.utc_offset)) if site.utc_offset is not None else None
-    times: list[datetime] = []
-    rows: list[int] = []
-    cells: dict[str, list[float]] = {quantity: [] for quantity in columns}
-    for row in table.rows():
-        times.append(_time(row, offset))
-        rows.append(row.line)
-        for quantity, column in columns.items():
-            cells[quantity].append(_number(row, column.name))
+    rows = list(table.lines)
+    times = [_time(table, index, offset) for index in range(len(rows))]
+    cells = {
+        quantity: [_number(table, index, column.name) for index in range(len(rows))]
+        for quantity, column in columns.items()
+    }
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
@@ -204,25 +202,25 @@ def _unit_error(
     )
 
 
-def _time(row: Row, clock: timezone | None) -> datetime:
+def _time(table: Table, row: int, clock: timezone | None) -> datetime:
     """Return a row's time; without an offset it is that of the site's clock."""
     try:
-        time = parse_time(row.cells[TIME])
+        time = parse_time(table.columns[TIME][row])
     except ValueError:
-        raise row.refuse("must be a time such as 2015-06-01T14:05", TIME) from None
+        raise table.refuse("must be a time such as 2015-06-01T14:05", TIME, row) from None
     if time.utcoffset() is not None:
         return time
     if clock is None:
-        raise row.refuse(
+        raise table.refuse(
             "must say its offset from UTC, as in 2015-06-01T14:05+01:00, or the site file must "
-            "give utc_offset", TIME,
+            "give utc_offset", TIME, row,
         )
     return time.replace(tzinfo=clock)
 
 
-def _number(row: Row, column: str) -> float:
+def _number(table: Table, row: int, column: str) -> float:
     """Return a cell's number, NaN where it is empty."""
-    text = row.cells[column]
+    text = table.columns[column][row]
     if not text:
         return math.nan
     try:
@@ -230,7 +228,7 @@ def _number(row: Row, column: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise row.refuse("must be a number, or empty where there is none", column)
+        raise table.refuse("must be a number, or empty where there is none", column, row)
     return value
 
 

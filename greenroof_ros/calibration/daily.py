@@ -9,7 +9,7 @@ from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.hargreaves import Days, hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import Days, hargreaves, over_the_day
 
 _DAY_S = 86400
 # Of a day, so that its extremes are among them; and days without that take those beside them (d).

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.calibration.record import Record, Values
-from greenroof_ros.weather.records import gaps
+from greenroof_ros.formats.records import gaps
 
 # A day after the last water nothing moves on a roof at night.
 _DRY_S = 86400

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import gaps
 
 # So long after rain a catchment still runs (s), and so far from the levels of outlet, valve and
 # suction a sensor's noise does not matter (m).

@@ -11,9 +11,9 @@ from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.row_steps import Slots
 from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.hargreaves import evaporable, extraterrestrial_radiation
-from greenroof_ros.weather.records import gaps
+from greenroof_ros.weather.evapotranspiration import evaporable, extraterrestrial_radiation
 
 _DAY_S = 86400
 _LONGEST_GAP_S = 3600

@@ -11,8 +11,8 @@ from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.calibration.unit_errors import refuse_wrong_units
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import gaps
 
 _HOUR_S, _DAY_S = 3600, 86400
 # Water reaches a level sensor within minutes and leaves a roof within hours; more is a clock. So is

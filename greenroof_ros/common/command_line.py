@@ -8,6 +8,7 @@ import functools
 import io
 import math
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import Any, NoReturn, TextIO
@@ -169,3 +170,15 @@ def within(
     # What the option takes, where it is documented.
     parse.__name__ = f"{what.removeprefix('a ')} {limits}"
     return parse
+
+
+def namespace(text: str) -> str:
+    """Return a namespace as ROS writes it, ``/site1``; empty for none."""
+    name = text.strip("/")
+    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
+        raise ValueError
+    return f"/{name}" if name else ""
+
+
+# argparse puts it into its message
+namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import math
 import re
@@ -140,7 +141,7 @@ def _mapping(loader: _Loader, node: yaml.MappingNode) -> YamlMapping:
     mapping = YamlMapping()
     mapping.lines = {}
     for key_node, value_node in node.value:
-        key = str(loader.construct_object(key_node, deep=True))
+        key = str(key_node.value)
         line = key_node.start_mark.line + 1
         if key in mapping:
             raise yaml.constructor.ConstructorError(
@@ -162,6 +163,36 @@ class _FastLoader(_LibYaml):
     yaml_constructors = _Loader.yaml_constructors
 
 
+# As rcl knows them (rcl_yaml_param_parser, parse.c).
+_TRUE = {"Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
+_FALSE = {"N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
+
+
+class _RosLoader(_LibYaml):
+    """Values as rcl reads them: ``on`` is true, 010 is 8, and 1e-5 is a number."""
+
+    yaml_constructors = _Loader.yaml_constructors.copy()
+
+
+def _ros_value(loader: _RosLoader, node: yaml.ScalarNode) -> bool | int | float | str:
+    text = str(node.value)
+    if node.style or text in _TRUE | _FALSE:
+        return text if node.style else text in _TRUE
+    of_c = text.replace(".inf", "inf").replace(".nan", "nan").encode()
+    libc, end = ctypes.CDLL(None, use_errno=True), ctypes.c_char_p()
+    libc.strtoll.restype, libc.strtod.restype = ctypes.c_longlong, ctypes.c_double
+    for number, base in ((libc.strtoll, (0,)), (libc.strtod, ())):
+        ctypes.set_errno(0)
+        value: float = number(ctypes.c_char_p(of_c), ctypes.byref(end), *base)
+        if of_c and not end.value and not ctypes.get_errno():
+            return value
+    return text
+
+
+_RosLoader.yaml_implicit_resolvers = {}
+_RosLoader.add_constructor("tag:yaml.org,2002:str", _ros_value)
+
+
 def _nesting(text: str) -> int:
     """Return how deep a YAML text can be nested at most, by its brackets and its indentation."""
     depth = deepest = 0
@@ -172,15 +203,24 @@ def _nesting(text: str) -> int:
     return max(deepest, indented)
 
 
-def _load(text: str) -> Any:
+def _load(text: str, loader: type[_FastLoader | _RosLoader]) -> Any:
     """Read YAML by libyaml, or, if that finds an error in it, by PyYAML, whose words say more."""
     try:
-        return yaml.load(text, Loader=_FastLoader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, Loader=loader)  # noqa: S506 - a SafeLoader
     except (yaml.YAMLError, ValueError):
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
 
 
-def read_yaml(path: Path) -> YamlMapping:
+def read_ros_parameters(path: Path) -> YamlMapping:
+    """Read a ROS 2 parameter file, each value as rcl does, which reads it for a node.
+
+    Raises:
+        ConfigurationError: as :func:`read_yaml`.
+    """
+    return read_yaml(path, _RosLoader)
+
+
+def read_yaml(path: Path, loader: type[_FastLoader | _RosLoader] = _FastLoader) -> YamlMapping:
     """Read a YAML file whose top level is a mapping.
 
     Raises:
@@ -190,7 +230,7 @@ def read_yaml(path: Path) -> YamlMapping:
     if _nesting(text) > _DEEPEST:  # libyaml would end the process
         raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
     try:
-        content = _load(text)
+        content = _load(text, loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise ConfigurationError(

@@ -1,8 +1,9 @@
-"""Times: reading and writing them, and as nanoseconds."""
+"""Times: reading and writing them, as nanoseconds, and clocks that nobody sets."""
 
 from __future__ import annotations
 
 import re
+import time
 from datetime import datetime, timedelta, tzinfo
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -99,3 +100,17 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
             f"must say its offset from UTC, as in {DEFAULT_START}", key="start", value=text
         )
     return start.replace(tzinfo=zone)
+
+
+def boot_time() -> float:
+    """Return the time since the machine started (s), that in which it was suspended included.
+
+    ``time.monotonic()`` stands still in a suspend: by it what was measured before is still new
+    afterwards.
+    """
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def suspended_time() -> float:
+    """Return for how long the machine was suspended since it started (s)."""
+    return boot_time() - time.monotonic()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import cast
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import YamlMapping, number, read_yaml, shared_directory
+from greenroof_ros.common.files import YamlMapping, number, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller, ControllerClass
 from greenroof_ros.model.site import Site
@@ -164,7 +164,7 @@ class ControllerChoice:
         Raises:
             ConfigurationError: the file or a value in it is wrong.
         """
-        mapping = read_yaml(path)
+        mapping = read_ros_parameters(path)
         names = (f"/**/{self.name}", self.name, f"/{self.name}", "/**")
         keys = [key for key in names if key in mapping]
         section = mapping[keys[0]] if keys else None

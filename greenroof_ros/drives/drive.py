@@ -13,7 +13,7 @@ from io import FileIO
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.lock import LockedError, take_lock
+from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Register, Step
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDS

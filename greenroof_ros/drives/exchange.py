@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.drive import Drive, DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known

@@ -15,6 +15,7 @@ import yaml
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.site import edited
 
 # Where runs go that were given no directory.
 _RUNS = Path("runs")
@@ -86,7 +87,8 @@ def _write_configuration(
     configuration: Path, run: Run, nodes: dict[str, object],
     others: Mapping[str, dict[str, object]],
 ) -> Path:
-    site_file = _copy(run.site_file, configuration / "site.yaml")
+    site_file = configuration / "site.yaml"
+    site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
     weather_files: list[str] = []
     for file in run.weather.files:
         name = unique_name(file, [Path(other).name for other in weather_files])

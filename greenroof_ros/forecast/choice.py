@@ -7,6 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
+from greenroof_ros.formats.issue import SERVICE_DELAY_H as SERVICE_DELAY_H
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 PERFECT = "perfect"
@@ -40,10 +41,6 @@ NUMBERS = {
 """the options that are numbers, by name; of a delay there is none by default"""
 
 OPTIONS = ("skill", *NUMBERS)
-
-SERVICE_DELAY_H = 6.0
-"""After its nominal time a service has a run in so many hours. Open-Meteo, Single Runs API:
-"typically 4-6 hours for global models"."""
 
 
 @dataclass(frozen=True)

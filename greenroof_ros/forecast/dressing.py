@@ -50,13 +50,13 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
-from greenroof_ros.forecast.archive import Archive, read_archive, refuse_between_hours
+from greenroof_ros.forecast.archive import read_archive, refuse_between_hours
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.formats.issue import Archive, Issue
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.table import Table, numbered_lines, read_table
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import HOUR, PRECIPITATION
 from greenroof_ros.weather.series import Weather
-from greenroof_ros.weather.table import Row, Table, Unit, numbered_lines
 
 Array = NDArray[np.float64]
 
@@ -78,6 +78,10 @@ _BRIDGED = 12
 # The least rain that is expected, by the mean of the block (1), and the most that a block of an
 # analog is multiplied with: far from all past issues the line says more than is known.
 _LEAST, _MOST_RATIO = 0.1, 4.0
+
+# mm: of an hour what is believable, of a block what many such hours come to.
+_OF_AN_HOUR = ("mm", *QUANTITIES[PRECIPITATION][1:])
+_OF_A_BLOCK = ("mm", 0.0, 1e6)
 
 _FORECAST = re.compile(r"forecast of hours (\d{1,3}) to (\d{1,3}) \[mm\]")
 
@@ -351,23 +355,16 @@ def read_dressing(path: Path) -> Dressing:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = Table(path, numbered_lines(read_text(path)))
+    table = read_table(path, numbered_lines(read_text(path)))
     edges, hours = _read_header(table)
-    blocks = table.header[1 : len(edges)]
-    issued: list[int] = []
-    forecast, fell = [], []
-    for row in table.rows():
-        time = hours_since_1970(row.time("issued"))
-        if issued and time <= issued[-1]:
-            raise row.refuse("must be later than the issue above it", "issued")
-        issued.append(time)
-        forecast.append([_amount(row, column) for column in blocks])
-        fell.append([
-            row.value(column, PRECIPITATION, Unit("mm"), missing=("",))
-            for column in table.header[len(edges) :]
-        ])
+    issued = [hours_since_1970(time) for time in table.times("issued")]
+    for row, (above, time) in enumerate(pairwise(issued), start=1):
+        if time <= above:
+            raise table.refuse("must be later than the issue above it", "issued", row)
+    forecast = [table.numbers(column, _OF_A_BLOCK) for column in table.header[1 : len(edges)]]
+    fell = [table.numbers(column, _OF_AN_HOUR, missing=("",)) for column in table.header[-hours:]]
     return Dressing(
-        str(path), edges, np.array(issued), np.array(forecast), np.array(fell).reshape(-1, hours)
+        str(path), edges, np.array(issued), np.column_stack(forecast), np.column_stack(fell)
     )
 
 
@@ -405,18 +402,3 @@ def _forecast_column(begin: int, end: int) -> str:
 
 def _fell_column(hour: int) -> str:
     return f"fell in hour {hour} [mm]"
-
-
-def _amount(row: Row, column: str) -> float:
-    """Return the rain of a block (mm).
-
-    Raises:
-        ConfigurationError: it is no number, or less than 0.
-    """
-    try:
-        value = float(row.cells[column])
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise row.refuse("must be a number of mm, 0 or more", column)
-    return value

@@ -27,7 +27,7 @@ from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.climate import NormalRecords
 from greenroof_ros.forecast.issue_times import ISSUE_HOURS, newest_issue, records_at
 from greenroof_ros.forecast.skill import Skill
-from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class ErrorModel:
     e grows from 0 to the skill's constant as the unknown share of the rain does, and g is drawn as
     xi is. Members differ in the rain only. Member 0 is the single forecast of the same seed.
 
-    More than :data:`greenroof_ros.weather.records.QUANTITIES` believes is never forecast.
+    More than :data:`greenroof_ros.formats.records.QUANTITIES` believes is never forecast.
     """
 
     def __init__(

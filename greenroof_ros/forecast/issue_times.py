@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.weather.records import name_hours
+from greenroof_ros.formats.issue import ISSUE_HOURS as ISSUE_HOURS
+from greenroof_ros.formats.records import name_hours
 from greenroof_ros.weather.series import Weather
-
-ISSUE_HOURS = 6
-"""Services start a run of a global model so often (h)."""
 
 
 def newest_issue(first: datetime, hour: int) -> tuple[int, int]:

@@ -11,10 +11,10 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.kept import Kept
-from greenroof_ros.common.lock import LockedError, take_lock
+from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import dress_issue, dressing_text, read_dressing
-from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.formats.issue import Issue
 
 # An hour is measured where the gauge was good in this share of its ticks (1).
 _MEASURED = 0.9

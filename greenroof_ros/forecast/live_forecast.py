@@ -4,55 +4,24 @@ from __future__ import annotations
 
 import bisect
 import math
-from array import array
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.live_dressing import LiveDressing
-from greenroof_ros.forecast.own_csv import read_forecasts
-from greenroof_ros.forecast.resampling import (
-    Rain,
-    look_ahead_ends,
-    means_of_hours,
-    sums_of_hours,
-)
+from greenroof_ros.forecast.resampling import Known, look_ahead_ends
+from greenroof_ros.forecast.resampling import Outlook as Outlook
+from greenroof_ros.formats.issue import Issue
+from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR
 
 _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
     """There is no forecast for now; the message says why."""
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """What is known at a time of the weather now and ahead.
-
-    Attributes:
-        issued: when the forecast was.
-        rain: means of the look-ahead's steps (m/s), shape (steps,); of all members
-            (members, steps).
-        evapotranspiration: likewise, off the whole bed (m3/s), shape (steps,).
-        rain_now: m/s.
-        evapotranspiration_now: m3/s.
-        temperature: of the air now (degC); NaN where the file does not have it.
-    """
-
-    issued: datetime
-    rain: Rain
-    evapotranspiration: array[float]
-    rain_now: float
-    evapotranspiration_now: float
-    temperature: float
 
 
 class ForecastFile:
@@ -68,7 +37,7 @@ class ForecastFile:
         """Read nothing yet.
 
         Args:
-            path: of the file; see :func:`greenroof_ros.forecast.own_csv.read_forecasts`. It must
+            path: of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It must
                 have a column of evapotranspiration.
         """
         self.issues: list[Issue] = []
@@ -131,7 +100,6 @@ class LiveForecast:
         self._dressing = dressing
         self._area = site.a2
         self._ends = look_ahead_ends(site, horizon)
-        self._lengths = np.diff(self._ends)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
 
@@ -169,32 +137,14 @@ class LiveForecast:
         return self._outlook(issue, now, observed_rain)
 
     def _outlook(self, issue: Issue, now: datetime, observed_rain: float | None) -> Outlook:
-        rates = self._rates(issue, now, observed_rain)
-        into = (now - issue.issued).total_seconds() % _HOUR_S
-        means = means_of_hours(rates, sums_of_hours(rates), into + self._ends, self._lengths)
-        temperature = math.nan
-        if issue.temperature is not None:
-            temperature = float(issue.temperature[(now - issue.issued) // HOUR])
-        return Outlook(
-            issue.issued,
-            means[:-1] if self._all_members else array("d", means[0].tobytes()),
-            array("d", means[-1].tobytes()),
-            float(rates[0, 0]), float(rates[-1, 0]), temperature,
-        )
-
-    def _rates(
-        self, issue: Issue, now: datetime, observed_rain: float | None
-    ) -> NDArray[np.float64]:
-        """Return rain of each member (m/s) and evapotranspiration (m3/s), from this hour on."""
         assert issue.evapotranspiration is not None  # such a file is not taken
         present = (now - issue.issued) // HOUR
-        members = len(issue.rain) if self._all_members else 1
-        rates = np.vstack([issue.rain[:members, present:], issue.evapotranspiration[present:]])
-        rates[:-1] /= 1000 * _HOUR_S
-        rates[-1] *= self._area / 1000 / 86400
-        if observed_rain is not None:
-            rates[:-1, 0] = observed_rain
-        return rates
+        known = Known(
+            issue.issued, issue.rain[:, present:], issue.evapotranspiration[present:], self._area,
+            self._ends, observed_rain,
+            math.nan if issue.temperature is None else float(issue.temperature[present]),
+        )
+        return known.at((now - issue.issued).total_seconds() % _HOUR_S, self._all_members)
 
     def _newest(self, now: datetime) -> Issue:
         """Return the newest issue at a time.

@@ -8,7 +8,7 @@ issues, and a file has its own. The present hour is observed, not forecast;
 from __future__ import annotations
 
 import bisect
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Protocol
 
 import numpy as np
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.forecast.archive import Archive
-from greenroof_ros.forecast.choice import PERFECT, SERVICE_DELAY_H, ForecastChoice
+from greenroof_ros.forecast.archive import refuse_between_hours
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.error_model import ErrorModel
-from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import newest_issue, records_at
 from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.formats.issue import SERVICE_DELAY_H, Archive, Issue
+from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
@@ -149,8 +149,15 @@ class FileModel:
         """
         self._archive = archive
         self._weather = weather
-        self._known_from = archive.known_from(weather)
+        refuse_between_hours(archive.issues, weather)
         self._late = weather.records.rain_late
+        # The hour of the records from whose start on each is known. Where their rain is late, so is
+        # what is known of it: the controller would otherwise know of rain that fell an hour ago
+        # that it is to come.
+        delay = timedelta(hours=archive.delay + self._late)
+        self._known_from = [
+            -((weather.first - issue.issued - delay) // HOUR) for issue in archive.issues
+        ]
         self.members = archive.members if all_members else 1
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:

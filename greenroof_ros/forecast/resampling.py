@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Protocol, TypeAlias
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -23,6 +25,97 @@ Rain: TypeAlias = "array[float] | Array"
 _HOUR_S = 3600.0
 # More than what sums of times lose.
 _ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a controller is given at a time: the weather now, and ahead in steps.
+
+    Attributes:
+        rain: means of the look-ahead's steps (m/s), shape (steps,); of all members
+            (members, steps).
+        evapotranspiration: likewise, off the whole bed (m3/s), shape (steps,).
+        rain_now: m/s.
+        evapotranspiration_now: m3/s.
+        issued: when the forecast was; of a run, the hour in which it was the newest.
+        temperature: of the air now (degC); NaN where it is not known.
+    """
+
+    rain: Rain
+    evapotranspiration: array[float]
+    rain_now: float
+    evapotranspiration_now: float
+    issued: datetime
+    temperature: float
+
+
+class Known:
+    """A forecast at a tick: the rates of its hour and of those that follow, as means over steps.
+
+    While the end of each step stays in its hour, the means are straight lines of the time. The
+    lines are those from the start of the hour, whenever in it they are asked for first, so that a
+    node that was started again has each bit of one that was not.
+    """
+
+    def __init__(
+        self, issued: datetime, rain: Array, evapotranspiration: Array, area: float, ends: Array,
+        rain_now: float | None = None, temperature: float = math.nan,
+    ) -> None:
+        """Take a forecast.
+
+        Args:
+            issued: see :class:`Outlook`.
+            rain: mm/h, shape (members, hours), the present hour first.
+            evapotranspiration: mm/day, shape (hours,).
+            area: of the bed, over which a depth is a volume (m2).
+            ends: of the steps, see :func:`look_ahead_ends`.
+            rain_now: of the present hour (m/s), where a gauge says it.
+            temperature: see :class:`Outlook`.
+        """
+        self._issued, self._temperature = issued, temperature
+        self._rates = rates = np.vstack([rain, evapotranspiration])
+        rates[:-1] /= 1000 * _HOUR_S
+        rates[-1] *= area / 1000 / 86400
+        if rain_now is not None:
+            rates[:-1, 0] = rain_now
+        # What has come by the start of each hour.
+        self._sums = np.zeros_like(rates)
+        np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
+        self._ends, self._lengths = ends, np.diff(ends)
+        # For which times the lines are right (s since the start of the first hour), and the lines.
+        self._from = self._until = math.inf
+        self._first = self._slope = np.empty(0)
+
+    def at(self, since: float, all_members: bool) -> Outlook:
+        """Return what is known at a time.
+
+        Args:
+            since: s since the start of the present hour.
+            all_members: whether rain is that of all members, otherwise that of the first.
+        """
+        if not self._from <= since < self._until:
+            self._draw_lines(since)
+        # None is below 0; the last bit of a line's end may be.
+        means = np.maximum(self._first + self._slope * since, 0.0)
+        return Outlook(
+            means[:-1] if all_members else array("d", means[0].tobytes()),
+            array("d", means[-1].tobytes()), float(self._rates[0, 0]), float(self._rates[-1, 0]),
+            self._issued, self._temperature,
+        )
+
+    def _draw_lines(self, since: float) -> None:
+        ends = since + self._ends
+        # The end of the last step may be that of the last hour.
+        index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
+        begins = index * _HOUR_S
+        # numpy's choice of columns turns the order in memory around, and that of its sums follows
+        # it: the last bit of a sum over members would differ from that on what a message brings.
+        at_ends = np.ascontiguousarray(self._rates[:, index])
+        come = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
+        self._first = (come[:, 1:] - come[:, :-1]) / self._lengths
+        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
+        self._from = since
+        self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
 class Forecast(Protocol):
@@ -55,18 +148,18 @@ class PerfectForecast:
 
     def precipitation(self, tick: int) -> array[float]:
         """Rain (m/s), shape (M,)."""
-        if tick not in self._ticks:
-            self._look(tick)
+        self._look(tick)
         return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
-        if tick not in self._ticks:
-            self._look(tick)
+        self._look(tick)
         return self._evapotranspiration[:]
 
     def _look(self, tick: int) -> None:
         """Take what comes from a tick on; from most ticks on it is what comes from the next."""
+        if tick in self._ticks:
+            return
         window = slice(tick, tick + self._look_ahead)
         self._rain = self._series.precipitation[window]
         self._evapotranspiration = self._series.evapotranspiration[window]
@@ -81,14 +174,8 @@ class SteppedForecast:
     """
 
     def __init__(
-        self,
-        model: ForecastModel,
-        weather: Weather,
-        site: Site,
-        start: datetime,
-        edges: Array,
-        steps: int,
-        all_members: bool = False,
+        self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
+        steps: int, all_members: bool = False,
     ) -> None:
         """Prepare for a run, and ask for all that it needs, so that nothing is missing later.
 
@@ -97,56 +184,41 @@ class SteppedForecast:
             weather: the records, which give the present hour.
             site: tick, and the bed's area, over which a depth is a volume.
             start: time of tick 0.
-            edges: ends of the steps, in seconds from now, the first 0, shape (steps + 1,).
+            ends: of the steps, see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
             all_members: whether rain is that of all members, otherwise that of the only one.
 
         Raises:
             ConfigurationError: there is no forecast for a part of the run.
         """
-        self._model = model
+        self._model, self._weather, self._site = model, weather, site
         self._all_members = all_members
-        self._weather = weather
-        self._site = site
+        self._ends = ends
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + steps * site.tau
-        self._edges = edges
-        self._lengths = np.diff(edges)
-        self._hour = -1
-        self._rates = self._sums = np.empty((0, 0))
-        self._course: _CourseOfMeans | None = None
-        self._tick = -1
-        self._means: tuple[Rain, array[float]] = (array("d"), array("d"))
+        self._hour = self._tick = -1
+        self._known: Known
+        self._outlook: Outlook
         self.repeats_from = self._ask_for_all()
 
     def precipitation(self, tick: int) -> Rain:
         """Return mean rain (m/s), shape (steps,); of all members, (members, steps)."""
-        return self._at(tick)[0]
+        return self._at(tick).rain
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Return mean evapotranspiration off the whole bed (m3/s), shape (steps,)."""
-        return self._at(tick)[1]
+        return self._at(tick).evapotranspiration
 
-    def _at(self, tick: int) -> tuple[Rain, array[float]]:
+    def _at(self, tick: int) -> Outlook:
         """Return rain and evapotranspiration of a tick, which are computed together."""
         if tick != self._tick:
-            self._tick = tick
             time = self._offset + tick * self._site.tau
             hour = int(time // _HOUR_S)
             if hour != self._hour:
-                self._hour = hour
-                self._take_hour(hour)
-            since = time - hour * _HOUR_S
-            if self._course is None or not self._course.begin <= since < self._course.end:
-                self._course = _CourseOfMeans(
-                    self._rates, self._sums, self._edges, self._lengths, since
-                )
-            means = self._course.at(since)
-            self._means = (
-                means[:-1] if self._all_members else array("d", means[0].tobytes()),
-                array("d", means[-1].tobytes()),
-            )
-        return self._means
+                self._known = self._known_in(hour)
+            self._hour, self._tick = hour, tick
+            self._outlook = self._known.at(time - hour * _HOUR_S, self._all_members)
+        return self._outlook
 
     def _ask_for_all(self) -> datetime | None:
         """Ask for every hour's forecast, and return the earliest time from which one repeats."""
@@ -162,84 +234,16 @@ class SteppedForecast:
     def _hours(self, hour: int) -> int:
         """Return how many hours the ticks in an hour need, that one included."""
         last_tick = min((hour + 1) * _HOUR_S, self._until)
-        return math.ceil((last_tick + float(self._edges[-1])) / _HOUR_S) - hour
+        return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
-    def _take_hour(self, hour: int) -> None:
-        """Take the newest forecast: rates in SI units and their sums from the hour's start on."""
+    def _known_in(self, hour: int) -> Known:
+        """Return the newest forecast in an hour, the hour itself as it was."""
         rain, evapotranspiration = self._model.known(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
-        rates = np.vstack([rain, evapotranspiration])
-        rates[:-1, 0] = self._weather.precipitation[present]
-        rates[-1, 0] = self._weather.evapotranspiration[present]
-        rates[:-1] /= 1000 * _HOUR_S
-        rates[-1] *= self._site.a2 / 1000 / 86400
-        self._rates = rates
-        self._sums = sums_of_hours(rates)
-        self._course = None
-
-
-def sums_of_hours(rates: Array) -> Array:
-    """Return what has come by the start of each hour, at these rates (1/s), shape (..., hours)."""
-    sums = np.zeros_like(rates)
-    np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=sums[:, 1:])
-    return sums
-
-
-def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Array:
-    """Return the mean rate of each step, shape (..., steps), row by row in memory.
-
-    Args:
-        rates: of each hour (1/s), shape (..., hours).
-        sums: see :func:`sums_of_hours`.
-        ends: of the steps (s since the start of the first hour), shape (steps + 1,).
-        lengths: of the steps (s), shape (steps,).
-    """
-    return _CourseOfMeans(rates, sums, ends, lengths, 0.0).at(0.0)
-
-
-class _CourseOfMeans:
-    """The means of steps as time passes: straight lines while each end stays in its hour.
-
-    The lines are those from the start of the hour, whenever in it they are asked for first, so that
-    a node that was started again has each bit of one that was not.
-
-    Attributes:
-        begin: from then on they are right (s since the start of the first hour).
-        end: until then, but for a rounding.
-    """
-
-    def __init__(
-        self, rates: Array, sums: Array, edges: Array, lengths: Array, since: float
-    ) -> None:
-        """Take what :func:`means_of_hours` does, which explains it, and the time.
-
-        Args:
-            rates: of each hour.
-            sums: before each hour.
-            edges: ends of the steps (s from the time), shape (steps + 1,).
-            lengths: of the steps.
-            since: the time (s since the start of the first hour).
-        """
-        ends = since + edges
-        # The end of the last step may be that of the last hour.
-        index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
-        begins = index * _HOUR_S
-        # numpy's choice of columns turns the order in memory around, and that of its sums follows
-        # it: the last bit of a sum over members would differ from that on what a message brings.
-        at_ends = np.ascontiguousarray(rates[:, index])
-        come = np.ascontiguousarray(sums[:, index]) + at_ends * (edges - begins)
-        self._first = (come[:, 1:] - come[:, :-1]) / lengths
-        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / lengths
-        self.begin = since
-        self.end = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
-
-    def at(self, since: float) -> Array:
-        """Return the mean rate of each step, shape (..., steps), row by row in memory.
-
-        None is below 0; the last bit of a line's end may be.
-        """
-        means: Array = np.maximum(self._first + self._slope * since, 0.0)
-        return means
+        rain[:, 0] = self._weather.precipitation[present]
+        evapotranspiration[0] = self._weather.evapotranspiration[present]
+        issued = self._weather.first + hour * HOUR
+        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
 
 
 def look_ahead_ends(site: Site, horizon: float) -> Array:
@@ -278,6 +282,6 @@ def make_forecast(
     model = make_model(choice, weather, site, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
-    edges = look_ahead_ends(site, horizon)
+    ends = look_ahead_ends(site, horizon)
     steps = len(series.precipitation) - site.M
-    return SteppedForecast(model, weather, site, start, edges, steps, all_members)
+    return SteppedForecast(model, weather, site, start, ends, steps, all_members)

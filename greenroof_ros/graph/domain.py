@@ -20,7 +20,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.lock import LockedError, take_lock
+from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -21,9 +21,9 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 
-from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import DISCOVERY_S, Input, Inputs, Publishers
 from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep

@@ -15,8 +15,8 @@ from typing import Any
 
 from rclpy.node import Node
 
-from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import ERROR, OK, WARN

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
+from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import Site, read_site
@@ -180,7 +180,7 @@ def refuse_unknown_in(
         ConfigurationError: there is such a name or section, or one without ``ros__parameters``.
     """
     known = {name: _names(module, controller) for name, module in nodes.items()}
-    for section, line, content in _sections(file, read_yaml(file)):
+    for section, line, content in _sections(file, read_ros_parameters(file)):
         pattern = re.escape(f"/{section.removeprefix('/')}")
         # As rcl reads it: two stars are any number of names, one is one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")

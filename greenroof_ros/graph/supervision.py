@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.times import boot_time
 
 # The states of a node: not all its peers are there; they are; the run is over; so is the process.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import number, read_yaml
+from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 
 # No parameter of any site is beyond these, and nothing computed from them overflows.
@@ -35,6 +35,8 @@ _FOLLOW = {
 # A line of a site file up to the end of its number.
 _LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 _CLIMATE = "monthly_evapotranspiration"
+# Names the file that has what a site file does not say.
+_EXTENDS = "extends"
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
@@ -349,16 +351,18 @@ def site_parameters() -> list[SiteParameter]:
     ]
 
 
-def edited(text: str, values: Mapping[str, float]) -> str:
+def edited(path: Path, values: Mapping[str, float]) -> str:
     """Return the text of a site file with other values; its comments stay.
 
-    The volumes that go with what is edited follow it: x2_star and z_cap, which are products, and
-    those that a run begins with, whose levels stay.
+    What it has from a file that it extends is put into it, so that it stands by itself. The volumes
+    that go with what is edited follow it: x2_star and z_cap, which are products, and those that a
+    run begins with, whose levels stay.
 
     Args:
-        text: of a file that :func:`read_site` accepts.
+        path: of a file that :func:`read_site` accepts.
         values: by their symbols; one that the file does not have is added.
     """
+    text = _whole(path)
     given = {
         found["key"]: float(found["value"])
         for found in re.finditer(_LINE.format(key=r"\w+"), text, re.MULTILINE)
@@ -378,56 +382,105 @@ def edited(text: str, values: Mapping[str, float]) -> str:
     return text
 
 
+def _whole(path: Path) -> str:
+    """Return a site file's text, with what it has from the file that it extends below its own."""
+    text, mapping = read_text(path), read_yaml(path)
+    base = mapping.get(_EXTENDS)
+    if base is None:
+        return text
+    own = [line for line in text.splitlines() if not line.startswith(f"{_EXTENDS}:")]
+    further, kept = [f"# From {base}"], True
+    for line in _whole(_base(path, base)).splitlines():
+        if not line[:1].isspace():  # or it goes on with the one above it
+            kept = line.partition(":")[0] not in mapping
+        further += [line] * kept
+    return "\n".join([*own, "", *further, ""])
+
+
+class _Given(NamedTuple):
+    """Where a value stands."""
+
+    file: Path
+    line: int
+    value: Any
+
+
+def _given(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Given]:
+    """Return what a site file says, and what it does not say but the file that it extends."""
+    mapping = read_yaml(path)
+    own = {key: _Given(path, mapping.lines[key], value) for key, value in mapping.items()}
+    if _EXTENDS not in own:
+        return own
+    _, line, base = own.pop(_EXTENDS)
+    here = (*extended_by, path.resolve())
+    if not isinstance(base, str) or _base(path, base).resolve() in here:
+        raise ConfigurationError(
+            "must be the name of another site file, such as site.yaml", file=path, line=line,
+            key=_EXTENDS, value=base,
+        )
+    return {**_given(_base(path, base), here), **own}
+
+
+def _base(path: Path, name: str) -> Path:
+    """Return the file that a site file extends: beside it, or of this package."""
+    own = shared_directory() / "config" / name
+    return own if own.is_file() and not (path.parent / name).is_file() else path.parent / name
+
+
 def read_site(path: Path) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
+
+    It may extend another one, ``extends: site.yaml``, beside it or of this package, and says then
+    what differs.
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, no number, beyond its range, or
             inconsistent with another; the message names the file, line, key and value.
     """
-    mapping = read_yaml(path)
+    given = _given(path)
 
     def refuse(key: str, expected: str) -> ConfigurationError:
-        return ConfigurationError(
-            expected, file=path, line=mapping.lines[key], key=key, value=mapping[key]
-        )
+        file, line, value = given[key]
+        return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
     names = [one.name for one in fields(Site)]
-    for key, line in mapping.lines.items():
+    for key, (file, line, _) in given.items():
         if key not in names:
             raise ConfigurationError(
                 f"is not a parameter of a site; {did_you_mean(key, names)}",
-                file=path, line=line, key=key,
+                file=file, line=line, key=key,
             )
     values: dict[str, Any] = {}
     for one in fields(Site):
         name, low, high = one.name, one.metadata["low"], one.metadata["high"]
-        if name not in mapping:
+        if name not in given:
             if one.default is MISSING and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
-        elif name == _CLIMATE:
-            months = mapping[name]
-            if not isinstance(months, list) or len(months) != 12 or not all(
-                type(month) in (int, float) and low <= month <= high for month in months
+            continue
+        value, whole = given[name].value, one.type == "int"
+        if name == _CLIMATE:
+            if not isinstance(value, list) or len(value) != 12 or not all(
+                type(month) in (int, float) and low <= month <= high for month in value
             ):
                 raise refuse(
                     name, "must be twelve numbers in brackets, January to December, each from "
                     f"{low:g} to {high:g} mm/day",
                 )
-            values[name] = tuple(map(float, months))
-        else:
-            value, whole = number(path, mapping, name), one.type == "int"
-            if not low <= value <= high or (whole and value % 1):
-                unit = "" if one.metadata["unit"] == "1" else f"{one.metadata['unit']}, "
-                raise refuse(
-                    name, f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g} "
-                    f"({unit}{one.metadata['meaning']})",
-                )
-            values[name] = int(value) if whole else value
+            values[name] = tuple(map(float, value))
+            continue
+        if type(value) not in (int, float):
+            raise refuse(name, "must be a number")
+        if not low <= value <= high or (whole and value % 1):
+            unit = "" if one.metadata["unit"] == "1" else f"{one.metadata['unit']}, "
+            raise refuse(
+                name, f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g} "
+                f"({unit}{one.metadata['meaning']})",
+            )
+        values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
     site = Site(**values)
-    for key, expected in _contradictions(site, mapping):
+    for key, expected in _contradictions(site, given):
         raise refuse(key, expected)
     return site
 

@@ -18,9 +18,9 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import (
     low_outlet_flow,
     mains_flow,
@@ -17,7 +18,6 @@ from greenroof_ros.model.plant import (
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 # For how long an input that has not come since the start is only awaited (s).
 _START_S = 10.0

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
-from greenroof_ros.common.lock import LockedError, take_lock
+from greenroof_ros.common.processes import LockedError, take_lock
 
 DAY_S = 86_400.0
 # Length of a line (bytes): a page, a block of most disks.

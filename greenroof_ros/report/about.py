@@ -16,12 +16,12 @@ from greenroof_ros.common.times import hours_minutes_seconds
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import Change, Ending, Note, Parameters, parameter_text
 from greenroof_ros.weather.filling import REFUSE
-from greenroof_ros.weather.records import name_files
 
 LABELLED = (*OPTIONS, "dressed")
 """What names forecasts beside their model or file, in this order."""

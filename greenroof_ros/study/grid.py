@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import (
     YamlMapping,
-    read_text,
     read_yaml,
     shared_directory,
     unique_name,
@@ -33,8 +32,9 @@ from greenroof_ros.forecast.choice import (
     check_skill,
     choose,
 )
-from greenroof_ros.forecast.own_csv import write_forecasts
 from greenroof_ros.forecast.skill import SKILLS, read_skill
+from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -49,7 +49,6 @@ from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.records import name_files
 from greenroof_ros.weather.series import Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
@@ -272,7 +271,7 @@ class _Grid:
                     label = "_".join(f"{key}-{shortest(value)}" for key, value in own.items())
                     path = Path(self._scratch.name, str(number), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
-                    path.write_text(edited(read_text(file), own), encoding="utf-8")
+                    path.write_text(edited(file, own), encoding="utf-8")
                     try:
                         read_site(path)
                     except ConfigurationError as error:  # it names the copy
@@ -340,7 +339,7 @@ class _Grid:
                 list(self._sensor_pump_errors()), theirs
             ):
                 yield Case(
-                    site=self._input(site_file),
+                    site=self._input(site_file, _whole_site),
                     weather=inputs,
                     weather_name=self._weather_name(inputs),
                     start=run.start.isoformat(),
@@ -476,7 +475,9 @@ class _Grid:
             + f"among the package's own files, in {places[-1]}",
         )
 
-    def _input(self, path: Path) -> InputFile:
+    def _input(
+        self, path: Path, content: Callable[[Path], bytes] = Path.read_bytes
+    ) -> InputFile:
         """Return a file's content under a name that no other file of the study has.
 
         It is the file's own, with its folder's before it where another file has it already.
@@ -487,7 +488,7 @@ class _Grid:
             named = path
             if path.name in taken:
                 named = path.with_name(f"{path.parent.name}-{path.name}")
-            self._files[path] = InputFile(unique_name(named, taken), path.read_bytes())
+            self._files[path] = InputFile(unique_name(named, taken), content(path))
         return self._files[path]
 
     def _carried(
@@ -691,3 +692,6 @@ class _Grid:
             value=None if isinstance(mapping[key], (dict, list)) else mapping[key],
         )
 
+
+def _whole_site(path: Path) -> bytes:
+    return edited(path, {}).encode()

@@ -11,10 +11,10 @@ from rich import box
 from rich.table import Table
 
 from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.archive import Archive
 from greenroof_ros.forecast.dressing import Dressing
+from greenroof_ros.formats.issue import Archive
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.verification.scores import fair_crps
-from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]

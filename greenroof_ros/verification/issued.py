@@ -14,11 +14,11 @@ from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.archive import refuse_between_hours
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
-from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import ISSUE_HOURS
 from greenroof_ros.forecast.models import make_model
+from greenroof_ros.formats.issue import Issue
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
 
 # Values of day N of previous runs are 24 N to 24 N + 5 h old; the middle of the leads that they

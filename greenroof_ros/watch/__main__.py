@@ -9,10 +9,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, command, namespace, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.namespace import namespace
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback

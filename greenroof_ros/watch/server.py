@@ -26,7 +26,7 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch.charts_script import charts_script
 from greenroof_ros.watch.feed import Feed

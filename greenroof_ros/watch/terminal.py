@@ -19,7 +19,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.watched import Watched
 
 # How often the document is looked at (s), and at the charts.

@@ -5,50 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text, shared_directory
-from greenroof_ros.model.site import Site
-from greenroof_ros.weather import eccc, open_meteo, own_csv
-from greenroof_ros.weather.evapotranspiration import FAO56, fao56
-from greenroof_ros.weather.filling import FILL, REFUSE, fill_long_gaps, fill_short_gaps
-from greenroof_ros.weather.joining import join
-from greenroof_ros.weather.records import (
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.formats.reading import read_records
+from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
     PRECIPITATION,
     Records,
+    join,
 )
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.evapotranspiration import FAO56, fao56
+from greenroof_ros.weather.filling import FILL, REFUSE, fill_long_gaps, fill_short_gaps
 from greenroof_ros.weather.series import Weather
 
 # At and below this temperature there is frost: nothing is pumped (degC).
 _FREEZING = 0.0
-
-
-class Format(Protocol):
-    """A format of weather files: a module with these names."""
-
-    BYTE_ORDER_MARK: bool
-    """whether a file may begin with one, which is not part of its text"""
-
-    def recognises(self, text: str, /) -> bool:
-        """Whether a text looks like a file of this format."""
-        ...
-
-    def parse(self, file: Path, text: str, site: Site, /) -> Records:
-        """Return the records of a file, each for the hour that starts at its time.
-
-        Raises:
-            ConfigurationError: the file is not as the format must be.
-        """
-        ...
-
-
-FORMATS: tuple[Format, ...] = (eccc, open_meteo, own_csv)
-"""All formats; the first that recognises a text reads it, the last recognises any."""
 
 
 def default_weather() -> Path:
@@ -60,7 +36,7 @@ def read_weather(
     files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
-    """Read weather files, each of one of :data:`FORMATS`, and join them.
+    """Read weather files, each of one of the formats, and join them.
 
     Gaps of at most :data:`greenroof_ros.weather.filling.LONGEST_GAP` hours, within a file or
     between two, are filled and noted in the records; a run that needs an hour of a longer one is
@@ -78,7 +54,7 @@ def read_weather(
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    records = fill_short_gaps(_whole_hours(join([_read(file, site) for file in files])))
+    records = fill_short_gaps(_whole_hours(join([read_records(file, site) for file in files])))
     if gaps == FILL:
         records = fill_long_gaps(records)
     frost = None
@@ -99,15 +75,6 @@ def read_weather(
     return Weather(
         records, records.values[PRECIPITATION], evapotranspiration, method, frost, gaps
     )
-
-
-def _read(file: Path, site: Site) -> Records:
-    """Read a file in the first format that recognises it."""
-    text = read_text(file, byte_order_mark=True)
-    form = next(form for form in FORMATS if form.recognises(text))
-    if not form.BYTE_ORDER_MARK:
-        text = read_text(file)
-    return form.parse(file, text, site)
 
 
 def _whole_hours(records: Records) -> Records:

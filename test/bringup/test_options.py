@@ -18,7 +18,7 @@ from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameter
 from greenroof_ros.bringup.live_site import live_site
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.lock import take_lock
+from greenroof_ros.common.processes import take_lock
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from greenroof_ros.common.systemd import notify
+from greenroof_ros.common.processes import notify
 
 
 @pytest.mark.parametrize("abstract", [False, True])
@@ -39,7 +39,7 @@ def test_a_full_socket_stops_nobody(tmp_path: Path) -> None:
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(str(path))
-        code = "from greenroof_ros.common.systemd import notify\n" \
+        code = "from greenroof_ros.common.processes import notify\n" \
             "for _ in range(10_000): notify('WATCHDOG=1')"
         subprocess.run(
             [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=60, check=True,

@@ -19,13 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.archive import Archive, read_archive
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.dressing import learn
+from greenroof_ros.formats.issue import Archive
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.site import read_site
 from greenroof_ros.verification.dressed import worth
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
 
 

@@ -19,7 +19,7 @@ from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
 from simulators import until as wait
 
-from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.drive import DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (

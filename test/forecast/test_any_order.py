@@ -11,7 +11,7 @@ from paper import site_with
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, PerfectForecast, make_forecast
-from greenroof_ros.weather.records import Records
+from greenroof_ros.formats.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 CHANCE = np.random.default_rng(11)

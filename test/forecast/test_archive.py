@@ -18,9 +18,9 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.models import FileModel, make_model
-from greenroof_ros.forecast.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.records import Records
 from greenroof_ros.study.grid import read_grid
-from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"

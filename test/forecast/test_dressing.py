@@ -13,7 +13,6 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.archive import Archive
 from greenroof_ros.forecast.dressing import (
     MEMBERS,
     Dressing,
@@ -22,9 +21,9 @@ from greenroof_ros.forecast.dressing import (
     learn,
     read_dressing,
 )
-from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.formats.issue import Archive, Issue
+from greenroof_ros.formats.records import Records
 from greenroof_ros.verification.dressed import worth
-from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather
 
 HOUR = timedelta(hours=1)

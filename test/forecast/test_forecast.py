@@ -33,11 +33,11 @@ from greenroof_ros.forecast.models import (
     PersistenceModel,
     make_model,
 )
-from greenroof_ros.forecast.own_csv import read_forecasts
 from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
 from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.records import Records
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.skill import Skill
-from greenroof_ros.weather.records import Records
+from greenroof_ros.formats.records import Records
 from greenroof_ros.weather.series import Weather
 
 DATA = Path(__file__).resolve().parent.parent / "data"

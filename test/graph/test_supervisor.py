@@ -20,8 +20,8 @@ from graphs import alive, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.bringup.live import _Start, values_of
-from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, Supervisor

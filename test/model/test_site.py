@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ from paper import PAPER_SITE, TABLE_I, sites
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import Site, edited, read_site
 
 MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
@@ -340,3 +340,44 @@ def test_unreadable_file(tmp_path: Path) -> None:
     """A file that is not there, and a directory."""
     assert "cannot be read: No such file" in refusal(tmp_path / "absent.yaml")
     assert "must be a regular file" in refusal(tmp_path)
+
+
+def test_a_site_that_extends_another(tmp_path: Path) -> None:
+    """It says what differs, and so may the one that it extends; its text stands by itself."""
+    write(tmp_path)
+    (tmp_path / "roof.yaml").write_text(
+        "extends: my site.yaml\na2: 100.0  # m2\n   # measured\ninitial_layer: 0.0\n"
+        "x2_star: 4.57\nz_cap: 50.0\n"
+    )
+    child = tmp_path / "more" / "child.yaml"
+    child.parent.mkdir()
+    child.write_text("# A larger one\nextends: ../roof.yaml\na1: 50.0\n")
+    base, site = read_site(tmp_path / "my site.yaml"), read_site(child)
+    assert site == replace(base, a1=50.0, a2=100.0, x2_star=4.57, z_cap=50.0)
+    whole = tmp_path / "whole.yaml"
+    whole.write_text(edited(child, {}))
+    assert read_site(whole) == site
+    assert "extends" not in whole.read_text() and "# A larger one" in whole.read_text()
+    whole.write_text(edited(child, {"a2": 200.0, "z_o": 2.5}))
+    assert read_site(whole) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
+    assert edited(tmp_path / "my site.yaml", {}) == (tmp_path / "my site.yaml").read_text()
+    # One of this package's needs no copy beside.
+    child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
+    measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
+    assert read_site(child) == replace(measured, a1=50.0)
+
+
+def test_what_cannot_be_extended(tmp_path: Path) -> None:
+    """Itself, in a circle, what is no file; what is wrong in a file is named with that file."""
+    child = tmp_path / "child.yaml"
+    for base, reason in (
+        ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
+        ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
+        ("absent.yaml", "absent.yaml: cannot be read"),
+        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of anothe"),
+        ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3: is not a parameter of a site"),
+    ):
+        child.write_text(f"extends: {base}\na1: 3.0\n")
+        (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
+        write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
+        assert refusal(child).startswith(str(tmp_path / reason))

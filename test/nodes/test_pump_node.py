@@ -31,8 +31,8 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from test_node_help import check_topics, help_of, parameters_of, section
 
-from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.nodes.pump import _Drive

@@ -16,6 +16,7 @@ from places import CONFIG
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import head_loss
+from greenroof_ros.model.site import edited
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.assessment import Assumptions, assess
 
@@ -166,7 +167,7 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
 def test_what_a_layer_holds_at_first_is_a_part_of_the_balance(tmp_path: Path) -> None:
     """A site's own initial state: all metrics from its trajectory, and nothing unexplained."""
     file = tmp_path / "site.yaml"
-    measured = (CONFIG / "site_neubrandenburg.yaml").read_text(encoding="utf-8")
+    measured = edited(CONFIG / "site_neubrandenburg.yaml", {})
     file.write_text(
         f"{measured}initial_cistern: 61.0\ninitial_roof: 2.7\ninitial_layer: 0.3\n",
         encoding="utf-8",

@@ -17,7 +17,7 @@ from places import CONFIG
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, edited
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.watch.account import TOPICS, Account
 
@@ -133,7 +133,7 @@ def test_a_measured_roof_gives_the_summary() -> None:
 
 def test_water_in_the_layer_at_first_gives_the_summary(tmp_path: Path) -> None:
     """It drains off, and what is stored falls by it."""
-    measured = (CONFIG / "site_neubrandenburg.yaml").read_text(encoding="utf-8")
+    measured = edited(CONFIG / "site_neubrandenburg.yaml", {})
     file = tmp_path / "site.yaml"
     file.write_text(f"{measured}initial_layer: 0.3\n", encoding="utf-8")
     run = paper_run("--controller", "onoff", "--hours", "0.5", "--site", str(file))

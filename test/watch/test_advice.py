@@ -14,7 +14,7 @@ from modbus_wire import Answer, Wire, acs880
 from paper import PAPER_SITE
 from pump_rig import Rig
 
-from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import Sensor

@@ -15,9 +15,9 @@ from paper import PAPER_SITE
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.formats.records import Records
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import fao56, hourly
-from greenroof_ros.weather.records import Records
 
 NDIAYE = replace(
     PAPER_SITE, latitude=16 + 13 / 60, longitude=-(16 + 15 / 60), elevation=8.0, utc_offset=-1.0,

@@ -17,12 +17,11 @@ from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.formats.records import Records
 from greenroof_ros.model.site import read_site
-from greenroof_ros.weather.filling import FILL, REFUSE
+from greenroof_ros.weather.filling import FILL, REFUSE, suspicious_rain
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
-from greenroof_ros.weather.suspicion import suspicious_rain
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")
 JULY = DATA / "en_climate_hourly_07-2022.csv"

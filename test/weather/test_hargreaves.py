@@ -7,7 +7,7 @@ import pytest
 from places import CONFIG, DATA
 
 from greenroof_ros.model.site import read_site
-from greenroof_ros.weather.hargreaves import (
+from greenroof_ros.weather.evapotranspiration import (
     evaporable,
     extraterrestrial_radiation,
     hargreaves,

@@ -248,11 +248,11 @@ def test_range_is_said_in_the_unit_of_the_file(tmp_path: Path) -> None:
         ("time,", "date,", "must have a column 'time', as Open-Meteo's hourly files have"),
         ("precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', as Open-M"),
         ("surface_pressure (hPa)", "pressure_msl (hPa)", "must have a column 'surface_pressure (h"),
-        ("pressure (hPa)", "pressure (inHg)", "'surface_pressure (inHg)': must be surface_press"),
-        ("(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be wind_speed_10m (km/h) or wind_sp"),
-        ("(W/m²)", "(kW/m²)", "'shortwave_radiation (kW/m²)': must be shortwave_radiation (W/"),
+        ("pressure (hPa)", "pressure (inHg)", "'surface_pressure (inHg)': must be in hPa, and on"),
+        ("(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be in km/h or m/s or mp/h or kn, a"),
+        ("(W/m²)", "(kW/m²)", "'shortwave_radiation (kW/m²)': must be in W/m², and one column"),
         ("dew_point_2m (°C)", "temperature_2m (°C)", "'temperature_2m (°C)': is the name of two"),
-        ("dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be temperature_"),
+        ("dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be in °C or °F,"),
     ],
 )
 def test_refused_headers(tmp_path: Path, old: str, new: str, reason: str) -> None:

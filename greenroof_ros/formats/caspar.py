@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.forecast.issue import Contents, Issue
+from greenroof_ros.formats.issue import Archive, Issue
+from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import PRECIPITATION, QUANTITIES
 
 if TYPE_CHECKING:
     from netCDF4 import Dataset, Variable
@@ -69,7 +69,7 @@ def recognises(file: Path, head: bytes, /) -> bool:
     return head.startswith(_MAGIC) or file.suffix == ".nc"
 
 
-def read(files: Sequence[Path], site: Site, /) -> Contents:
+def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     """Read files, each an issue or a member of one.
 
     Args:
@@ -96,9 +96,8 @@ def read(files: Sequence[Path], site: Site, /) -> Contents:
     by_issue: dict[datetime, list[_Member]] = {}
     for member in sorted(members, key=lambda one: (one.issued, one.number)):
         by_issue.setdefault(member.issued, []).append(member)
-    return Contents(
-        f"CaSPAr, {product}", [_issue(issue) for issue in by_issue.values()], _DELAYS_H[product]
-    )
+    issues = [_issue(issue) for issue in by_issue.values()]
+    return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 
 def _issue(members: Sequence[_Member]) -> Issue:
@@ -126,12 +125,8 @@ def _issue(members: Sequence[_Member]) -> Issue:
 
 def _read(file: Path, latitude: float, longitude: float) -> _Member:
     """Read a file at the point that is nearest to a place (degrees)."""
-    try:
+    with in_extra("netcdf"):
         from netCDF4 import Dataset
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            "needs netCDF4: pip install 'greenroof_ros[netcdf]'", file=file
-        ) from error
     issued, number = _named(file)
     try:
         with Dataset(file) as dataset:

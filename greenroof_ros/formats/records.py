@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 
 HOUR = timedelta(hours=1)
@@ -18,9 +20,12 @@ EVAPOTRANSPIRATION = "evapotranspiration"
 RADIATION = "solar radiation"
 TEMPERATURE = "temperature"
 
+Limits: TypeAlias = tuple[str, float, float]
+"""A unit, and the least and the largest believable value in it."""
+
 # Quantity: unit, least and largest believable value. More than the world's record of an hour's
 # rain, or of a day's evapotranspiration, is a wrong unit and not weather.
-QUANTITIES = {
+QUANTITIES: dict[str, Limits] = {
     PRECIPITATION: ("mm/h", 0.0, 500.0),
     EVAPOTRANSPIRATION: ("mm/day", 0.0, 50.0),
     TEMPERATURE: ("degC", -90.0, 60.0),
@@ -41,8 +46,8 @@ class Records:
     Attributes:
         files: where they come from, in the order of time.
         first: start of the first hour, with its offset from UTC.
-        values: of each quantity of :data:`QUANTITIES` that the files have, in its unit there,
-            shape (hours,); NaN where missing.
+        values: of each quantity of :data:`QUANTITIES` that the files have, in its unit there, or of
+            each forecast by its column, shape (hours,); NaN where missing.
         method: of the evapotranspiration among them; empty if there is none.
         shifted: quantities that the files have at the end of their hour, moved to its start.
         rain_late: h by which rain stands later than it fell: 1 where the files have it at the end
@@ -61,7 +66,7 @@ class Records:
     @property
     def hours(self) -> int:
         """How many there are."""
-        return len(self.values[PRECIPITATION])
+        return len(next(iter(self.values.values())))
 
     @property
     def source(self) -> str:
@@ -122,3 +127,66 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
             text += f" to {last} ({high - low} hours)"
         spans.append(text)
     return spans
+
+
+def join(parts: Sequence[Records]) -> Records:
+    """Join the records of several files.
+
+    They are sorted by time. An hour that no file has is missing (NaN), and so is a quantity of an
+    hour in which no file has it. Where several have it, they must have the same.
+
+    Raises:
+        ConfigurationError: two files have different values for an hour, different quantities,
+            methods of evapotranspiration or conventions of time; or their hours do not begin
+            together. The message names both.
+    """
+    parts = sorted(parts, key=lambda part: part.first)
+    first = parts[0]
+    for part in parts[1:]:
+        _check_alike(first, part)
+    begins = [(part.first - first.first) // HOUR for part in parts]
+    hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
+    values = {quantity: np.full(hours, np.nan) for quantity in first.values}
+    for number, (begin, part) in enumerate(zip(begins, parts, strict=True)):
+        for quantity, series in part.values.items():
+            joined = values[quantity][begin : begin + part.hours]
+            known = ~np.isnan(series)
+            unequal = np.flatnonzero(known & ~np.isnan(joined) & (joined != series))
+            if unequal.size:
+                hour = int(unequal[0])
+                other = next(
+                    one for at, one in zip(begins[:number], parts, strict=False)
+                    if begin + hour < at + one.hours
+                    and not np.isnan(one.values[quantity][begin + hour - at])
+                )
+                raise ConfigurationError(
+                    f"must be {joined[hour]:g}, as in {other.source}, or the files must not "
+                    "overlap", file=part.source,
+                    key=f"{quantity} at {to_minutes(part.first + hour * HOUR)}",
+                    value=float(series[hour]),
+                )
+            joined[known] = series[known]
+    files = tuple(file for part in parts for file in part.files)
+    return replace(first, files=files, values=values)
+
+
+def _check_alike(one: Records, other: Records) -> None:
+    """Refuse to join what cannot be one series."""
+    for what, ours, theirs in (
+        ("quantities", sorted(one.values), sorted(other.values)),
+        ("method of evapotranspiration", [one.method], [other.method]),
+        ("quantities of the hour before their time", one.shifted, other.shifted),
+        ("hours by which rain is late", [str(one.rain_late)], [str(other.rain_late)]),
+    ):
+        if ours != theirs:
+            raise ConfigurationError(
+                f"must have the same {what} as {one.source}, {', '.join(ours) or 'none'}; "
+                f"it has {', '.join(theirs) or 'none'}",
+                file=other.source,
+            )
+    if (other.first - one.first) % HOUR:
+        raise ConfigurationError(
+            f"its hours begin at {to_minutes(other.first)}, which must be a whole number of hours "
+            f"from {to_minutes(one.first)}, as in {one.source}",
+            file=other.source,
+        )

@@ -1,14 +1,20 @@
-"""Forecasts as they were issued, and what an archive holds of them."""
+"""Forecasts as they were issued, and archives of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+ISSUE_HOURS = 6
+"""Services start a run of a global model so often (h)."""
+SERVICE_DELAY_H = 6.0
+"""After its nominal time a service has a run in so many hours. Open-Meteo, Single Runs API:
+"typically 4-6 hours for global models"."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +24,7 @@ class Issue:
     Attributes:
         issued: its nominal time; its first hour starts then.
         file: that it is from.
-        line: of the file, its first; None where the file has no lines.
+        line: of the file, its first; None where none is known.
         rain: mm/h, shape (members, hours).
         evapotranspiration: mm/day, shape (hours,); None where the file has none.
         temperature: of the air (degC), likewise.
@@ -49,16 +55,27 @@ class Issue:
         return self.evapotranspiration[np.where(index < 0, last, index)]
 
 
-class Contents(NamedTuple):
-    """What is in the files of an archive."""
+@dataclass(frozen=True)
+class Archive:
+    """Forecasts as they were issued.
 
+    Attributes:
+        source: the file or directory.
+        kind: what it is, in words.
+        issues: at least one, in the order of time, all with as many members.
+        delay: h after its nominal time from which an issue is known.
+        verified: by which it is verified, mostly the same; their rain may be NaN.
+        finest_lead: by how many hours of lead it can be verified.
+    """
+
+    source: Path
     kind: str
-    """of the archive, in words"""
-    issues: list[Issue]
-    """at least one"""
+    issues: Sequence[Issue]
     delay: float
-    """h after their nominal time from which issues of this kind usually are available"""
-    verified: list[Issue] | None = None
-    """by which it is verified, where those are others: their rain may be NaN"""
+    verified: Sequence[Issue]
     finest_lead: int = 1
-    """by how many hours of lead it can be verified"""
+
+    @property
+    def members(self) -> int:
+        """How many forecasts an issue is of."""
+        return len(self.issues[0].rain)

@@ -1,0 +1,1 @@
+"""Files of weather and of forecasts: the services' own forms, and this project's."""

@@ -1,0 +1,485 @@
+"""Hours of Open-Meteo as downloaded, CSV or JSON: past weather, and forecasts as they were issued.
+
+The service's CSV begins with two lines about the place, then come a header with units and the
+hours; its JSON has the same under ``hourly_units`` and ``hourly``::
+
+    latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
+    43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
+
+    time,temperature_2m (°C),precipitation (mm),shortwave_radiation (W/m²)
+    2021-07-07T00:00,21.4,0.20,0.0
+
+What a program has made of forecasts and saved, without those lines and units, is read too: its
+first column is ``time``, ``datetime`` or ``date``, in UTC unless it says an offset, and the unit is
+mm, both as the service answers unless asked for something else.
+
+Precipitation is the sum, and shortwave radiation the mean, of the hour *before* their time; the
+other quantities are of the instant. (Open-Meteo, Historical Weather API and Weather Forecast API,
+Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) Here a record
+is of the hour that starts at its time: so rain and radiation are moved an hour back, and what is of
+an instant holds for the hour after it, as in ECCC's files.
+
+Local times have one offset from UTC in the whole file, also over a change of daylight saving time:
+that of ``utc_offset_seconds``.
+
+**Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
+runs** have ``precipitation_previous_day1`` to 7: of an hour the newest forecast that was at least N
+x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). There are no runs in them,
+and nothing that is newer than 24 h. So what was known of an hour at some time is that of the
+smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ..., the
+first being the control run. Which run it is, the answer does not say, so the file's name must end
+in it, as in ``gem_2024060112.json``. The first time is no sign of it: an answer to ``run=`` begins
+at the run, but one without begins at midnight, or days before with ``past_days=``, and what fell
+until the download would be foreseen.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.common.times import (
+    hours_since_1970,
+    parse_local_time,
+    parse_time,
+    to_minutes,
+)
+from greenroof_ros.formats.issue import ISSUE_HOURS, SERVICE_DELAY_H, Archive, Issue
+from greenroof_ros.formats.records import (
+    FOR_EVAPOTRANSPIRATION,
+    HOUR,
+    PRECIPITATION,
+    QUANTITIES,
+    RADIATION,
+    Records,
+    join,
+)
+from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.site import Site
+
+_OFFSET = "utc_offset_seconds"
+_SAVED_TIMES = ("time", "datetime", "date")
+_WHOSE = "Open-Meteo's hourly files"
+# Their variable for each quantity of ours.
+_VARIABLES = {
+    PRECIPITATION: PRECIPITATION, "temperature": "temperature_2m", "dew point": "dew_point_2m",
+    "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
+    RADIATION: "shortwave_radiation",
+}
+_DEGREES = (Unit("°C"), Unit("°F", 1.8, 32.0))
+# The units that they may have; the first is that of what is saved without one.
+_UNITS = {
+    PRECIPITATION: (Unit("mm"), Unit("inch", 1 / 25.4)),
+    "temperature": _DEGREES,
+    "dew point": _DEGREES,
+    "wind speed": (
+        Unit("km/h"), Unit("m/s", 1 / 3.6), Unit("mp/h", 1 / 1.609344), Unit("kn", 1 / 1.852)
+    ),
+    "station pressure": (Unit("hPa", 10.0),),
+    RADIATION: (Unit("W/m²"),),
+}
+# How far the place of a file may be from the site, and the end of its range: a cell of the coarsest
+# model is half a degree wide; air is 2 degC colder 300 m further up.
+_PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
+_PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
+_MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
+_RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?$")
+# The service's longest forecasts, of ensembles, reach 36 days (h).
+_LONGEST_RUN = 36 * 24
+_DAY_H = 24
+
+
+def recognises(_file: Path, head: bytes, /) -> bool:
+    """Whether a file is JSON, or its first line that of the service or of hours of a forecast."""
+    text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
+    cells = [cell.strip() for cell in text.partition("\n")[0].split(",")]
+    saved = cells[0] in _SAVED_TIMES and any(
+        (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
+        for cell in cells
+    )
+    return text.startswith(("{", "[")) or _OFFSET in cells or saved
+
+
+# --- hours of either ---------------------------------------------------------------------------
+
+
+def _read(
+    file: Path, site: Site, quantity_of: Callable[[str], str | None]
+) -> tuple[Table, Records]:
+    """Return a file, and its hours by variable; each value is at its time, and not yet moved.
+
+    Args:
+        file: of one place with hourly values.
+        site: must be near the file's place, as far as both say their own.
+        quantity_of: returns the quantity of a variable, or None where it is not needed; raises
+            ValueError where it is not known.
+
+    Raises:
+        ConfigurationError: the file is broken or of another place, a time out of order, a unit
+            unknown, or a value not a number or not believable; the message names line or key, and
+            value.
+    """
+    table, parse = _table(file, site)
+    units = {}
+    for cell in table.header[1:]:
+        name, _, text = cell.partition(" ")
+        try:
+            quantity = quantity_of(name)
+        except ValueError as error:
+            raise table.refuse(str(error), cell) from None
+        if quantity is None:
+            continue
+        known = {unit.name: unit for unit in _UNITS[quantity]}
+        unit = known.get(text.strip("()") or next(iter(known)))
+        table.require([cell], _WHOSE)
+        if unit is None or name in units:
+            raise table.refuse(f"must be in {' or '.join(known)}, and one column", cell)
+        units[name] = (cell, quantity, unit)
+    first = table.first_hour(table.header[0], parse, "2024-06-01T12:00")
+    return table, Records((file,), first, {
+        name: table.numbers(cell, QUANTITIES[quantity], unit, ("", "NaN"))
+        for name, (cell, quantity, unit) in units.items()
+    })
+
+
+def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
+    """Return the hours of a file, and what reads their times."""
+    text = read_text(file, byte_order_mark=True)
+    if text.lstrip().startswith(("{", "[")):
+        place, table = _json_tables(file, text)
+    else:
+        lines = numbered_lines(text)
+        if lines and _OFFSET not in lines[0][1]:
+            return read_table(file, lines), _parse_saved
+        if len(lines) < 3:
+            raise ConfigurationError(
+                "must have two lines about the place, then a header and records", file=file
+            )
+        place, table = read_table(file, lines[:2]), read_table(file, lines[2:])
+    if "location_id" in place.header:
+        raise place.refuse("must be of one place; download each by itself", "location_id", 0)
+    zone = _check_place(place, site)
+    if table.header[0] != "time":
+        table.require(["time"], _WHOSE)
+    return table, partial(parse_local_time, zone=zone)
+
+
+def _parse_saved(text: str) -> datetime:
+    """Return a time of a saved file, in UTC unless it says an offset."""
+    time = parse_time(text)
+    return time if time.utcoffset() is not None else time.replace(tzinfo=timezone.utc)
+
+
+def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
+    """Return what a JSON answer says of its place, and its hours; numbers are text as in CSV."""
+    try:
+        content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
+    except json.JSONDecodeError as error:
+        raise ConfigurationError(
+            f"is not valid JSON: {error}", file=file, line=error.lineno
+        ) from error
+    except RecursionError as error:
+        raise ConfigurationError("is JSON nested too deep to be an answer", file=file) from error
+    if not isinstance(content, dict):
+        raise ConfigurationError("must be of one place; download each by itself", file=file)
+    if content.get("error"):
+        raise ConfigurationError(
+            f"is no forecast but the service's refusal: {content.get('reason', '')}", file=file
+        )
+    units, hourly = (_mapping(file, content, key) for key in ("hourly_units", "hourly"))
+    hourly = {"time": [], **hourly}
+    names = {
+        name if name == "time" else f"{name} ({units.get(name, '')})": series
+        for name, series in hourly.items()
+    }
+    for name, series in hourly.items():
+        if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
+            raise ConfigurationError(
+                "must be a list of values, one for each time", file=file, key=f"hourly.{name}"
+            )
+    about = {name: [_cell(value, "NaN")] for name, value in content.items()}
+    return (
+        Table(file, list(about), lambda: list(about.values())),
+        Table(
+            file, list(names), lambda: [list(map(_cell, series)) for series in names.values()],
+            key="hourly.",
+        ),
+    )
+
+
+def _cell(value: Any, missing: str = "") -> str:
+    """Return a value of JSON as CSV has it."""
+    return missing if value is None else str(value)
+
+
+def _mapping(file: Path, content: dict[str, Any], key: str) -> dict[str, Any]:
+    value = content.get(key, {})
+    if not isinstance(value, dict):
+        raise ConfigurationError("must be a mapping, as in answers for hours", file=file, key=key)
+    return value
+
+
+def _check_place(place: Table, site: Site) -> timezone:
+    """Refuse a place that is not near the site's, where both say it; return its offset from UTC.
+
+    Raises:
+        ConfigurationError: it is not near, or not a place; or the offset is not one.
+    """
+    place.require([_OFFSET, *_PLACE], _WHOSE)
+    text = place.columns[_OFFSET][0]
+    # From UTC-12 to UTC+14.
+    if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
+        raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET, 0)
+    for name, (most, end) in _PLACE.items():
+        # The service writes an elevation that it does not know as NaN.
+        missing = ["NaN"] if name == "elevation" else []
+        unit = "m" if name == "elevation" else "degrees"
+        value = place.numbers(name, (unit, -end, end), missing=missing)[0]
+        own: float | None = getattr(site, name)
+        if own is None or math.isnan(value):
+            continue
+        away = abs(value - own)
+        if name == "longitude":  # 179.9 and -179.9 are neighbours
+            away = min(away, 360 - away)
+        if away > most:
+            raise place.refuse(
+                f"must be within {most:g} {unit} of the site's {name}, {own:g}", name, 0
+            )
+    return timezone(timedelta(seconds=int(text)))
+
+
+# --- past weather ------------------------------------------------------------------------------
+
+
+def read_records(file: Path, site: Site, /) -> Records:
+    """Read past weather; an empty cell or ``NaN`` is a missing value.
+
+    Needed are precipitation, temperature, dew point, wind speed and surface pressure; shortwave
+    radiation is used where it is there, and other variables are not.
+
+    Args:
+        file: of one place.
+        site: must be near the file's place, as far as both say their own.
+
+    Raises:
+        ConfigurationError: see :func:`_read`; or a column is missing.
+    """
+    quantities = {variable: quantity for quantity, variable in _VARIABLES.items()}
+    table, records = _read(file, site, quantities.get)
+    for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
+        if _VARIABLES[quantity] not in records.values:
+            table.require([f"{_VARIABLES[quantity]} ({_UNITS[quantity][0].name})"], _WHOSE)
+    values = {quantities[variable]: series for variable, series in records.values.items()}
+    shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
+    # One hour more: that before the first time has rain and radiation only, the last has none.
+    nothing = np.array([math.nan])
+    return Records((file,), records.first - HOUR, {
+        quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
+        for quantity, series in values.items()
+    }, shifted=shifted)
+
+
+# --- forecasts ---------------------------------------------------------------------------------
+
+
+def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
+    """Read forecasts, all of previous runs or each of one run.
+
+    Args:
+        files: at least one.
+        site: must be near the place of a file that says its own.
+
+    Raises:
+        ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
+            what a run or an hour must have.
+    """
+    parts = [_forecast(file, site) for file in files]
+    previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
+    if not any(previous):
+        runs = [_run(part) for part in parts]
+        return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
+    if not all(previous):
+        raise ConfigurationError(
+            f"must be of previous runs, as {files[previous.index(True)].name} is",
+            file=files[previous.index(False)],
+        )
+    whole = join([
+        replace(part, values={
+            name: series for name, series in part.values.items() if _PREVIOUS.fullmatch(name)
+        })
+        for part in parts
+    ])
+    return Archive(
+        files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
+        list(_daily(whole)), _DAY_H,
+    )
+
+
+def _forecast(file: Path, site: Site) -> Records:
+    """Return the precipitation of a file by its variables, for the hour that starts at its time."""
+    table, hours = _read(file, site, _rain)
+    if not hours.values:
+        raise table.refuse(
+            "must have precipitation, precipitation_member01 or precipitation_previous_day1"
+        )
+    return replace(hours, first=hours.first - HOUR)
+
+
+def _rain(name: str) -> str | None:
+    if not name.startswith(PRECIPITATION) or name.startswith("precipitation_probability"):
+        return None
+    if not (_PREVIOUS.fullmatch(name) or _MEMBER.fullmatch(name)):
+        raise ValueError(
+            "must be precipitation, precipitation_previous_day1 to 7 or precipitation_member01, "
+            "02 and so on; download each model by itself"
+        )
+    return PRECIPITATION
+
+
+def _run(hours: Records) -> Issue:
+    """Return the run of a file."""
+    (file,) = hours.files
+    rain = np.stack(_members(hours))
+    run = _named_run(file)
+    start, rest = divmod(run - hours.first, HOUR)
+    if rest or not 0 <= start < rain.shape[1]:
+        raise ConfigurationError(
+            f"must have the hour after its run, {to_minutes(run)}; its first time is "
+            f"{to_minutes(hours.first + HOUR)}", file=file,
+        )
+    rain = rain[:, start:]
+    if rain.shape[1] > _LONGEST_RUN:
+        raise ConfigurationError(
+            f"has {rain.shape[1]} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
+            "are previous runs, precipitation_previous_day1 and so on", file=file,
+        )
+    known = np.flatnonzero(~np.isnan(rain).all(axis=0))
+    if not known.size:
+        raise ConfigurationError(
+            f"has no precipitation after its run, {to_minutes(run)}", file=file
+        )
+    rain = rain[:, : known[-1] + 1]  # beyond the model's horizon there is none
+    missing = np.argwhere(np.isnan(rain))
+    if missing.size:
+        member, hour = missing[0].tolist()
+        raise ConfigurationError(
+            f"member {member} is missing at {to_minutes(run + (hour + 1) * HOUR)}, within the run",
+            file=file,
+        )
+    return Issue(run, file, None, rain)
+
+
+def _members(hours: Records) -> list[NDArray[np.float64]]:
+    """Return the series of a run by their member; one without a number is the control, 0."""
+    found = {
+        int(match[1] or 0): series for name, series in hours.values.items()
+        if (match := _MEMBER.fullmatch(name))
+    }
+    numbers = sorted(found)
+    if numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] > 1:
+        raise ConfigurationError(
+            f"must have its members without gap; it has {', '.join(map(str, numbers))}",
+            file=hours.files[0],
+        )
+    if len(numbers) > MOST_MEMBERS:
+        raise ConfigurationError(
+            f"must have at most {MOST_MEMBERS} members, not {len(numbers)}", file=hours.files[0]
+        )
+    return [found[number] for number in numbers]
+
+
+def _named_run(file: Path) -> datetime:
+    """Return the run that a file's name ends in."""
+    with suppress(ValueError):
+        if match := _RUN_IN_NAME.search(file.stem):
+            year, month, day, hour = map(int, match.groups())
+            return datetime(year, month, day, hour, tzinfo=timezone.utc)
+    raise ConfigurationError(
+        "its name must end in the run that it holds, such as 2024060112: year, month, day and hour "
+        "in UTC; nothing in the file says it. Of more than one run there are previous runs, "
+        "precipitation_previous_day1 and so on", file=file,
+    )
+
+
+def _known_of(previous: Records) -> list[Issue]:
+    """Return what was known at 00, 06, 12 and 18 UTC of the hours that followed.
+
+    With the lead l (h) from then to an hour's end, that is the value of the smallest N with
+    24 N >= l that is not missing. An issue ends before the first hour of which none is known.
+
+    Raises:
+        ConfigurationError: nothing is known at all, or at none of these times.
+    """
+    days = _days(previous)
+    leads = np.arange(_DAY_H * max(days))
+    issues = []
+    for start in _starts(previous, 0, ISSUE_HOURS):
+        rain = np.full(len(leads), np.nan)
+        for day in sorted(days, reverse=True):
+            values = _at(days[day], start + leads)
+            known = (leads + 1 <= _DAY_H * day) & ~np.isnan(values)
+            rain[known] = values[known]
+        missing = np.flatnonzero(np.isnan(rain))
+        rain = rain[: missing[0]] if missing.size else rain
+        if rain.size:
+            issues.append(_issue(previous, start, rain))
+    if not issues:
+        nothing = all(np.isnan(series).all() for series in days.values())
+        raise ConfigurationError(
+            "has no precipitation: every value is missing" if nothing else
+            "must have a value for an hour from 00, 06, 12 or 18 UTC on, when issues begin",
+            file=previous.files[0],
+        )
+    return issues
+
+
+def _daily(previous: Records) -> Iterator[Issue]:
+    """Yield one issue a day, at 00 UTC, of which each hour is of its own N alone.
+
+    The hours from 24 (N - 1) to 24 N after it are those of N, so that each value of the file is in
+    one issue, by the day that it stands for; missing ones are NaN. They are for verification: of
+    :func:`_known_of` four have the same value, and some that of another N.
+    """
+    days = _days(previous)
+    last = max(days)
+    for start in _starts(previous, -_DAY_H * last, _DAY_H):
+        rain = np.full(_DAY_H * last, np.nan)
+        for day, series in days.items():
+            leads = np.arange(_DAY_H * (day - 1), _DAY_H * day)
+            rain[leads] = _at(series, start + leads)
+        yield _issue(previous, start, rain)
+
+
+def _days(previous: Records) -> dict[int, NDArray[np.float64]]:
+    """Return the series by the days N that they were made before."""
+    return {int(name[-1]): series for name, series in previous.values.items()}
+
+
+def _starts(previous: Records, begin: int, every: int) -> Iterator[int]:
+    """Yield the hours from one on, counted from the first, that begin so often a day in UTC."""
+    since_1970 = hours_since_1970(previous.first)
+    return (hour for hour in range(begin, previous.hours) if (since_1970 + hour) % every == 0)
+
+
+def _at(series: NDArray[np.float64], hours: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return values at some hours; NaN before the first and after the last."""
+    inside = (hours >= 0) & (hours < len(series))
+    return np.where(inside, series[np.clip(hours, 0, len(series) - 1)], np.nan)
+
+
+def _issue(previous: Records, start: int, rain: NDArray[np.float64]) -> Issue:
+    return Issue(previous.first + start * HOUR, previous.files[0], None, rain[None, :])

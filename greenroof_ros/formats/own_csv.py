@@ -1,0 +1,228 @@
+"""Files of this project's own form: of weather, and of forecasts issue by issue."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.common.times import to_minutes
+from greenroof_ros.formats.issue import Archive, Issue
+from greenroof_ros.formats.records import (
+    EVAPOTRANSPIRATION,
+    HOUR,
+    PRECIPITATION,
+    QUANTITIES,
+    TEMPERATURE,
+    Records,
+)
+from greenroof_ros.formats.table import Table, numbered_lines, read_table
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.site import Site
+
+# Of forecasts, by quantity; those that a file may do without.
+_FORECAST = {
+    quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
+    for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
+}
+_OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
+
+
+def recognises(_file: Path, _head: bytes, /) -> bool:
+    """Any file: this format is the last to be asked, and its errors say what would be right."""
+    return True
+
+
+def _table(file: Path) -> Table:
+    return read_table(file, numbered_lines(read_text(file)))
+
+
+# --- weather ----------------------------------------------------------------------------------
+
+
+def read_records(file: Path, _site: Site, /) -> Records:
+    """Read a weather file of this project's form; an empty cell is a missing value.
+
+    Lines that start with ``#`` are comments. The first other line names the columns with their
+    units: ``time``, ``precipitation [mm/h]``, and others of
+    :data:`greenroof_ros.formats.records.QUANTITIES`, of which ``... evapotranspiration [mm/day]``
+    names its method in its first words. Each further line is the hour that starts at its ``time``
+    (ISO 8601 with the offset from UTC), hour after hour.
+
+    Raises:
+        ConfigurationError: the file breaks any of this; the message names the line and value.
+    """
+    table = _table(file)
+    columns, method = _columns(table)
+    first = table.first_hour("time")
+    values = {
+        quantity: table.numbers(column, QUANTITIES[quantity], missing=("",))
+        for quantity, column in columns.items()
+    }
+    return Records((file,), first, values, method)
+
+
+def _columns(table: Table) -> tuple[dict[str, str], str]:
+    """Return the column of each quantity, and the method of evapotranspiration."""
+    columns: dict[str, str] = {}
+    method = ""
+    if table.header[0] != "time":
+        raise table.refuse("the first column must be 'time'", table.header[0])
+    for column in table.header[1:]:
+        match = re.fullmatch(r"([^\[\]]+?)\s*\[([^\[\]]*)\]", column)
+        if not match:
+            raise table.refuse("a column must be named like 'precipitation [mm/h]'", column)
+        name, unit = match.groups()
+        quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
+        if quantity not in QUANTITIES:
+            known = ", ".join(f"{key} [{value[0]}]" for key, value in QUANTITIES.items())
+            raise table.refuse(f"is not a known column; they are {known}", column)
+        if unit != QUANTITIES[quantity][0]:
+            raise table.refuse(f"the unit of {name} must be [{QUANTITIES[quantity][0]}]", column)
+        if quantity in columns:
+            raise table.refuse(f"there is a column of {quantity} before this one", column)
+        columns[quantity] = column
+        if quantity == EVAPOTRANSPIRATION:
+            method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
+    if PRECIPITATION not in columns:
+        raise table.refuse(f"there must be a column '{_FORECAST[PRECIPITATION]}'")
+    return columns, method
+
+
+# --- forecasts --------------------------------------------------------------------------------
+
+
+def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
+    """Read files of this form; their issues are known from when they say that they were issued."""
+    issues = [issue for file in files for issue in read_forecasts(file)]
+    return Archive(files[0], "own form", issues, 0.0, issues)
+
+
+def read_forecasts(path: Path) -> list[Issue]:
+    """Read a file of forecasts, one issue after the other.
+
+    Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
+    ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
+    [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
+    (member 0's count). Each further line is the hour that starts at its ``time``, as forecast at
+    ``issued`` (ISO 8601 with the offset from UTC): of each issue and member hour after hour, the
+    first that which starts with the issue. All issues have the members 0, 1, 2 and so on, and all
+    members of an issue the same hours.
+
+    Raises:
+        ConfigurationError: the file breaks any of this; the message names the line and value.
+    """
+    table = _table(path)
+    _check_header(table)
+    issued, times = table.times("issued"), table.times("time")
+    members = _members(table) if "member" in table.header else [0] * len(times)
+    values = {
+        quantity: table.numbers(column, QUANTITIES[quantity])
+        for quantity, column in _FORECAST.items() if column in table.header
+    }
+    rows_of: dict[datetime, dict[int, list[int]]] = {}  # of each issue and member
+    last = issued[0]
+    for row, (issue, time, member) in enumerate(zip(issued, times, members, strict=True)):
+        if issue < last:
+            raise table.refuse(
+                f"must not be before {to_minutes(last)}, as above: the issues must be in the order "
+                "of time", "issued", row,
+            )
+        last = issue
+        rows = rows_of.setdefault(issue, {}).setdefault(member, [])
+        due = issue + len(rows) * HOUR
+        table.check_due("time", row, time, due, "from its issue on, each forecast")
+        rows.append(row)
+    count = len(rows_of[issued[0]])
+    return [_issue(table, issue, rows, count, values) for issue, rows in rows_of.items()]
+
+
+def _check_header(table: Table) -> None:
+    """Refuse other columns, or another order of them."""
+    columns = ["issued", "time", "member", *_FORECAST.values()]
+    expected = [one for one in columns if one not in _OPTIONAL or one in table.header]
+    for cell, due in itertools.zip_longest(table.header, expected):
+        if cell != due:
+            wrong = "is one column too many" if due is None else f"the column must be '{due}'"
+            raise table.refuse(
+                f"{wrong}; they are {', '.join(map(repr, columns))}, of which "
+                f"{', '.join(one for one in columns if one in _OPTIONAL)} may be left out",
+                cell or "",
+            )
+
+
+def _members(table: Table) -> list[int]:
+    """Return each row's member."""
+    most = MOST_MEMBERS - 1
+    for row, text in enumerate(table.columns["member"]):
+        if not (text.isascii() and text.isdecimal() and float(text) <= most):
+            raise table.refuse(f"must be a whole number from 0 to {most}", "member", row)
+    # An int of a text may have 4300 digits, zeros too.
+    return [int(float(text)) for text in table.columns["member"]]
+
+
+def _issue(
+    table: Table, issued: datetime, rows: dict[int, list[int]], members: int,
+    values: dict[str, NDArray[np.float64]],
+) -> Issue:
+    """Return an issue by the rows of each of its members.
+
+    Raises:
+        ConfigurationError: it lacks members that the first issue has, or has others, or hours.
+    """
+    line = table.lines[rows[next(iter(rows))][0]]
+    found = sorted(rows)
+    lengths = [len(rows[member]) for member in found]
+    wrong = ""
+    if found != list(range(members)):
+        wrong = (
+            f"has members {', '.join(map(str, found))}, but must have 0 to {members - 1}: without "
+            "gap, and as many as the first issue"
+        )
+    elif min(lengths) != max(lengths):
+        wrong = "must have as many hours of each member; " + ", ".join(
+            f"member {lengths.index(hours)} has {hours}" for hours in (min(lengths), max(lengths))
+        )
+    if wrong:
+        raise ConfigurationError(
+            f"the issue of {to_minutes(issued)} {wrong}", file=table.file, line=line
+        )
+    return Issue(
+        issued, table.file, line,
+        np.stack([values[PRECIPITATION][rows[member]] for member in found]),
+        *(
+            values[quantity][rows[0]] if quantity in values else None
+            for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
+        ),
+    )
+
+
+def write_forecasts(issues: Sequence[Issue]) -> str:
+    """Return issues as a file of this form, which :func:`read_forecasts` reads bit for bit.
+
+    The temperature, of which nothing that reads such a file makes use, is left out.
+
+    Args:
+        issues: an archive's, in the order of time.
+    """
+    columns = ["issued", "time", "member", _FORECAST[PRECIPITATION]]
+    dry = issues[0].evapotranspiration is not None
+    lines = [",".join([*columns, _FORECAST[EVAPOTRANSPIRATION]] if dry else columns)]
+    for issue in issues:
+        times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
+        further = [""] * issue.hours
+        if issue.evapotranspiration is not None:
+            further = [f",{value!r}" for value in issue.evapotranspiration.tolist()]
+        lines += [
+            f"{times[0]},{time},{member},{rain!r}{more}"
+            for member, series in enumerate(issue.rain.tolist())
+            for time, rain, more in zip(times, series, further, strict=True)
+        ]
+    return "\n".join([*lines, ""])

@@ -1,0 +1,100 @@
+"""Files that users edit, and how their YAML is read."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from paper import PAPER_SITE
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_ros_parameters, read_yaml
+from greenroof_ros.controllers.registry import find_controller
+
+VALUES = (
+    "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
+    "0b11", "1e-5", "1E5", "1.e3", ".5", "+.5e+3", "+5", "5.", "5-", "12e", "1_000", "3:0", "-0",
+    "1e400", "99999999999999999999", "9223372036854775807", "inf", "-.inf", ".nan", "Infinity",
+    "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]", "[on, off]", "['1', x]",
+)
+
+
+def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
+    """Kind and value of each are those that a node is given, which has read the file by rcl."""
+    rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
+    from rclpy.node import Node
+
+    file = tmp_path / "parameters.yaml"
+    lines = [f"    p{number}: {value}" for number, value in enumerate(VALUES)]
+    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
+    context = rclpy.Context()
+    rclpy.init(
+        args=["--ros-args", "--params-file", str(file)], context=context, domain_id=domain
+    )
+    node = Node(
+        "reader", context=context, automatically_declare_parameters_from_overrides=True,
+        start_parameter_services=False, enable_rosout=False,
+    )
+    ours = read_ros_parameters(file)["/**"]["ros__parameters"]
+
+    def exactly(value: Any) -> object:
+        return [exactly(each) for each in value] if isinstance(value, list) else (
+            type(value), "nan" if isinstance(value, float) and math.isnan(value) else value
+        )
+
+    try:
+        for name, value in zip(ours, VALUES, strict=True):
+            theirs = node.get_parameter(name).value
+            theirs = theirs if isinstance(theirs, (str, int, float)) else list(theirs)
+            assert exactly(ours[name]) == exactly(theirs), value
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None:
+    """By simulate, too: octal digits, and an exponent without a point."""
+    file = tmp_path / "parameters.yaml"
+    file.write_text(
+        "/**/anticipating_onoff:\n  ros__parameters: {horizon: 010, fraction: 5e-1}\n"
+    )
+    found = find_controller("anticipating_onoff").read_parameters(file, PAPER_SITE)
+    assert (found["horizon"], found["fraction"]) == (8.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("5.78e5", 5.78e5), ("016", 16), ("3:0", "3:0"), (".5", 0.5), ("1e-5", 1e-5),
+        ("-.inf", -math.inf),
+    ],
+)
+def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+    """In all files that rcl does not read."""
+    file = tmp_path / "a.yaml"
+    file.write_text(f"a: {text}\n")
+    assert read_yaml(file)["a"] == value
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: a is given twice, here and in line"),
+        ("a: [1\nb: 2\n", "is not valid YAML"),
+        ("- 1\n", ": must hold 'key: value' lines"),
+        ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
+        (" \n", ": is empty"),
+        ("\ufeffa: 1\n", ", line 1: starts with a byte order mark; save it as plain UTF-8"),
+        ("a: 1\nb: \0\n", ", line 2: is not a text file (it holds a NUL byte)"),
+    ],
+)
+def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    """With the file, and the line where there is one."""
+    file = tmp_path / "a.yaml"
+    file.write_text(text, encoding="utf-8")
+    for read in (read_yaml, read_ros_parameters):
+        with pytest.raises(ConfigurationError) as caught:
+            read(file)
+        assert str(caught.value).startswith(str(file)) and words in str(caught.value)
