@@ -23,7 +23,13 @@ from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.processes import InterruptedRun, LockedError, Signals, take_lock
+from greenroof_ros.common.processes import (
+    InterruptedRun,
+    LockedError,
+    Signals,
+    notify,
+    take_lock,
+)
 from greenroof_ros.common.standard_error import say
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
