@@ -100,14 +100,15 @@ def main() -> int:
     """Be the drive that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
-    from greenroof_ros.simulators.drive_bench import DriveBench
-    from greenroof_ros.simulators.simulated_drive import DriveSettings
+    from greenroof_ros.simulators.control_profiles import profile_of
+    from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings
     file = read_drive_file(find_drive_file(arguments.drive))
     workbench = arguments.workbench
     if workbench is None:
         workbench = arguments.port + 1 if arguments.port else 0
     own = Address(host=arguments.host, port=arguments.port)
     bench = DriveBench(
+        profile_of(file.make),
         file,
         DriveSettings(
             ramp_s=arguments.ramp, boot_s=arguments.boot, speed=arguments.speed,

@@ -75,6 +75,17 @@ def udp_addresses_of(pid: int) -> list[str]:
     return addresses
 
 
+def assert_on_loopback_alone(pid: int) -> None:
+    """A node listens on 127.0.0.1, and uses none of the shared memory that others could lock.
+
+    Fast DDS calls its segments fastrtps_... and fast_datasharing_..., and their locks sem.fast...
+    """
+    assert set(udp_addresses_of(pid)) == {"127.0.0.1"}
+    assert not [file for file in files_of(pid) if file.startswith("/dev/shm/")]
+    maps = Path(f"/proc/{pid}/maps").read_text()
+    assert "/dev/shm/fast" not in maps and "/dev/shm/sem.fast" not in maps
+
+
 def _free_ports() -> Iterator[int]:
     """Yield TCP ports that are free, the next one as well, each once and in random order.
 

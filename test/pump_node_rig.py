@@ -13,7 +13,7 @@ from typing import Any
 from graphs import Process, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
-from ros_rig import Observer, start_node
+from ros_rig import LATE, Observer, start_node
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S, Workbench
 from std_msgs.msg import Float64
@@ -174,6 +174,26 @@ class PumpRig:
 
         wait_for(ticked, seconds, f"{what} ({self.states[-3:]})")
         return time.monotonic() - began
+
+    def until_said(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
+        """Publish ticks until a part of the node is at a level, with some words."""
+        self.tick_until(command, lambda: self.says(part, level, *words), LATE, f"{part}: {words}")
+
+    def until_code(self, part: str, code: str, command: float = 0.5) -> None:
+        """Publish ticks until a part has a code."""
+        self.tick_until(command, lambda: self.code(part) == code, LATE, f"{part}: {code}")
+
+    def until_state(self, words: str, seconds: float = LATE) -> None:
+        """Publish ticks until the state has some words."""
+        self.tick_until(0.5, lambda: words in self.state, seconds, words)
+
+    def until_it_stands(
+        self, drive: SimulatedDrive, seconds: float, command: float = 0.5
+    ) -> float:
+        """Publish ticks until the motor stands and no flow is said; return how long that took."""
+        return self.tick_until(
+            command, lambda: drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
+        )
 
     def play(
         self, values: dict[str, float], until: Callable[[], Any], what: str, seconds: float = 60

@@ -243,7 +243,8 @@ def live_node(
         process.send_signal(signal.SIGCONT)
         process.send_signal(signal.SIGINT)
         # The kernel ends a node whose middleware takes long to go, as on a busy machine.
-        assert process.wait(300) in (0, -signal.SIGALRM)
+        code = process.wait(300)
+        assert code in (0, -signal.SIGALRM), code
 
 
 def policies(process: int) -> set[int]:

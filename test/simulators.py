@@ -18,7 +18,7 @@ from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, Serial
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS, Fault
 
@@ -39,10 +39,7 @@ class Workbench:
         self, address: Address, known: Mapping[str, Fault] = DRIVE_FAULTS, timeout_s: float = 1.0
     ) -> None:
         self._known = known
-        self._line = ModbusLine(
-            address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s,
-            serial=Serial(19200, "even", 1, faults.DEVICE_ID),
-        )
+        self._line = ModbusLine(address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s)
         self.close = self._line.close
 
     def _ask(self, request: Callable[[], T]) -> T:

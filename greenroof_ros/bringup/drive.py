@@ -157,14 +157,14 @@ class DriveChoice:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
         with in_extra("pump"):
-            from greenroof_ros.drives.drive import HeldError
+            from greenroof_ros.drives.drive import DriveInUseError
             from greenroof_ros.drives.exchange import stop_drive
         file, address = self.read()
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
                 status = stop_drive(file, address, driver=pump_node)
-            except HeldError as error:
+            except DriveInUseError as error:
                 return False, (
                     f"another program (process {error.holder}) runs the drive: left to it, which "
                     "may run the pump"

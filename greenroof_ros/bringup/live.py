@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import math
-import os
 import shutil
 import tempfile
 import time
@@ -23,9 +21,15 @@ import yaml
 from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
-from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.processes import InterruptedRun, Signals, notify
+from greenroof_ros.common.processes import (
+    InterruptedRun,
+    LockedError,
+    Signals,
+    notify,
+    take_lock,
+)
 from greenroof_ros.common.standard_error import say
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
@@ -121,8 +125,8 @@ def _keep_up(
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                held = supervisor.inhibit
-                how = f"held: {held}" if held else values_of(supervisor.last)
+                why = supervisor.inhibit
+                how = f"the pump is kept off: {why}" if why else values_of(supervisor.last)
                 notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
@@ -157,8 +161,8 @@ class _Start:
     """What the site lacks before it can pump: a line each with what to do, until all is there.
 
     It is what would be an incident if it lasted, but for warnings. What only follows from something
-    else is listed where nothing else holds the pump. The list is said when it has changed, by the
-    codes in it: their sentences have numbers. Of what is lost later an incident tells.
+    else is listed where nothing else keeps the pump off. The list is said when it has changed, by
+    the codes in it: their sentences have numbers. Of what is lost later an incident tells.
     """
 
     def __init__(self) -> None:
@@ -185,8 +189,10 @@ class _Start:
         lost = [
             part for part in parts_in(reports) if part.is_lost and part.said["level"] != "WARN"
         ]
-        causes = {part.rule.holds for part in lost if not part.rule.follows}
-        listed = [part for part in lost if not (part.rule.follows and part.rule.holds in causes)]
+        causes = {part.rule.stops_pump for part in lost if not part.rule.follows}
+        listed = [
+            part for part in lost if not (part.rule.follows and part.rule.stops_pump in causes)
+        ]
         missing: list[tuple[str, ...]] = [
             (part.node, part.name, part.said["code"]) for part in listed
         ]
@@ -196,11 +202,11 @@ class _Start:
         ]
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = inhibit or (pump.get("active") is False and str(pump.get("pump")))
-        held = any(part.rule.holds for part in listed)
-        if why and not held:
+        stopped = any(part.rule.stops_pump for part in listed)
+        if why and not stopped:
             missing.append((why,))
             lines.append(f"  the pump is kept off: {why}")
-        self._over = not (held or why or None in _levels(reports).values())
+        self._over = not (stopped or why or None in _levels(reports).values())
         now = time.monotonic()
         if missing != self._seen[0]:
             self._seen = missing, now
@@ -232,8 +238,13 @@ class _Record:
         self._state = state
         self._written = 0
         self._warnings: set[str] = set()
-        self._problem = ""
-        self._content: dict[str, Any] = {}
+        self._summary = Newest(
+            partial(summary.write, directory=state),
+            lambda error: (
+                f"{getattr(error, 'filename', None) or state}: "
+                f"{getattr(error, 'strerror', None) or error}"
+            ),
+        )
         self._began = _now()
         self._last_time = before = _last_time(state)
         self._setting = {
@@ -271,7 +282,7 @@ class _Record:
 
     def _warn(self, of_nodes: set[str]) -> None:
         """Say each warning that did not stand before: of nodes, and of what is not kept."""
-        own = {self._problem} if self._problem else set()
+        own = {self._summary.problem} if self._summary.problem else set()
         if DISK.refused and not DISK.late:
             own.add(
                 f"{self._state}: {DISK.refused} pieces of logs found no room in memory since the "
@@ -283,7 +294,8 @@ class _Record:
 
     def write(self, status: str, reason: str | None = None) -> None:
         """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
-        self._content = {
+        self._written = self.log.changes
+        self._summary.give({
             "status": status,
             "reason": reason,
             "began": self._began,
@@ -292,22 +304,14 @@ class _Record:
             "incident_count": self.log.count,
             "incidents": self.log.as_dicts(),
             **self._setting,
-        }
-        self._written = self.log.changes
-        DISK.do(self._write_newest)
-
-    def _write_newest(self) -> None:
-        """Write it, on the disk's thread."""
-        try:
-            summary.write(self._content, self._state)
-            self._problem = ""
-        except OSError as error:
-            self._problem = f"{error.filename or self._state}: {error.strerror}"
+        })
 
     def wait(self) -> None:
         """Wait until all is on the disk, and say where it is not within 5 s."""
         if not DISK.wait(_WRITTEN_S):
-            self._problem = f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
+            self._summary.problem = (
+                f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
+            )
         self._warn(self._warnings)
 
 
@@ -355,7 +359,7 @@ def _now() -> str:
 
 @contextmanager
 def _state_directory(path: Path) -> Iterator[Path]:
-    """Make and hold the directory of a site.
+    """Make the directory of a site, and lock it.
 
     Raises:
         ConfigurationError: it cannot be made or written.
@@ -363,21 +367,18 @@ def _state_directory(path: Path) -> Iterator[Path]:
     """
     try:
         (path / "log").mkdir(parents=True, exist_ok=True)
-        number = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--state", value=str(path)
-        ) from error
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield path.resolve()
-    except BlockingIOError:
+        lock = take_lock(path / "bringup.lock")
+    except LockedError:
         raise OccupiedError(
             "is of a bringup that runs; end it, or take another directory",
             key="--state", value=str(path),
         ) from None
-    finally:
-        os.close(number)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--state", value=str(path)
+        ) from error
+    with lock:
+        yield path.resolve()
 
 
 def _configuration(

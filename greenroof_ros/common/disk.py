@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable
 from itertools import islice
+from typing import Generic, TypeVar
+
+_T = TypeVar("_T")
 
 # So much may wait (bytes), with what a job costs itself: minutes of a live site.
 _ROOM, _JOB = 32_000_000, 200
@@ -96,3 +101,34 @@ class DiskThread:
 
 # That of the process.
 DISK = DiskThread()
+
+
+class Newest(Generic[_T]):
+    """Has the newest of what it is given written; what waits is passed over for what is newer.
+
+    Attributes:
+        problem: why what was written last is not kept, in words; empty where it is.
+    """
+
+    def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
+        """Write nothing yet.
+
+        Args:
+            write: called on the disk's thread, with one after the other.
+            explain: puts what that raises into words.
+        """
+        self.problem = ""
+        self._write, self._explain = write, explain
+
+    def give(self, value: _T) -> None:
+        """Have a value written."""
+        self._value = value
+        if not DISK.do(self._write_newest):
+            self.problem = self._explain(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
+
+    def _write_newest(self) -> None:
+        try:
+            self._write(self._value)
+            self.problem = ""
+        except Exception as error:  # whatever it is, the next value is tried again
+            self.problem = self._explain(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import os
@@ -10,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import ConfigurationError
 
 _CLOSE_S = 2.0
@@ -25,13 +24,12 @@ class Kept:
     def __init__(self, file: Path) -> None:
         """Take the file, which need not be there."""
         self._file = file
-        self._newest: Callable[[], str] = str
-        self._problem = ""
+        self._newest = Newest(self._replace, str)
 
     @property
     def problem(self) -> str:
         """Why what was last given is not written; empty where it is, or soon will be."""
-        return "the disk takes nothing" if DISK.late else self._problem
+        return "the disk takes nothing" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:
         """Return what was kept; nothing where there is no file.
@@ -58,24 +56,17 @@ class Kept:
 
     def write_text(self, text: Callable[[], str]) -> None:
         """Have a text written, which the disk's thread asks for."""
-        self._newest = text
-        if not DISK.do(self._replace):
-            self._problem = os.strerror(errno.ENOMEM)
+        self._newest.give(text)
 
     def close(self) -> None:
         """Wait two seconds at most for what is being written."""
         DISK.wait(_CLOSE_S)
 
-    def _replace(self) -> None:
-        """Write what is newest, on the disk's thread."""
+    def _replace(self, text: Callable[[], str]) -> None:
         part = self._file.with_suffix(".part")
-        try:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("w", encoding="utf-8") as stream:
-                stream.write(self._newest())
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(self._file)
-            self._problem = ""
-        except OSError as error:
-            self._problem = str(error)
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w", encoding="utf-8") as stream:
+            stream.write(text())
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(self._file)

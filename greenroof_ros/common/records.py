@@ -30,6 +30,7 @@ def entry(
     low: float = -math.inf,
     high: float = math.inf,
     *,
+    unit: str = "",
     choices: tuple[str, ...] = (),
     default: Any = MISSING,
     factory: Any = MISSING,
@@ -40,11 +41,12 @@ def entry(
         meaning: for the documentation, and for who left the key away.
         low: the least number.
         high: the greatest number.
+        unit: of the number, ``1`` if it has none; empty where the meaning says it.
         choices: the only texts.
         default: of a key that may be left away.
         factory: makes it, where it is a mapping.
     """
-    told = {"entry": Parameter("", None, "", low, high, meaning, among=choices)}
+    told = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
     made: Any = field(default=default, default_factory=factory, metadata=told)
     return made
 
@@ -57,6 +59,7 @@ class Key:
     kind: Any
     entry: Parameter
     optional: bool
+    default: Any
 
 
 def keys(kind: Any) -> list[Key]:
@@ -65,7 +68,7 @@ def keys(kind: Any) -> list[Key]:
     return [
         Key(
             one.name, hints[one.name], one.metadata["entry"],
-            one.default is not MISSING or one.default_factory is not MISSING,
+            one.default is not MISSING or one.default_factory is not MISSING, one.default,
         )
         for one in fields(kind) if "entry" in one.metadata
     ]

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
-from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
+from greenroof_ros.controllers.order_up_to import (
+    BELOW_M3,
+    OrderUpTo,
+    Policy,
+    halved_by_rain,
+)
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
@@ -35,8 +40,6 @@ _CHANGED_M = 1e-3
 # until then: the forecasts are out by more.
 _LEAST_STEP_S = 3600.0
 _LEAST_SHARE = 1 / 8
-# So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
-_BELOW_M3 = 1e-6
 # It pumps nothing at commands below it (1), so that no smaller bound is useful.
 _LEAST_COMMAND = 1e-5
 Array = NDArray[np.float64]
@@ -258,11 +261,11 @@ class Lookahead:
             return False
         self._unlooked = 0.0
         known = self._total(rain) + self._fallen
-        return bool((np.abs(known - self._planned_rain) > _CHANGED_M).any())
+        return float(np.abs(known - self._planned_rain).max()) > _CHANGED_M
 
     def _total(self, rain: Array) -> Array:
         """Return what rain is forecast in all (m), shape (members,)."""
-        return np.asarray((rain * self._lengths[: self._after.steps]).sum(axis=1))
+        return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
@@ -333,7 +336,7 @@ class Lookahead:
             evaporated: in the present tick (m3/s).
         """
         share = command_to(
-            self._site, self._soil, x1, x2, level - _BELOW_M3, rain, evaporated
+            self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
         )
         share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
         return share if self._flow else self._start(share)

@@ -17,9 +17,11 @@ from greenroof_ros.model.soil import soil_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# Nodes below and above the target: of a single forecast, and of each member of an ensemble, whose
-# forecasts err by more than the nodes are apart.
-_FINE, _COARSE = (900, 300), (60, 30)
+# So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
+BELOW_M3 = 1e-6
+# Nodes below and above the target: of each member of an ensemble, whose forecasts err by more than
+# the nodes are apart.
+_COARSE = (60, 30)
 # Greater than 0 (m3), for a quotient.
 _LEAST = 1e-300
 # Nodes of the water that there is, where it may not be enough.
@@ -140,19 +142,23 @@ class OrderUpTo:
     is. Where there is enough, s has one node.
     """
 
-    def __init__(self, site: Site, edges: Array, risk: float = 0.0) -> None:
+    def __init__(
+        self, site: Site, edges: Array, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
+    ) -> None:
         """Take the site, and the steps.
 
         Args:
             site: its parameters.
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
             risk: share of the members, the better ones, that do not count (1), below 1.
+            fine: nodes below and above the target, of a single forecast.
         """
         self._target = site.x2_star
         self._site = site
         self._edges = edges
         self._lengths = np.diff(edges)
         self._risk = risk
+        self._fine = fine
         self._soil = soil_of(site)
         self._cistern = Cistern(site)
         self._area = site.a2
@@ -194,7 +200,7 @@ class OrderUpTo:
         full = float(self._content(self._target))
         demand = full + float((evapotranspiration * self._lengths).sum())
         scarce = self._cistern.scarce(x1, demand, float(self._edges[-1]))
-        self._place(*(_FINE if members == 1 and not scarce else _COARSE))
+        self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
             self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2
@@ -203,20 +209,25 @@ class OrderUpTo:
         value = np.zeros((1, len(self._water), len(self._nodes)))
         fill_to: list[Array] = []
         group_of: list[Indices] = []
+        most, asked = flow * self._lengths, evapotranspiration * self._lengths
+        # Pumps and water that are never the limit: the driest roof can be filled in the step.
+        filled = self._soil.after(np.zeros(steps), most, asked, self._lengths)
+        strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
             labels = groups[: len(value), step]
-            together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels.tolist())]
+            together: list[Any] = [slice(None)]
+            of_members = np.zeros(members, dtype=np.intp)
+            if (labels != labels[0]).any():
+                together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels)]
+                for index, alike in enumerate(together):
+                    of_members[alike] = index
             value, levels = self._before(
-                value, rain[: len(value), step, None, None],
-                float(evapotranspiration[step]), float(flow[step]), float(self._lengths[step]),
-                together if len(together) > 1 else [slice(None)],
+                value, rain[: len(value), step, None, None], float(asked[step]), float(flow[step]),
+                float(self._lengths[step]), bool(strong[step]), together,
             )
             fill_to.append(levels)
-            of_members = np.zeros(members, dtype=np.intp)
-            for index, alike in enumerate(together):
-                of_members[alike] = index
             group_of.append(of_members)
         now = self._at(value, np.full((1, 1, 1), x2), np.full((1, 1, 1), self.stored(x1, x2)))
         return Policy(
@@ -288,7 +299,7 @@ class OrderUpTo:
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, evapotranspiration: float, flow: float, seconds: float,
+        self, value: Array, rain: Array, asked: float, flow: float, seconds: float, strong: bool,
         groups: list[Any],
     ) -> tuple[Array, Array]:
         """Go back by one step.
@@ -296,9 +307,10 @@ class OrderUpTo:
         Args:
             value: V after it, shape (members, S, N).
             rain: in it (m/s), shape (members, 1, 1).
-            evapotranspiration: off the whole bed (m3/s).
+            asked: evapotranspiration off the whole bed in it (m3).
             flow: of the pumps (m3/s).
             seconds: its length.
+            strong: whether neither pumps nor water are ever the limit.
             groups: index of the members of each group.
 
         Returns:
@@ -306,10 +318,7 @@ class OrderUpTo:
         """
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
-        asked = evapotranspiration * seconds
         scarce = len(self._water) > 1
-        # Pumps and water that are never the limit: the driest roof can be filled in the step.
-        strong = not scarce and soil.after(roof[:1], flow * seconds, asked, seconds) >= self._target
         reach = roof if strong else soil.after(roof, flow * seconds, asked, seconds)
         # Left alone: what is the same for all members is worked out once.
         if not rain.any():
@@ -392,7 +401,7 @@ class OrderUpTo:
         node = np.minimum(node, count - 2)
         x2 = np.minimum(x2, self._nodes[count - 1])
         # V = base + slope x from a node to the next.
-        slope = np.diff(value) / self._widths[: count - 1]
+        slope = (value[..., 1:] - value[..., :-1]) / self._widths[: count - 1]
         base = value[..., :-1] - slope * self._nodes[: count - 1]
         start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
         if rows == 1:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import LockedError, take_lock
-from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
+from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Register, Step
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDS
 
@@ -32,13 +32,13 @@ class DriveStatus:
     Attributes:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
-        fault: in words; empty for none. That the pump turns backwards is one, too.
+        fault: in words; empty for none. To turn backwards is a fault, too.
         warning: in words; empty for none.
         speed: as share of rated speed; below 0 only where the pump turns backwards.
         flow: m3/s; None where the drive has none.
         remote: it obeys the bus.
         timed_out: the fault is that its own communication timeout has passed, and no other.
-        runs_on: the fault is that it was told to stop, and its speed does not fall.
+        runs_on: the fault is that its speed does not fall after *stop*.
     """
 
     ready: bool
@@ -153,16 +153,12 @@ class Drive:
         """
         status, seen = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
-        if self._holds(status.fault, seen):
-            raw = self._number(self.file.faults.register)
-            fault = self.file.faults.text(raw) or "the drive names no cause"
+        if self._fulfils(status.fault, seen):
+            raw, fault = self._cause(self.file.faults)
             trips = () if self._timeout is None else self._timeout.trips
             timed_out = self.file.faults.only(raw, trips)
-        if status.warning is not None and self._holds(status.warning, seen):
-            warning = "the drive names no cause"
-            if self.file.warnings is not None:
-                raw = self._number(self.file.warnings.register)
-                warning = self.file.warnings.text(raw) or warning
+        if status.warning is not None and self._fulfils(status.warning, seen):
+            _, warning = self._cause(self.file.warnings)
         speed = self._known("speed")
         if -STANDS <= speed <= 0:
             speed = 0.0
@@ -173,7 +169,7 @@ class Drive:
         if "flow" in self.file.registers:
             flow = self._scaled("flow", self._raw("flow"))
         return DriveStatus(
-            self._holds(status.ready, seen), self._holds(status.running, seen), fault, warning,
+            self._fulfils(status.ready, seen), self._fulfils(status.running, seen), fault, warning,
             speed, flow, remote=not self.local(seen), timed_out=timed_out,
         )
 
@@ -187,7 +183,7 @@ class Drive:
             DriveError: it cannot be read.
         """
         remote = self.file.status.remote
-        return remote is not None and not self._holds(remote, {} if seen is None else seen)
+        return remote is not None and not self._fulfils(remote, {} if seen is None else seen)
 
     def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
         """Run at a speed: bring the drive to where it can, then write speed and control word.
@@ -206,10 +202,9 @@ class Drive:
         if not 0 <= speed <= 1:
             raise ValueError(f"{speed} is no share of rated speed")
         seen: dict[str, int] = {}
-        if self._holds(self.file.status.fault, seen):
-            text = self.file.faults.text(self._number(self.file.faults.register))
-            raise self.line.error("drive", f"fault: {text or 'no cause named'}")
-        if not self._prepared or not self._holds(self.file.status.enabled, seen):
+        if self._fulfils(self.file.status.fault, seen):
+            raise self.line.error("drive", f"fault: {self._cause(self.file.faults)[1]}")
+        if not self._prepared or not self._fulfils(self.file.status.enabled, seen):
             if not self._perform(self.file.sequences.ready, go_on):
                 return
             self._prepared = True
@@ -315,7 +310,7 @@ class Drive:
             steps: in order.
             go_on: asked before each; where it says no, the rest is left.
             speed: what a step that writes the speed writes.
-            seen: raw values just read; what already holds in them is not waited for.
+            seen: raw values just read; what they fulfil already is not waited for.
         """
         for step in steps:
             if not go_on():
@@ -328,7 +323,7 @@ class Drive:
                 self._word = word
             until = step.until
             if until is None or (seen and until.register in seen
-                                 and until.holds(seen[until.register])):
+                                 and until.fulfilled_by(seen[until.register])):
                 continue
             if not self._reached(step, until, word, go_on):
                 return False
@@ -339,7 +334,7 @@ class Drive:
     ) -> bool:
         """Wait for a state; return False where the wait was given up because of `go_on`."""
         deadline = time.monotonic() + step.within_s
-        while not self._holds(until, now := dict[str, int]()):
+        while not self._fulfils(until, now := dict[str, int]()):
             if not go_on():
                 return False
             if time.monotonic() > deadline:
@@ -358,16 +353,21 @@ class Drive:
 
     # --- values -----------------------------------------------------------------------------------
 
-    def _holds(self, condition: Condition, seen: dict[str, int]) -> bool:
+    def _fulfils(self, condition: Condition, seen: dict[str, int]) -> bool:
         if condition.register not in seen:
             seen[condition.register] = self._number(condition.register)
-        return condition.holds(seen[condition.register])
+        return condition.fulfilled_by(seen[condition.register])
 
     def _raw(self, name: str) -> int | float | str:
         register = self.file.registers[name]
         return decode(
             self.line.read(register.address, register.width), register.type, register.word_order
         )
+
+    def _cause(self, codes: Codes | None) -> tuple[int, str]:
+        """Return the code, or bits, of a fault or a warning that stands, and its text."""
+        raw = 0 if codes is None else self._number(codes.register)
+        return raw, (codes and codes.text(raw)) or "the drive names no cause"
 
     def _number(self, name: str) -> int:
         raw = self._raw(name)
@@ -427,7 +427,7 @@ class Drive:
         return f"{register.meaning} (register {register.manual})"
 
 
-class HeldError(DriveError):
+class DriveInUseError(DriveError):
     """Another process has the lock.
 
     Attributes:
@@ -440,7 +440,7 @@ class HeldError(DriveError):
 
 
 class DriveLock:
-    """One driver for a drive: held by one process of all users of this machine at a time.
+    """One driver for a drive: one process of all users of this machine has it at a time.
 
     A serial line is one driver's, whatever devices are connected to it. A driver on another
     computer, or in a container with a file system of its own, is not kept off by it.
@@ -449,25 +449,25 @@ class DriveLock:
     def __init__(self, file: DriveFile, address: Address) -> None:
         """Take nothing yet."""
         self._file, self._address = file, address
-        self._held: tuple[FileIO, Path] | None = None
+        self._lock: tuple[FileIO, Path] | None = None
 
     @property
     def taken(self) -> bool:
         """Whether this has it."""
-        return self._held is not None
+        return self._lock is not None
 
     def take(self) -> None:
         """Take it; may wait for the name of a host to be looked up.
 
         Raises:
-            HeldError: another process has it.
+            DriveInUseError: another process has it.
             DriveError: its file cannot be opened, or the host is not known.
         """
         path = self._path()
         try:
-            self._held = take_lock(path, 0o666), path
+            self._lock = take_lock(path, 0o666), path
         except LockedError as error:
-            raise HeldError(
+            raise DriveInUseError(
                 f"{self._address}: process {error.holder or 'unknown'} of this machine runs this "
                 f"drive already (lock {path}); end that one, and this one goes on by itself",
                 error.holder,
@@ -481,12 +481,12 @@ class DriveLock:
 
     def release(self) -> None:
         """Give it back, if it was taken."""
-        if self._held is not None:
-            lock, path = self._held
+        if self._lock is not None:
+            lock, path = self._lock
             with contextlib.suppress(OSError):  # another user's file stays
                 path.unlink()
             lock.close()
-            self._held = None
+            self._lock = None
 
     def _path(self) -> Path:
         """Return the file, by the same name for each way to write the address.

@@ -50,21 +50,21 @@ class Tcp:
     """Modbus TCP."""
 
     port: int = entry("TCP port, of a gateway, too", 1, 65535)
-    device_id: int = entry("unit identifier; behind a gateway it is that of `serial`", 0, 255)
+    device_id: int = entry("unit identifier; behind a gateway `serial` has it", 0, 255)
 
 
 @dataclass(frozen=True)
 class Register:
     """A holding register, or two that are one value.
 
-    The value in the stated unit is scale x raw, divided by that of the register `full_scale` where
-    one is named.
+    The value in the stated unit is scale x raw, divided by the value of the register `full_scale`
+    where one is named.
     """
 
     address: int = entry("on the wire, the first register is 0", 0, 65535)
     manual: int = entry("the manual's number for it; address + numbering.offset", 0)
     type: str = entry("how it is coded", choices=(*WIDTHS, "text"))
-    meaning: str = entry("what it holds")
+    meaning: str = entry("what its value means")
     source: str = entry("page or table of one of the sources, or 'none'")
     word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
     length: int = entry("of a text: how many registers of two characters each", 0, 64, default=0)
@@ -85,13 +85,13 @@ class Register:
 
 @dataclass(frozen=True)
 class Condition:
-    """What holds where register & mask == value."""
+    """True where register & mask == value."""
 
     mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
     value: Word = entry("what they must be", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
-    def holds(self, raw: int) -> bool:
+    def fulfilled_by(self, raw: int) -> bool:
         """Tell whether a raw value fulfils it."""
         return raw & self.mask == self.value
 
@@ -104,7 +104,7 @@ class Step:
     value: Word | str = entry(
         "the word, or 'speed': the speed asked for", 0, 0xFFFF, choices=(SPEED,)
     )
-    until: Condition | None = entry("what must hold before the next step", default=None)
+    until: Condition | None = entry("what must be true before the next step", default=None)
     within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
 
 
@@ -127,7 +127,7 @@ class Status:
     enabled: Condition = entry("`run` works without `ready` before it")
     ready: Condition = entry("no fault, no interlock: it would start")
     running: Condition = entry("the motor is fed")
-    fault: Condition = entry("a fault holds it off")
+    fault: Condition = entry("a fault keeps it off")
     warning: Condition | None = entry("a warning stands", default=None)
     remote: Condition | None = entry("it obeys the bus", default=None)
     bits: dict[int, str] = entry(
@@ -177,13 +177,13 @@ class Action:
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: str = entry("name of the register that holds the time")
-    kept_alive_by: str = entry("which messages start it anew")
+    register: str = entry("name of the register of the time")
+    kept_alive_by: str = entry("which messages restart it")
     how_to_set: str = entry("for people: where and to what")
     off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
     action: Action | None = entry("where it says what it then does", default=None)
     mode: Action | None = entry(
-        "where it says which messages start it anew, if that can be chosen", default=None
+        "where it says which messages restart it, if that can be chosen", default=None
     )
     trips: tuple[Word, ...] = entry(
         "codes (or bits) of `faults` by which the drive says that it has passed", 0, default=()
@@ -208,7 +208,7 @@ class Timeouts:
 
     @property
     def known(self) -> dict[str, Timeout]:
-        """Those of which the file tells, by interface."""
+        """The timeouts that the file has, by interface."""
         return {name: own for name, own in vars(self).items() if own is not None}
 
     def over(self, address: Address) -> Timeout | None:
@@ -253,8 +253,8 @@ class DriveFile:
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
-        It is the address's own where that has one, else that of the interface that is reached:
-        behind a gateway it is the slave address.
+        It is the address's own where that has one, else the one of the interface that is reached:
+        behind a gateway the slave address.
         """
         if address.device_id is not None:
             return address.device_id
@@ -387,7 +387,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
     for key, part in _parts(drive, ""):
         if isinstance(part, Condition) and part.value & ~part.mask:
             yield f"{key}.value", (
-                f"has bits outside of the mask 0x{part.mask:04X}: it could never hold"
+                f"has bits outside of the mask 0x{part.mask:04X}: it could never be true"
             )
         elif isinstance(part, Action):
             for value in part.stops.keys() & part.runs_on.keys():

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive import Drive, DriveLock, DriveStatus, HeldError
+from greenroof_ros.drives.drive import Drive, DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# How long the speed of a drive that was told to stop may stay as it is before it is taken for one
-# that does not stop (s), and what counts as slower (share of rated speed).
+# How long the speed of a drive may stay as it is after *stop* before it counts as one that does not
+# stop (s), and what counts as slower (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* and whose speed does not fall for so long (s) has a fault, and is
 # left in silence when that fault could be seen for so long (s). Longer than a drive needs to begin
@@ -98,11 +98,11 @@ class Snapshot(Known):
 
 
 class RunsOnError(DriveError):
-    """A drive that was told to stop runs on, and must be left in silence now."""
+    """A drive runs on after *stop*, and must be left in silence now."""
 
 
 class _Fall:
-    """How the speed of a drive falls that is told to stop."""
+    """How the speed of a drive falls after *stop*."""
 
     def __init__(self) -> None:
         self._lowest, self._fell_at = math.inf, -math.inf
@@ -115,7 +115,7 @@ class _Fall:
 
 
 class Obedience:
-    """Whether a drive that is told to stop does so, over connections that break, too.
+    """Whether a drive obeys *stop*, over connections that break, too.
 
     One whose speed falls, however slowly, obeys. One in local control is a person's at its panel;
     it is that person's to stop. All times are of `time.monotonic` (s).
@@ -141,7 +141,7 @@ class Obedience:
         # since it last stood or ran.
         self._left_until = -math.inf
 
-    def told_to_stop(self, now: float) -> None:
+    def stop_written(self, now: float) -> None:
         """Note that *stop* was written, and is the last word."""
         self._fall = self._fall or _Fall()
         self._unread_from = min(self._unread_from, now)
@@ -155,7 +155,7 @@ class Obedience:
         self._unread_from = math.inf
 
     def judge(self, status: DriveStatus, now: float) -> DriveStatus:
-        """Return what the drive said, with a fault where it was told to stop and runs on.
+        """Return what the drive said, with a fault where it runs on after *stop*.
 
         Raises:
             RunsOnError: the fault was to be seen for long enough.
@@ -246,7 +246,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             period_s: between two rounds of requests (s).
             dead_man_s: the drive is stopped when `demand` was not called for so long (s).
             timeout_s: longest wait for each answer (s).
-            timeout_limit_s: what the drive's own communication timeout is taken for while it is
+            timeout_limit_s: what counts as the drive's own communication timeout while that is
                 unknown, or off (s).
 
         Raises:
@@ -276,20 +276,32 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._guarded_from = -math.inf
         self._simulator_only = False
 
-    def close(self) -> None:
+    def close(self, within_s: float = math.inf) -> bool:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
 
         It goes on for as long as the speed falls, `LEAVE_S` at most; a drive whose speed does not
         fall, or that does not answer, is left after a few seconds.
+
+        Args:
+            within_s: how long to wait for it at most (s).
+
+        Returns:
+            Whether it is over; otherwise it goes on.
         """
+        now = time.monotonic()
         self._demand = (None, -math.inf)
-        self._leave_by = time.monotonic() + LEAVE_S
-        if not self._end(LEAVE_S + LONGEST_WAIT_S):
-            self._update(state=State.CONNECTING, status=None)
-            self._fail("whether the drive stands was not read: its connection hangs")
+        self._leave_by = min(self._leave_by, now + LEAVE_S)
+        longest_s = max(0.0, self._leave_by + LONGEST_WAIT_S - now)
+        if self._end(min(within_s, longest_s)):
+            return True
+        if within_s < longest_s:
+            return False
+        self._update(state=State.CONNECTING, status=None)
+        self._fail("whether the drive stands was not read: its connection hangs")
+        return True
 
     def demand(self, speed: float | None) -> None:
-        """Ask for a speed (share of rated speed), or for off (None); holds for `dead_man_s`.
+        """Ask for a speed (share of rated speed), or for off (None); it counts for `dead_man_s`.
 
         What is no number between 0 and 1 is refused, as a problem, and means off.
         """
@@ -323,7 +335,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _wanted(self) -> float | None:
         speed, at = self._demand
-        fresh = boot_time() - at <= self._dead_man_s  # nor is one of before a suspend
+        fresh = boot_time() - at <= self._dead_man_s  # a demand from before a suspend is not
         return speed if fresh and not self._closing and not self._unguarded() else None
 
     def _unguarded(self) -> str:
@@ -353,7 +365,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._round()
 
     def _lost(self, error: Exception, problem: str) -> None:
-        """Let go of the connection; be silent, connect anew after a while, or end."""
+        """Let go of the connection; be silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
         why = self._obedience.lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
@@ -552,7 +564,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _stop(self) -> None:
         self._drive.stop()
-        self._obedience.told_to_stop(time.monotonic())
+        self._obedience.stop_written(time.monotonic())
 
 
 def _stand(drive: Drive, until: float) -> DriveStatus:
@@ -587,13 +599,13 @@ def stop_drive(
         What the drive said when it was stopped, which may be that it does not stand.
 
     Raises:
-        HeldError: another process runs it, and nothing was sent.
-        DriveError: it could not be told to in three attempts; the message says why.
+        DriveInUseError: another process runs it, and nothing was sent.
+        DriveError: *stop* could not be written in three attempts; the message says why.
     """
     only = DriveLock(file, address)
     try:
         only.take()
-    except HeldError as error:
+    except DriveInUseError as error:
         if error.holder not in (None, driver):
             raise
     except DriveError:

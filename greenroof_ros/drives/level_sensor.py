@@ -8,7 +8,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known, ModbusLine, decode
+from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known, decode
 from greenroof_ros.drives.sensor_file import Sensor
 
 
@@ -24,10 +24,10 @@ class Reading(Known):
 
 
 class LevelSensor(DeviceThread[Reading]):
-    """Reads a sensor once a period. It connects when it must, and starts anew after every failure.
+    """Reads a sensor once a period. It connects when it must, and again after every failure.
 
-    A value that is refused, or a failure, empties the filter: the level after it is of new readings
-    alone.
+    A value that is refused, or a failure, empties the filter: the next level comes from new
+    readings alone.
     """
 
     def __init__(self, sensor: Sensor, timeout_s: float = 0.5) -> None:
@@ -36,10 +36,13 @@ class LevelSensor(DeviceThread[Reading]):
         Args:
             sensor: what to read.
             timeout_s: longest wait for a connection, and for an answer (s).
+
+        Raises:
+            ConfigurationError: there is no Modbus library.
         """
         super().__init__(f"{sensor.address}: reading", Reading(problem="not yet read"))
         self._sensor, self._timeout_s = sensor, timeout_s
-        self._line: ModbusLine | None = None
+        self._line = sensor.line(timeout_s)
         self._readings: deque[float] = deque(maxlen=sensor.median)
         self._due = time.monotonic()
 
@@ -53,8 +56,7 @@ class LevelSensor(DeviceThread[Reading]):
         Raises:
             DriveError: there is no answer, a wrong one, or a level out of range.
         """
-        sensor = self._sensor
-        line = self._line = self._line or sensor.line(self._timeout_s)
+        sensor, line = self._sensor, self._line
         try:
             if not line.connected:
                 line.connect()
@@ -62,7 +64,7 @@ class LevelSensor(DeviceThread[Reading]):
                 sensor.register, sensor.registers, inputs=sensor.kind == "input"
             )
         except DriveError:
-            self._disconnect()  # a late answer must not meet the next question
+            line.close()  # a late answer must not meet the next question
             raise
         bits = decode(registers, "uint32" if len(registers) == 2 else "uint16", sensor.word_order)
         if bits == sensor.missing:
@@ -88,7 +90,7 @@ class LevelSensor(DeviceThread[Reading]):
         self._due = max(self._due + self._sensor.period, time.monotonic())
         if self._closing:
             self._done = True
-            self._disconnect()
+            self._line.close()
         else:
             self._readings.append(self.read())
             level = statistics.median_low(self._readings)
@@ -98,9 +100,4 @@ class LevelSensor(DeviceThread[Reading]):
         self._readings.clear()
         self._update(level=None, read_at=time.monotonic(), problem=problem)
         if not isinstance(error, DriveError):  # after those it has closed what it must
-            self._disconnect()
-
-    def _disconnect(self) -> None:
-        if self._line is not None:
             self._line.close()
-            self._line = None

@@ -4,7 +4,7 @@ Every answer is checked, every failure has a name.
 
 Function codes 03 and 04 (read holding registers, input registers), 06 (write single register) and
 43/14 (read device identification) of the Modbus Application Protocol V1.1b3. No request is sent
-twice: who calls decides what a lost one means. Besides, what registers hold, and a thread that
+twice: who calls decides what a lost one means. Besides, the values of registers, and a thread that
 keeps up with one device.
 """
 
@@ -40,16 +40,6 @@ SIMULATOR = ("greenroof_ros", "drive simulator")
 
 # Its messages are ours in other words; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-
-# A connection over which nothing gets through for so long is lost (s).
-_LOST_S = 5
-_OPTIONS = (
-    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
-    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
-    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _LOST_S),
-    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1),
-    (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * _LOST_S),
-)
 
 # Section 7 of the specification.
 _EXCEPTIONS = {
@@ -98,7 +88,7 @@ class Address:
         host: of Modbus TCP; empty for a serial line.
         port: of Modbus TCP; None for the one that the device's file names.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
-        gateway: host and port are those of a gateway to the device's serial port.
+        gateway: host and port are of a gateway to the device's serial port.
         device_id: unit identifier or slave address; None for the one that the device's file names.
     """
 
@@ -121,7 +111,7 @@ class Address:
         """Return which interface of the device is reached.
 
         ``tcp`` is its own Ethernet port, ``serial`` its serial port, be it through a gateway. A
-        drive has a communication timeout for each, and only that of the one in use guards.
+        drive has a communication timeout for each, and only the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
@@ -245,7 +235,8 @@ class ModbusLine:
     """
 
     def __init__(
-        self, address: Address, *, port: int, device_id: int, serial: Serial, timeout_s: float
+        self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
+        timeout_s: float,
     ) -> None:
         """Prepare it; nothing is opened yet.
 
@@ -253,7 +244,7 @@ class ModbusLine:
             address: where the device is.
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
-            serial: settings of a serial line.
+            serial: settings of a serial line; not needed over TCP.
             timeout_s: longest wait for a connection, and for each answer (s).
 
         Raises:
@@ -266,6 +257,7 @@ class ModbusLine:
         self._device_id, self._timeout_s = device_id, timeout_s
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
+            assert serial is not None
             self._client = _serial_client(address.line, serial, timeout_s)
         else:
             self._client = ModbusTcpClient(
@@ -285,10 +277,6 @@ class ModbusLine:
         """
         if not self._client.connect():
             raise self.error("connection", "cannot connect")
-        try:
-            self._set(*_OPTIONS)
-        except OSError as error:  # it was closed meanwhile
-            raise self.error("connection", f"cannot connect: {error}") from error
 
     def close(self) -> None:
         """Close the connection.
@@ -343,7 +331,7 @@ class ModbusLine:
         self, what: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Return the answer to a request, if it is one to that function and no exception."""
+        """Return the answer to a request, if it has that function and is no exception."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -368,19 +356,14 @@ class ModbusLine:
             self.close()
         if not self.connected:
             return self.error("connection", f"{what}: the connection was closed")
-        self._set((socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)))
+        plug = self._client.socket
+        if isinstance(plug, socket.socket):
+            plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         return self.error("connection", f"{what}: no valid answer within {self._timeout_s:g} s")
 
     def error(self, kind: str, what: str) -> DriveError:
         """Return what went wrong, with where."""
         return DriveError(kind, f"{self.where}: {what}")
-
-    def _set(self, *options: tuple[int, int, int | bytes]) -> None:
-        """Set options of the socket, if there is one."""
-        plug = self._client.socket
-        if isinstance(plug, socket.socket):
-            for level, option, value in options:
-                plug.setsockopt(level, option, value)
 
 
 def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
@@ -409,7 +392,7 @@ def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSeria
     )
 
 
-# --- what registers hold --------------------------------------------------------------------------
+# --- values of registers --------------------------------------------------------------------------
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
@@ -442,7 +425,7 @@ def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | f
 
 
 def encode(value: float, kind: str, word_order: str = "") -> list[int]:
-    """Return the registers of a number, rounded and limited to what the type can hold."""
+    """Return the registers of a number, rounded and limited to the range of the type."""
     from pymodbus.client.mixin import ModbusClientMixin
 
     if kind != "float32":
@@ -530,7 +513,7 @@ class DeviceThread(ABC, Generic[K]):
                     self._step()
                 except DriveError as error:
                     self._lost(error, str(error))
-                except Exception as error:  # whatever it is, the next step begins anew
+                except Exception as error:  # whatever it is, another step follows
                     logging.getLogger(__name__).exception("%s failed", self._what)
                     self._lost(error, f"{self._what} failed: {error!r}")
             except Exception as error:

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.plan import carry_out
 from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import command_to, maximum_pump_flow
-from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.plant import maximum_pump_flow
 
 Values = NDArray[np.float64]
 
@@ -101,26 +94,14 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Raises:
         NoBoundError: the solver found no optimum.
     """
-    # Of the site as it is, whatever its sensor reads; and without a forecast, which takes
-    # its time to make.
-    run = replace(
-        run, sensor_pump_errors=SensorPumpErrors(), forecast=PerfectForecast(run.series, run.site.M)
-    )
     if block is None:
         block = max(1, round(_BLOCK_S / run.site.tau))
     still, limits = _limits(run, max_command)
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
-    plan = _Plan(run, _targets(run, still, edges, deviation), max_command)
-    metrics = Metrics()
-    flows = array("d")
-    for tick in closed_loop(run, plan, metrics):
-        plan.tick = tick.k + 1
-        flows.append(tick.flows.pump)
-    return Bound(
-        cost, metrics["total_deviation_m3"], metrics["pumped_m3"],
-        np.frombuffer(flows)[: run.steps], block, message,
-    )
+    targets = array("d", _targets(run, still, edges, deviation))
+    done = carry_out(run, lambda k, x1, x2: targets[min(k + 1, run.steps)], max_command)
+    return Bound(cost, done.total_m3, done.pumped_m3, done.flows, block, message)
 
 
 def _sums(first: float, changes: Values) -> Values:
@@ -293,41 +274,3 @@ def _targets(
     most = site.x2_star + np.maximum(np.append(0, deviation), 0)[following]
     at_once = np.minimum(weather + added[following], most)
     return np.asarray(np.maximum(weather + np.interp(k, middles, added), at_once))
-
-
-class _Plan:
-    """Pumps what brings the roof to the volume that is planned for the next tick.
-
-    Attributes:
-        tick: the present one; whoever runs the plan keeps it.
-    """
-
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-
-    def __init__(self, run: Run, targets: Values, max_command: float) -> None:
-        """Take the volumes aimed at in each tick (m3), shape (N+1,), and the largest command."""
-        self.tick = 0
-        self._site, self._soil = run.site, soil_of(run.site)
-        self._targets = array("d", np.append(targets, targets[-1]))
-        self._max_command = max_command
-
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Decide from the levels (m) and the present weather, the first of the forecast."""
-        site = self._site
-        command = command_to(
-            site, self._soil, site.cistern_volume(cistern_level), site.roof_volume(roof_level),
-            self._targets[self.tick + 1], precipitation[0], evapotranspiration[0],
-        )
-        return min(command, self._max_command)
-
-    def skip(self) -> None:
-        """Do nothing: whoever runs the plan keeps the tick."""
-
-    def statistics(self) -> None:
-        """It solves nothing while it runs."""

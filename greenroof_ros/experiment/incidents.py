@@ -33,24 +33,26 @@ class Rule(NamedTuple):
         lasts_s: how long that must last to be an incident (s).
         follows: whether it is lost because of something else, as a rule: an incident of its own
             only where nothing else is lost.
-        holds: whether the pump stands meanwhile.
+        stops_pump: whether the pump stands meanwhile.
     """
 
     at: frozenset[str] = _LOST
     lasts_s: float = 0.0
     follows: bool = False
-    holds: bool = True
+    stops_pump: bool = True
 
 
 # By a part, or by a code of it, which then counts. A sensor's value counts for some seconds, so
 # that one bad answer changes nothing; and inputs count again some time after a loss.
 _RULES = {
     **dict.fromkeys(("drive", "pump", "state file", "suspend"), Rule()),
-    **dict.fromkeys(("recording", "disk"), Rule(holds=False)),
+    **dict.fromkeys(("recording", "disk"), Rule(stops_pump=False)),
     "sensor": Rule(lasts_s=3.0),
-    **dict.fromkeys(("forecast", "rain gauge", "thermometer"), Rule(_NOT_GOOD, 3.0, holds=False)),
+    **dict.fromkeys(
+        ("forecast", "rain gauge", "thermometer"), Rule(_NOT_GOOD, 3.0, stops_pump=False)
+    ),
     **dict.fromkeys(("levels", "inputs", "command", "frost"), Rule(lasts_s=30.0, follows=True)),
-    "no_forecast": Rule(_NOT_GOOD, 30.0, follows=True, holds=False),
+    "no_forecast": Rule(_NOT_GOOD, 30.0, follows=True, stops_pump=False),
 }
 
 

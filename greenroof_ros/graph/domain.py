@@ -125,7 +125,7 @@ def _taken(what: str, namespace: str) -> OccupiedError:
 
 @contextmanager
 def only_bringup(namespace: str) -> Iterator[None]:
-    """Hold a namespace of the ROS domain against another bringup on this machine.
+    """Lock a namespace of the ROS domain for this bringup alone, on this machine.
 
     Discovery would find its nodes, too, but on a busy machine not always in time.
 
@@ -138,17 +138,17 @@ def only_bringup(namespace: str) -> Iterator[None]:
             link in its place, to a file of this user's, is not followed.
     """
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
-    lock = _LOCKS / name
+    file = _LOCKS / name
     try:
-        held = take_lock(lock)
+        lock = take_lock(file)
     except LockedError:
         raise _taken("a bringup runs", namespace) from None
     except OSError as error:
         raise ConfigurationError(
             f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
-            "remove it", file=lock,
+            "remove it", file=file,
         ) from error
-    with held:
+    with lock:
         yield
 
 

@@ -225,14 +225,9 @@ class Input:
         return not self.verdict.code
 
     @property
-    def why(self) -> str:
-        """Why it may not, for a sentence that begins with its name."""
-        return self.verdict.why
-
-    @property
-    def code(self) -> str:
-        """Of that condition; empty where it is good."""
-        return self.verdict.code
+    def problem(self) -> str:
+        """Why it may not, as a sentence."""
+        return f"{self.name} {self.verdict.why}"
 
     def receive(self, message: bytes) -> None:
         """Read a message's value and keep it, or 0 where it must be refused."""

@@ -29,7 +29,7 @@ from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.reports import OK, WARN, Reports
+from greenroof_ros.graph.reports import ERROR, OK, WARN, Reports
 from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
@@ -45,7 +45,7 @@ _REPORT_S = 0.25
 class LinkedNode(Node):
     """A node of a graph, simulated or live.
 
-    It opens its topics by :meth:`publish_topic` and :meth:`subscribe`, by their names in the
+    It opens its topics by :meth:`open_outputs` and :meth:`subscribe`, by their names in the
     interface, and overrides :meth:`on_inputs`, and of the other ``on_`` methods, ``progress`` and
     ``summary`` those that it needs. Its parameter ``live`` says which graph it is; in a simulated
     one it lives in simulated time (``use_sim_time`` is true).
@@ -53,7 +53,6 @@ class LinkedNode(Node):
     Attributes:
         role: what the interface calls it: its name, or ``controller``.
         live: whether its graph is live.
-        sent: how many messages went out, by topic.
         error: why the node cannot go on.
         acted: whether the run has begun for the node.
         over: whether the node may end by itself: nobody supervises it, the run is over, and all
@@ -63,16 +62,13 @@ class LinkedNode(Node):
         reports: what it says of itself.
     """
 
-    def __init__(
-        self, name: str, role: str, *, may_be_live: bool = True, always_live: bool = False
-    ) -> None:
+    def __init__(self, name: str, role: str, *, live: bool | None = None) -> None:
         """Join the graph.
 
         Args:
             name: of the node.
             role: what the interface calls it: its name, or ``controller``.
-            may_be_live: whether it has the parameter ``live``.
-            always_live: whether it is for live graphs alone, and needs no such parameter.
+            live: whether its graph is live; None where its parameter ``live`` says that.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
@@ -84,8 +80,7 @@ class LinkedNode(Node):
         except RuntimeError as error:  # of rcl
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
-        self.live = always_live or (may_be_live and declare(self, [LIVE])["live"])
-        self.sent: dict[str, int] = {}
+        self.live: bool = declare(self, [LIVE])["live"] if live is None else live
         self.error: Exception | None = None
         self.acted = False
         self.over = False
@@ -93,7 +88,8 @@ class LinkedNode(Node):
         self.inputs = Inputs(role)
         self._heard: list[Publishers] = []  # of all that it subscribes to
         self._warnings: list[str] = []
-        self._outputs: list[Publisher] = []
+        # Of each topic its publisher, and what makes its messages.
+        self._outputs: dict[str, tuple[Publisher, Callable[[Any], bytes]]] = {}
         self._reported = self._warned = self._looked = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
@@ -106,10 +102,11 @@ class LinkedNode(Node):
         if not self.live and role != PLANT:
             run = Publishers(self, self.interface[RUN], live=False)
             decode = decoder(run.topic.type)
-            self._open(run, lambda message: self._lockstep.hear_run(decode(message)))
+            self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
 
     @property
-    def _lockstep(self) -> Lockstep:
+    def lockstep(self) -> Lockstep:
+        """What makes it act, in a simulation."""
         return cast(Lockstep, self._trigger)
 
     def act(self) -> None:
@@ -146,15 +143,18 @@ class LinkedNode(Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        Each report says from then on which file it was, as ``site``, an absolute path: who looks on
-        judges by the same site.
+        Its tau is the period of a node in a live graph. Each report says from then on which file it
+        was, as ``site``, an absolute path: who looks on judges by the same site.
 
         Raises:
             ConfigurationError: the file, or a value in it, is wrong.
         """
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(file.resolve())}
-        return read_site(file)
+        site = read_site(file)
+        if isinstance(self._trigger, Live):
+            self._trigger.act_every(site.tau)
+        return site
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
         """Open a subscription, but not rclpy's own to the clock.
@@ -171,27 +171,20 @@ class LinkedNode(Node):
         now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
         self._ros_clock.set_ros_time_override(now)
 
-    def publish_topic(self, name: str) -> Callable[[Any], None]:
-        """Open an output and return what publishes a value on it.
+    def open_outputs(self, *names: str) -> None:
+        """Open topics of the interface for :meth:`publish`."""
+        for name in names:
+            topic = self.interface[name]
+            publisher = self.create_publisher(
+                message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            )
+            self._outputs[name] = publisher, encoder(topic.type, topic.dimensions)
 
-        Args:
-            name: of the topic in the interface.
-        """
-        topic = self.interface[name]
-        publisher = self.create_publisher(
-            message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-        )
-        self._outputs.append(publisher)
-        self.sent[name] = 0
-        encode = encoder(topic.type, topic.dimensions)
-        send, sent = publisher.publish, self.sent
-
-        def publish(value: Any) -> None:
-            sent[name] += 1
-            send(encode(value))
-
-        return publish
+    def publish(self, name: str, value: Any) -> None:
+        """Publish a value on a topic of the interface that is open."""
+        publisher, encode = self._outputs[name]
+        publisher.publish(encode(value))
 
     def subscribe(
         self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
@@ -215,7 +208,7 @@ class LinkedNode(Node):
         )
         self.inputs.by_name[name] = entry
         if isinstance(self._trigger, Live):
-            self._open(publishers, self._trigger.hold_to_rules(entry, level, callback))
+            self._open(publishers, self._trigger.judge_by_rules(entry, level, callback))
             return entry
         if callback is None:
             self._open(publishers, self._trigger.await_input(entry))
@@ -254,15 +247,10 @@ class LinkedNode(Node):
         self._open(publishers, lambda message: None)
         return publishers.said
 
-    def act_every(self, period: float) -> None:
-        """Say how long a tick is (s): in a live graph it is the node's own period."""
-        if isinstance(self._trigger, Live):
-            self._trigger.act_every(period)
-
     @property
     def run_length(self) -> int | None:
         """N of the run that the node takes part in; None before the plant has said it."""
-        run = None if self.live else self._lockstep.run
+        run = None if self.live else self.lockstep.run
         return None if run is None else round(run.last_tick)
 
     def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
@@ -280,7 +268,7 @@ class LinkedNode(Node):
 
     @property
     def ready(self) -> bool:
-        """Whether every input had its publisher once."""
+        """Whether every input had its publisher once; live, and it acted, if it acts by itself."""
         return self.reports.state != STARTING
 
     @property
@@ -289,14 +277,6 @@ class LinkedNode(Node):
         if isinstance(self._trigger, Live):
             self._trigger.judge()
         return all(one.good for one in self.inputs.by_name.values() if not one.optional)
-
-    def absent(self) -> str:
-        """Name the topics without a publisher, and who should publish them."""
-        return self.inputs.say(self.inputs.absent())
-
-    def missing(self) -> str:
-        """Name the topics that a node in lockstep waits for, and who should publish them."""
-        return self._lockstep.missing()
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input in a live graph: it cannot be acted on.
@@ -332,6 +312,24 @@ class LinkedNode(Node):
         else:
             self.get_logger().error(message)
 
+    def say(
+        self, part: str, problem: str, well: str, code: str, level: bytes = ERROR, cause: str = ""
+    ) -> None:
+        """Say of a part of the node that it has a problem, or where that is empty that it is well.
+
+        Args:
+            part: its name.
+            problem: a sentence; empty where there is none.
+            well: a sentence for when there is none.
+            code: of the problem; see :meth:`diagnose`.
+            level: likewise.
+            cause: likewise.
+        """
+        if problem:
+            self.diagnose(part, level, problem, code, cause)
+        else:
+            self.diagnose(part, OK, well)
+
     def listen_s(self) -> float:
         """How long the node may wait for the next message (s)."""
         if isinstance(self._trigger, Live):
@@ -359,7 +357,8 @@ class LinkedNode(Node):
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        if not self.ready and not self.inputs.absent():
+        begun = self._trigger.has_begun if isinstance(self._trigger, Live) else True
+        if not self.ready and begun and not self.inputs.absent():
             self.reports.state = READY
             self._report(now)
         if now - self._reported > _REPORT_S:
@@ -377,14 +376,14 @@ class LinkedNode(Node):
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
-        self._final_values = {"sent": dict(self.sent), **self.summary()}
+        self._final_values = self.summary()
         self.reports.state = FINISHED
         self._report(time.monotonic())
 
     def all_arrived(self) -> bool:
         """Whether all that the node said has come to who hears it."""
         now = Duration()
-        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs)
+        return all(publisher.wait_for_all_acked(now) for publisher, _ in self._outputs.values())
 
     def _report(self, now: float) -> None:
         self._reported = now
@@ -409,6 +408,6 @@ class LinkedNode(Node):
             self._final_values["failure"] = failure
         self._report(time.monotonic())
         until = time.monotonic() + _FLUSH_S
-        for publisher in [*self._outputs, self.reports.publisher]:
+        for publisher in [*(one for one, _ in self._outputs.values()), self.reports.publisher]:
             left = max(0.0, until - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))

@@ -33,6 +33,8 @@ from greenroof_ros.pumping.input_rules import (
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what
 # comes may have waited.
 PAUSE_S = 1.0
+# How long after its start a node acts first, at most (s).
+_FIRST_S = 1.0
 
 RECOVERY = Parameter(
     "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
@@ -126,6 +128,7 @@ class Live:
 
     Attributes:
         due: when the node acts next (s since the machine started).
+        has_begun: whether it has acted, if it acts by itself: before that it has judged nothing.
     """
 
     def __init__(
@@ -142,18 +145,19 @@ class Live:
         self._inputs: dict[str, tuple[Input, InputRules]] = {}
         self._period = math.inf
         self.due = math.inf
+        self.has_begun = True
         self._looked = boot_time()
         self._deaf_until = self._looked
 
     def act_every(self, period: float) -> None:
-        """Let the node act from now on every period (s)."""
-        self._period = period
-        self.due = boot_time() + period
+        """Let the node act from now on every period (s), and first after a second at most."""
+        self._period, self.has_begun = period, False
+        self.due = boot_time() + min(period, _FIRST_S)
 
-    def hold_to_rules(
+    def judge_by_rules(
         self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Have an input keep the rules of a live graph; returns what receives its messages.
+        """Judge an input by the rules of a live graph; returns what receives its messages.
 
         Args:
             entry: the input.
@@ -180,7 +184,7 @@ class Live:
             except (LockstepError, ValueError, struct.error) as error:
                 entry.refused += 1
                 entry.verdict = Verdict("input_refused", f"was refused: {error}")
-            rules.came(now, entry.value, entry.why)
+            rules.came(now, entry.value, entry.verdict.why)
             self._judge(entry, rules)
             if callback is not None:
                 callback(entry.value)
@@ -213,6 +217,7 @@ class Live:
         self.judge()
         self._say()
         self._act()
+        self.has_begun = True
         # What a node takes to decide is no pause: what it decides on must not be too old then. A
         # suspend in the middle of it is one.
         slept = suspended_time() - before
@@ -238,5 +243,5 @@ class Live:
         alarming = [one for one in bad if one.verdict.alarming]
         self._diagnose(
             "inputs", ERROR if alarming else WARN,
-            "; ".join(f"{one.name} {one.why}" for one in bad), (alarming or bad)[0].code,
+            "; ".join(one.problem for one in bad), (alarming or bad)[0].verdict.code,
         )

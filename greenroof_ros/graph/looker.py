@@ -26,7 +26,7 @@ DIAGNOSTICS = "/diagnostics"
 
 
 class StopFailedError(Exception):
-    """The pump node did not say that it holds the pump off; the message says why."""
+    """The pump node did not say that it keeps the pump off; the message says why."""
 
 
 class Looker:
@@ -117,7 +117,7 @@ class Looker:
             self._stop = pump_node, client
 
     def stop_pump(self, timeout_s: float = 3.0) -> str:
-        """Have the pump held off until somebody releases it at its node.
+        """Have the pump kept off until somebody releases it at its node.
 
         Returns:
             What the pump node says.
@@ -142,7 +142,7 @@ class Looker:
             )
         result = answer.result()
         if not result.success:
-            raise StopFailedError(str(result.message))  # it is held, but not over a restart
+            raise StopFailedError(str(result.message))  # it is kept off, but not over a restart
         return str(result.message)
 
     def close(self) -> None:

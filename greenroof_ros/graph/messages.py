@@ -100,10 +100,10 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
         dimensions: labels of a 2-D array's rows and columns.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
-        "std_msgs/msg/Float64": _encode_number,
+        "std_msgs/msg/Float64": partial(_NUMBER.pack, _HEADER),
         "std_msgs/msg/Float64MultiArray": partial(_encode_numbers, dimensions),
-        "rosgraph_msgs/msg/Clock": _encode_clock,
-        "std_msgs/msg/String": _encode_text,
+        "rosgraph_msgs/msg/Clock": lambda time_ns: _CLOCK.pack(_HEADER, *divmod(time_ns, _NS)),
+        "std_msgs/msg/String": lambda text: serialize_message(String(data=text)),
     }
     return encoders[type_name]
 
@@ -117,22 +117,10 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
     }[type_name]
 
 
-def _encode_number(value: float) -> bytes:
-    return _NUMBER.pack(_HEADER, value)
-
-
 def _decode_number(message: bytes) -> float:
     if len(message) == _NUMBER.size and message.startswith(_HEADER):
         return float(_NUMBER.unpack(message)[1])
     return float(deserialize_message(message, Float64).data)
-
-
-def _encode_clock(time_ns: int) -> bytes:
-    return _CLOCK.pack(_HEADER, *divmod(time_ns, _NS))
-
-
-def _encode_text(text: str) -> bytes:
-    return serialize_message(String(data=text))
 
 
 def decode_clock(message: bytes) -> int:

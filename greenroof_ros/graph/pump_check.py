@@ -100,6 +100,11 @@ class _ProblemError(Exception):
     """The driver does not keep to a rule; the message says how."""
 
 
+def _require(right: bool, problem: str) -> None:
+    if not right:
+        raise _ProblemError(problem)
+
+
 class PumpCheck:
     """Tries one driver."""
 
@@ -133,7 +138,7 @@ class PumpCheck:
         self._state = ""
         self._trying = "waiting for the driver"
         self._lines = ProgressLines()
-        self._publishers: dict[str, tuple[Any, Callable[[Any], bytes]]] = {}
+        self._publishers: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[Finding]:
         """Try everything, and return a finding for each check.
@@ -154,21 +159,20 @@ class PumpCheck:
         """Try one check after the other; after each stop the pump must run again."""
         limits, site = self._limits, self._site
         with self._check("is off at start: no flow before a command, and 0 at command 0"):
-            if self._flows:
-                raise _ProblemError(f"a flow of {self._flows[0]:g} m3/s came before any command")
+            early = next(iter(self._flows), 0.0)
+            _require(not self._flows, f"a flow of {early:g} m3/s came before any command")
             for _ in range(_STEADY_TICKS):
                 flow = self._answer({_COMMAND: 0.0})
-                if flow > 0:
-                    raise _ProblemError(f"a flow of {flow:g} m3/s answers command 0")
+                _require(flow <= 0, f"a flow of {flow:g} m3/s answers command 0")
         self._runs(f"at command {limits.command:g}")
         if not self._steady:
             self._hindered = self._hindered or _NOT_RUNNING
         with self._check("takes a command above 1 as 1"):
             most, beyond = self._steady_flow(1.0), self._steady_flow(3.0)
-            if beyond > (1 + _NOISE) * most:
-                raise _ProblemError(
-                    f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1"
-                )
+            _require(
+                beyond <= (1 + _NOISE) * most,
+                f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1",
+            )
             self._came = f"{beyond:.3g} m3/s at command 3, {most:.3g} at command 1"
         with self._check("refuses what is not finite or below 0: the flow falls to 0"):
             for value in _HOSTILE:
@@ -205,9 +209,8 @@ class PumpCheck:
             self._stop("command 0", {_COMMAND: 0.0})
         with self._check("answers each command with exactly one flow"):
             self._spin(0.5)
-            self._hold_to_one(0)
-            if self._lockstep_problem:
-                raise _ProblemError(self._lockstep_problem)
+            self._count_answers(0)
+            _require(not self._lockstep_problem, self._lockstep_problem)
 
     @contextmanager
     def _check(self, title: str) -> Iterator[None]:
@@ -285,27 +288,29 @@ class PumpCheck:
 
     def _join(self) -> None:
         """Open the topics, and listen until the driver has found them."""
-        flow = self._interface["/pump/flow"]
-        self._node.create_subscription(
-            Float64, flow.graph_name, self._on_flow, qos_profile(flow.qos)
-        )
-        state = self._interface["/pump/state"]
-        self._node.create_subscription(
-            String, state.graph_name, self._on_state, qos_profile(state.qos)
-        )
-        for name in _PLAYED:
+
+        def hear_state(message: String) -> None:
+            self._state = message.data
+
+        for name, of, hear in (
+            ("/pump/flow", Float64, lambda message: self._flows.append(message.data)),
+            ("/pump/state", String, hear_state),
+        ):
             topic = self._interface[name]
-            publisher = self._node.create_publisher(
-                message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
-            )
-            self._publishers[name] = publisher, encoder(topic.type)
+            profile = qos_profile(topic.qos)
+            self._node.create_subscription(of, topic.graph_name, hear, profile)
+        for name in _PLAYED:
+            self._publishers[name] = self._publisher(self._node, name)
         self._spin(_DISCOVERY_S)
 
-    def _on_flow(self, message: Float64) -> None:
-        self._flows.append(message.data)
-
-    def _on_state(self, message: String) -> None:
-        self._state = message.data
+    def _publisher(self, node: Node, name: str) -> Callable[[float], None]:
+        """Open a topic, and return what publishes a value on it."""
+        topic = self._interface[name]
+        encode = encoder(topic.type)
+        publisher = node.create_publisher(
+            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
+        )
+        return lambda value: publisher.publish(encode(value))
 
     def _spin(self, seconds: float) -> None:
         until = time.monotonic() + seconds
@@ -321,8 +326,7 @@ class PumpCheck:
         Args:
             said: instead of the truth and the usual command, by topic.
         """
-        if self._hindered:
-            raise _ProblemError(self._hindered)
+        _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau
         cistern, roof = self._volumes
         told: dict[str, float] = {
@@ -334,8 +338,7 @@ class PumpCheck:
             **said,
         }
         for topic, value in told.items():
-            publisher, encode = self._publishers[topic]
-            publisher.publish(encode(value))
+            self._publishers[topic](value)
         self._ticks += 1
         while not self._flows:
             left = began + self._limits.answer - time.monotonic()
@@ -348,15 +351,14 @@ class PumpCheck:
             self._executor.spin_once(timeout_sec=left)
         self._spin(began + self._limits.period - time.monotonic())
         flow = self._flows[0]
-        self._hold_to_one(1)
+        self._count_answers(1)
         high = self._interface["/pump/flow"].high
-        if not 0 <= flow <= high:
-            raise _ProblemError(f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
+        _require(0 <= flow <= high, f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
         least = (self._site.suction_level + self._least_above_suction) * self._site.a1
         self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow
 
-    def _hold_to_one(self, answers: int) -> None:
+    def _count_answers(self, answers: int) -> None:
         """Note flows beyond those that were asked for, and forget all that came."""
         if len(self._flows) > answers and not self._lockstep_problem:
             self._lockstep_problem = (
@@ -380,22 +382,20 @@ class PumpCheck:
         began = time.monotonic()
         before = flow = self._answer(said)
         while self._flowing(flow):
-            if time.monotonic() > began + self._limits.stop:
-                raise _ProblemError(
-                    f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
-                    f"(first answer: {before:.3g}){self._said()}"
-                )
+            _require(
+                time.monotonic() <= began + self._limits.stop,
+                f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
+                f"(first answer: {before:.3g}){self._said()}",
+            )
             flow = self._answer(said)
         self._came = self._came or f"no flow after {time.monotonic() - began:.1f} s"
         for _ in range(_STEADY_TICKS):
             flow = self._answer(said)
-            if self._flowing(flow):
-                raise _ProblemError(f"a flow of {flow:g} m3/s answers {reason}")
+            _require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
         """See to it that a stop is not found in a pump that stood before."""
-        if self._answer({}) < _AT_REST * self._steady:
-            raise _ProblemError(_NOT_RUNNING)
+        _require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
         """Repeat a command until the flow is steady, and return it (m3/s).
@@ -411,12 +411,12 @@ class PumpCheck:
             if len(flows) > _STEADY_TICKS and least > 0 and most - least <= _STEADY * most:
                 self._steady = flows[-1]
                 return self._steady
-            if time.monotonic() > until:
-                what = f"from {least:.3g} to {most:.3g} m3/s" if most else "0"
-                raise _ProblemError(
-                    f"the flow is {what} after {self._limits.start:g} s at command {command:g}"
-                    f"{self._said()}"
-                )
+            what = f"from {least:.3g} to {most:.3g} m3/s" if most else "0"
+            _require(
+                time.monotonic() <= until,
+                f"the flow is {what} after {self._limits.start:g} s at command {command:g}"
+                f"{self._said()}",
+            )
 
     def _runs(self, when: str) -> None:
         with self._check(f"runs {when}"):
@@ -428,29 +428,27 @@ class PumpCheck:
         """Say nothing; the first flow after it tells whether the pump had stopped meanwhile."""
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
-        self._hold_to_one(0)
+        self._count_answers(0)
         state = self._state.partition(":")[0]
         after = self._answer({})
-        if after > _AT_REST * before:
-            raise _ProblemError(
-                f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} "
-                f"s of silence, and was {before:.3g} before: the pump had not stopped"
-            )
-        if state in _ON:
-            raise _ProblemError(f"/pump/state says {state!r} at the end of the silence")
+        _require(
+            after <= _AT_REST * before,
+            f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} s "
+            f"of silence, and was {before:.3g} before: the pump had not stopped",
+        )
+        _require(state not in _ON, f"/pump/state says {state!r} at the end of the silence")
         self._came = f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:
         """Have another node with a publisher of the command, which says nothing."""
-        topic = self._interface[_COMMAND]
         other = Node("check_pump_intruder", namespace=self._node.get_namespace())
-        other.create_publisher(message_class(topic.type), topic.graph_name, qos_profile(topic.qos))
+        self._publisher(other, _COMMAND)
         try:
             yield
         finally:
             other.destroy_node()
-            self._hold_to_one(0)
+            self._count_answers(0)
 
 
 def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:

@@ -57,9 +57,9 @@ class Reports:
     /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
     node's fully qualified name, and its values are written as JSON. The status of a part has the
     part's name behind it: ``/mpc: inputs``. Name and hardware of a status are the same after a
-    restart: tools take them for the identity of what they show. A status that is not OK has a code
-    of :data:`greenroof_ros.pumping.interlocks.CONDITIONS`: programs go by that, and none by a
-    sentence.
+    restart: tools take them for the identity of what they show. A status that is not OK, and one of
+    a node that waits, has a code of :data:`greenroof_ros.pumping.interlocks.CONDITIONS`: programs
+    go by that, and none by a sentence.
 
     Attributes:
         state: of the node.
@@ -104,6 +104,7 @@ class Reports:
         """Publish the node's state with these values.
 
         It is an error where they say why the node failed, and a warning where they have warnings.
+        One that waits for its peers is well, and says so by its code.
         The stamp is the node's time; until simulated time begins, that of the system: tools take 0
         for a stamp that was forgotten.
         """
@@ -112,6 +113,8 @@ class Reports:
             level, code = ERROR, "node_failed"
         elif values["warnings"]:
             level, code = WARN, "input_publishers"
+        elif self.state == STARTING:
+            code = "peers_awaited"
         self._own = own = _dated(self._own, level, self.state, code)
         of_code = {key: text for key, text in own.for_programs().items() if text}
         values = {"role": self._role, "process": self._process, **of_code, **values}

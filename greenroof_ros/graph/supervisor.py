@@ -468,7 +468,7 @@ class LiveSupervisor(Supervisor):
         """Return what the pump node does although it may not; empty where it does nothing such.
 
         A pump that turns although the node says that it is told to stop is met once while the pump
-        is held: the node is right perhaps, and another stop no use.
+        may not run: the node is right perhaps, and another stop no use.
         """
         if not self.inhibit or self._says_it_stands():
             return ""

@@ -133,14 +133,17 @@ class PaperSoil:
         """
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
 
-    def after(self, x2: Values, arriving: Values | float, asked: float, seconds: float) -> Values:
+    def after(
+        self, x2: Values, arriving: Values | float, asked: Values | float, seconds: Values | float
+    ) -> Values:
         """Return what the roof holds after a step of any length (m3), in which rain comes first.
 
         What stands above the capacity drains at the end of the step.
 
         Args:
             x2: what it holds before (m3).
-            arriving: rain and pumped water in the step (m3), of a shape that goes with x2.
+            arriving: rain and pumped water in the step (m3), of a shape that goes with x2, as
+                asked and seconds.
             asked: what would evaporate from plants that lack no water (m3).
             seconds: the step's length.
         """
@@ -340,7 +343,9 @@ class MeasuredSoil:
             excess / self._tau, 1 / self._tau if excess else 0.0,
         )
 
-    def after(self, x2: Values, arriving: Values | float, asked: float, seconds: float) -> Values:
+    def after(
+        self, x2: Values, arriving: Values | float, asked: Values | float, seconds: Values | float
+    ) -> Values:
         """Solve dS/dt = (1 - S^2) i, and then the decay below the onset of stress."""
         wilting, available, drying = self._wilting, self._available, self._drying
         held = x2

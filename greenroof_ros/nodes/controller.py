@@ -76,7 +76,6 @@ class ControllerNode(LinkedNode):
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
         self._site = site = self.declare_site()
-        self.act_every(site.tau)
         self._choice = choice
         self._values = declare(self, choice.parameters_on(site))
         live = declare(self, LIVE_PARAMETERS)
@@ -107,11 +106,8 @@ class ControllerNode(LinkedNode):
             self._kept_at = time.monotonic()
         else:
             self.subscribe(CLOCK, self.set_time)
-        self._publish_command = self.publish_topic("/pump/command")
-        self._publish_outputs = [
-            (self.publish_topic(topic.name), attribute, topic.undecided)
-            for topic, attribute in optional_topics(choice.outputs)
-        ]
+        self._optional = list(optional_topics(choice.outputs))
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def on_inputs(self) -> None:
@@ -120,10 +116,11 @@ class ControllerNode(LinkedNode):
         if self.live:
             allowed = self._command_live(allowed)
         else:
-            self._publish_command(self._decide(allowed))
+            self.publish("/pump/command", self._decide(allowed))
         self._tick += 1
-        for publish, attribute, undecided in self._publish_outputs:
-            publish(getattr(self._controller, attribute) if allowed else undecided)
+        for topic, attribute in self._optional:
+            value = getattr(self._controller, attribute) if allowed else topic.undecided
+            self.publish(topic.name, value)
 
     def _decide(self, allowed: bool) -> float:
         there = allowed and self._rain.good and self._evapotranspiration.good
@@ -165,7 +162,7 @@ class ControllerNode(LinkedNode):
             self._without_pumped = self._without_pumped or command > 0
         if command and not self.good:
             command = 0.0
-        self._publish_command(command)
+        self.publish("/pump/command", command)
         self._expect(command)
         self._shown = {
             "command": command,
@@ -242,8 +239,7 @@ class ControllerNode(LinkedNode):
         if not self._choice.needs_forecast:
             return ""
         return "; ".join(
-            f"{one.name} {one.why}" for one in (self._rain, self._evapotranspiration)
-            if not one.good
+            one.problem for one in (self._rain, self._evapotranspiration) if not one.good
         )
 
     def _say_forecast(self) -> None:
@@ -262,8 +258,8 @@ class ControllerNode(LinkedNode):
             self._without_since = to_people(wall.replace(microsecond=0))
         if self._without_since:
             problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
-        cause = next(one.code for one in (self._rain, self._evapotranspiration) if not one.good)
-        self.diagnose("forecast", WARN, problem, "no_forecast", cause)
+        bad = self._evapotranspiration if self._rain.good else self._rain
+        self.diagnose("forecast", WARN, problem, "no_forecast", bad.verdict.code)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.

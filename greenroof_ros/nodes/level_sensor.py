@@ -20,7 +20,7 @@ from greenroof_ros.graph.executable import NodeParser, node_help, run_node
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.graph.reports import ERROR, OK, STALE
+from greenroof_ros.graph.reports import STALE
 from greenroof_ros.model.site import Site
 
 _LIMIT = LIMITS["/cistern/level"]
@@ -45,11 +45,12 @@ class LevelSensorNode(LinkedNode):
         Args:
             tank: ``cistern`` or ``roof``.
         """
-        super().__init__(f"{tank}_sensor", f"{tank}_sensor", always_live=True)
+        super().__init__(f"{tank}_sensor", f"{tank}_sensor", live=True)
         values = declare(self, parameters())
         sensors = read_sensors(Path(values["sensors_file"]), values[_LIMIT.name])
         self._sensor = sensors.cistern if tank == "cistern" else sensors.roof
-        self._publish = self.publish_topic(f"/{tank}/level")
+        self._topic = f"/{tank}/level"
+        self.open_outputs(self._topic)
         self._level: float | None = None
         self._started = self._published = time.monotonic()
         self.reports.hardware = f"{self._sensor.address}, device {self._sensor.device_id}"
@@ -69,11 +70,10 @@ class LevelSensorNode(LinkedNode):
             self._published = reading.read_at
             self._level = reading.level
             self.reports.numbers["sensor"] = {"level": reading.level}
-            if reading.level is None:
-                self.diagnose("sensor", ERROR, reading.problem, "sensor_lost")
-            else:
-                self._publish(reading.level)
-                self.diagnose("sensor", OK, "the sensor is read")
+            if reading.level is not None:
+                self.publish(self._topic, reading.level)
+            problem = reading.problem if reading.level is None else ""
+            self.say("sensor", problem, "the sensor is read", "sensor_lost")
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:

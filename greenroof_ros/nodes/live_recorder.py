@@ -20,7 +20,6 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.graph.reports import ERROR, OK
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
@@ -52,7 +51,7 @@ class LiveRecorderNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters, look at the bag and open the topics."""
-        super().__init__("recorder", "recorder", always_live=True)
+        super().__init__("recorder", "recorder", live=True)
         values = declare(self, parameters())
         file, total = values["file_limit"], values["total_limit"]
         if total < 2 * file:
@@ -88,10 +87,10 @@ class LiveRecorderNode(LinkedNode):
         problem = self._bag.problem
         if DISK.late:
             problem = f"{self._bag.directory}: the disk takes nothing; what comes waits in memory"
-        if problem:
-            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}", "not_recorded")
-        else:
-            self.diagnose("recording", OK, f"recording to {self._bag.directory}")
+        self.say(
+            "recording", problem and f"nothing is recorded: {problem}",
+            f"recording to {self._bag.directory}", "not_recorded",
+        )
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:

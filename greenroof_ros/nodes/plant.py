@@ -19,6 +19,7 @@ from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.graph.supervision import FINISHED
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -62,7 +63,7 @@ class PlantNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        super().__init__("plant", "plant", may_be_live=False)
+        super().__init__("plant", "plant", live=False)
         site = self.declare_site()
         self._site = site
         values = declare(self, parameters(site))
@@ -87,15 +88,12 @@ class PlantNode(LinkedNode):
         self._written = 0
         self._running = False
         self._paused = False  # the tick is due, but not yet allowed: pace or recorder
-        self._done = False
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
-        self._publish_clock = self.publish_topic(CLOCK)
-        self._publish_cistern = self.publish_topic("/cistern/level")
-        self._publish_roof = self.publish_topic("/roof/level")
-        self._publish_outflow = self.publish_topic("/cistern/outflow")
-        self._publish_drainage = self.publish_topic("/roof/drainage")
+        self.open_outputs(
+            CLOCK, "/cistern/level", "/roof/level", "/cistern/outflow", "/roof/drainage", RUN
+        )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
@@ -104,11 +102,11 @@ class PlantNode(LinkedNode):
         if self._external:
             self._flow = self.subscribe("/pump/flow")
         else:
-            self._publish_flow = self.publish_topic("/pump/flow")
+            self.open_outputs("/pump/flow")
         if self._record:
             self.subscribe("/recorder/written", self._on_written)
         identity = float(secrets.randbits(_IDENTITY_BITS))
-        self.publish_topic(RUN)(RunIdentity(identity, self._run_length, self._speed).values)
+        self.publish(RUN, RunIdentity(identity, self._run_length, self._speed).values)
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)
@@ -137,10 +135,10 @@ class PlantNode(LinkedNode):
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
         now = self._start_ns + self._tick * self._tick_ns
-        self._publish_clock(now)
+        self.publish(CLOCK, now)
         cistern, roof = self._levels()
-        self._publish_cistern(cistern)
-        self._publish_roof(roof)
+        self.publish("/cistern/level", cistern)
+        self.publish("/roof/level", roof)
         self._paused = False
         self._waiting_since = time.monotonic()
         self.set_time(now)
@@ -166,7 +164,6 @@ class PlantNode(LinkedNode):
         self._metrics.observe(self._site, plant.x1, plant.x2, plant.layer)
         if self._tick == self._run_length:
             self._publish_flows(flows)
-            self._done = True
             self._wall_s = time.monotonic() - self._began
             self.finish()
             deviation = self._metrics["total_deviation_m3"]
@@ -188,15 +185,15 @@ class PlantNode(LinkedNode):
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
-        self._publish_outflow(flows.outflow)
-        self._publish_drainage(flows.drainage)
+        self.publish("/cistern/outflow", flows.outflow)
+        self.publish("/roof/drainage", flows.drainage)
         if not self._external:
-            self._publish_flow(flows.pump)
+            self.publish("/pump/flow", flows.pump)
 
     def on_idle(self) -> float:
-        """Start when the graph is whole, let a held tick go, and watch the clock."""
+        """Start when the graph is whole, let a tick go that waits, and watch the clock."""
         now = time.monotonic()
-        if self._done:
+        if self.reports.state == FINISHED:
             return LISTEN_S
         if not self._running:
             if self.ready:
@@ -205,7 +202,8 @@ class PlantNode(LinkedNode):
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: {self.absent()}"
+                    f"no start within {self._start_limit:g} s: "
+                    f"{self.inputs.say(self.inputs.absent())}"
                 )
             return LISTEN_S
         if self._paused and not self._behind():
@@ -218,7 +216,7 @@ class PlantNode(LinkedNode):
         answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder" if self._paused else self.missing()
+            missing = "/recorder/written from recorder" if self._paused else self.lockstep.missing()
             raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
         return LISTEN_S
 

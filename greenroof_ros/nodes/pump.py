@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import re
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -102,7 +101,13 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class _Drive:
-    """The drive of the parameters, and what speaks against using it."""
+    """The drive of the parameters, and what speaks against using it.
+
+    Attributes:
+        file: what it is like.
+        timeout: of its file: its own communication timeout, at this address; None without one.
+        exchange: with it.
+    """
 
     def __init__(self, values: dict[str, Any], node_name: str) -> None:
         """Read its file.
@@ -122,52 +127,47 @@ class _Drive:
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
-        self._exchange: DriveExchange | None = None
-        self._leaving: threading.Thread | None = None
+        self._renew()
+
+    def _renew(self) -> None:
+        """Have an exchange that has not begun."""
+        self.exchange = DriveExchange(
+            self.file, self._address, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit
+        )
+        self._begun = self._leaving = False
 
     @property
     def snapshot(self) -> Snapshot:
         """What is known of it."""
-        return Snapshot() if self._exchange is None else self._exchange.snapshot
+        return self.exchange.snapshot
 
     def connect(self) -> None:
         """Begin to keep it stopped, once it is let go of."""
-        if self._leaving is not None and not self._leaving.is_alive():
-            self._exchange = self._leaving = None
-        if self._exchange is None:
-            self._exchange = DriveExchange(
-                self.file, self._address, self._period, _DEAD_MAN_S,
-                timeout_limit_s=self._limit,
-            )
-            self._exchange.start()
+        if self._leaving and self.exchange.close(0.0):
+            self._renew()
+        if not self._begun:
+            self.exchange.start()
+            self._begun = True
 
-    def let_go(self, within: float | None = None) -> str:
+    def let_go(self, within: float) -> str:
         """Stop it, and return what it says then.
 
         Args:
-            within: how long to wait for that at most (s); without it the longest ramp and a few
-                seconds.
+            within: how long to wait for that at most (s); the longest ramp and a few seconds are
+                enough for any drive.
 
         Raises:
             RefusedError: it takes longer, and goes on.
             OSError: it was not heard at the end, or does not stand.
         """
-        if self._exchange is None:
+        if not self._begun:
             return ""
-        if self._leaving is None:
-            leaving = threading.Thread(target=self._exchange.close, daemon=True)
-            try:
-                leaving.start()
-            except RuntimeError:  # the system has no thread to give: then this one waits
-                self._exchange.close()
-            else:
-                self._leaving = leaving
-        if self._leaving is not None:
-            self._leaving.join(within)
-            if self._leaving.is_alive():
-                raise RefusedError("the drive is still slowing down, or not heard; ask again")
-        snapshot, self._exchange, self._leaving = self._exchange.snapshot, None, None
+        self._leaving = not self.exchange.close(within)
+        if self._leaving:
+            raise RefusedError("the drive is still slowing down, or not heard; ask again")
+        snapshot = self.snapshot
         status = snapshot.status
+        self._renew()
         what = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
             # A thread that still talks to it has not read that it stands.
@@ -180,26 +180,16 @@ class _Drive:
             rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
         raise OSError(f"{what}; {rest}")
 
-    def demand(self, speed: float | None) -> None:
-        """Ask for a speed, share of the rated one; None for off."""
-        if self._exchange is not None:
-            self._exchange.demand(speed)
-
     def keep_to_speed_of(self, run: RunIdentity | None) -> None:
         """Take part in a run that is not in real time with the drive simulator alone.
 
         Raises:
             ConfigurationError: it is another drive.
         """
-        if run is not None and run.speed != 1 and self._exchange is not None:
-            self._exchange.only_simulator()
+        if run is not None and run.speed != 1:
+            self.exchange.only_simulator()
             if why := self.snapshot.no_simulator:
                 raise no_real_time(why, "the plant's speed", run.speed)
-
-    def reset(self) -> None:
-        """Have its fault acknowledged."""
-        if self._exchange is not None:
-            self._exchange.reset()
 
     def status(self, now: float) -> DriveStatus | None:
         """Return what it said last, unless that is too old."""
@@ -208,7 +198,7 @@ class _Drive:
 
     def absence(self, now: float) -> str:
         """Return why it cannot be heard; empty where it can."""
-        if self._leaving is not None:
+        if self._leaving:
             return "no connection to the drive: it is being let go of; clean up first"
         if self.status(now) is not None:
             return ""
@@ -246,12 +236,17 @@ class PumpNode(Lifecycle, LinkedNode):
         """Declare the parameters, and open topics and services."""
         LinkedNode.__init__(self, "pump", "pump")
         self._site = site = self.declare_site()
-        self.act_every(site.tau)
         values = declare(self, parameters(site))
         self._drive = _Drive(values, self.get_name())
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
-        self._command_limit = self._checked_command_limit(values)
+        limit = LIMITS["/pump/command"].name
+        self._command_limit: float = values[limit]
+        if self.live and self._command_limit <= site.tau:
+            raise ConfigurationError(
+                f"must be more than tau of the site, {site.tau:g} s: a command comes once in that "
+                "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
+            )
         given = {one.name: values[one.name] for one in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         self._settings = PumpSettings(**given)
@@ -270,9 +265,16 @@ class PumpNode(Lifecycle, LinkedNode):
             None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
-        self._state = self._logged = ""
+        self._state = ""
         self._reasons: tuple[object, ...] = ()  # as of the last decision
-        self._begin_times()
+        # All that is measured from now on; none of it is on the wire.
+        self._simulated = 0.0
+        self._stepped = boot_time() if self.live else 0.0
+        self._watched = time.monotonic()
+        self._resetting_until = 0.0
+        self._tried = self._looked_at = -math.inf
+        self._commanded, self._idle_at = -math.inf, boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
         on_command = self._on_command if self.live else None
         self._command = self.subscribe("/pump/command", on_command, tolerates_second=True)
         self._levels = Levels(site, values, self.subscribe)
@@ -284,37 +286,11 @@ class PumpNode(Lifecycle, LinkedNode):
             self._rival = self.rivals("/pump/flow")
         else:
             self.subscribe(CLOCK, self.set_time)
-        self._publish_flow = self.publish_topic("/pump/flow")
-        self._publish_state = self.publish_topic("/pump/state")
+        self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self._step(boot_time())
-
-    def _checked_command_limit(self, values: dict[str, Any]) -> float:
-        """Return the greatest age of a command (s).
-
-        Raises:
-            ConfigurationError: in a live graph the pump would never run with it.
-        """
-        name, tau = LIMITS["/pump/command"].name, self._site.tau
-        limit: float = values[name]
-        if self.live and limit <= tau:
-            raise ConfigurationError(
-                f"must be more than tau of the site, {tau:g} s: a command comes once in that time",
-                key=f"parameter {name} of {self.get_name()}", value=limit,
-            )
-        return limit
-
-    def _begin_times(self) -> None:
-        """Set all that is measured from now on; none of it is on the wire."""
-        self._simulated = 0.0
-        self._stepped = boot_time() if self.live else 0.0
-        self._watched = time.monotonic()
-        self._resetting_until = 0.0
-        self._tried = self._looked_at = -math.inf
-        self._commanded, self._idle_at = -math.inf, boot_time()
-        self._suspended, self._suspend_seen = suspended_time(), -math.inf
 
     # --- what is kept over restarts ---------------------------------------------------------------
 
@@ -393,13 +369,13 @@ class PumpNode(Lifecycle, LinkedNode):
             OSError: it could not be read; the node's exit code says so, too.
         """
         try:
-            self._let_go(None)
+            self._let_go(math.inf)
         finally:
             problem = self._ledger.close()
             if problem:
                 self.get_logger().error(problem)
 
-    def _let_go(self, within: float | None) -> None:
+    def _let_go(self, within: float) -> None:
         said = self._drive.let_go(within)
         if said:
             self.get_logger().info(said)
@@ -432,7 +408,7 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> Trigger.Response:
         self._take_state()
         cleared = self._control.reset()
-        self._drive.reset()
+        self._drive.exchange.reset()
         self._resetting_until = boot_time() + RESET_S
         self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
@@ -455,19 +431,19 @@ class PumpNode(Lifecycle, LinkedNode):
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = boot_time()
         if not self.live:
-            self._drive.keep_to_speed_of(self._lockstep.run)
+            self._drive.keep_to_speed_of(self.lockstep.run)
             self._commanded = boot_time()
             self._simulated += self._site.tau
         self._step(now)
         if self.live and self._cistern.good and self._roof.good:
             self._levels.expect(self._decision.flow)
-        self._publish_flow(self._decision.flow)
+        self.publish("/pump/flow", self._decision.flow)
 
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
         now = boot_time()
         if not self.live:
-            self._drive.keep_to_speed_of(self._lockstep.run)
+            self._drive.keep_to_speed_of(self.lockstep.run)
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
@@ -480,7 +456,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._reasons = reasons
             self._step(now)
         self._idle_at = boot_time()
-        self._drive.demand(self._decision.speed)
+        self._drive.exchange.demand(self._decision.speed)
         if self._autostart:
             self._start_by_itself(now)
         if now - self._looked_at > _LOOK_S:
@@ -579,15 +555,13 @@ class PumpNode(Lifecycle, LinkedNode):
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
         self._decision = decision = self._control.step(dt, seen, drive_dt)
-        self._drive.demand(decision.speed)
+        self._drive.exchange.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
-        if state != self._state:
-            self._state = state
-            self._publish_state(state)
-        without_numbers = re.sub(r"[\d.]+", "", state)
-        if without_numbers != self._logged:
-            self._logged = without_numbers
-            self.get_logger().info(state)
+        before, self._state = self._state, state
+        if state != before:
+            self.publish("/pump/state", state)
+            if re.sub(r"[\d.]+", "", state) != re.sub(r"[\d.]+", "", before):
+                self.get_logger().info(state)
 
     # --- what is said -----------------------------------------------------------------------------
 
@@ -618,30 +592,28 @@ class PumpNode(Lifecycle, LinkedNode):
         say("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
-        self._say(
-            "levels", ERROR, "; ".join(f"{one.name} {one.why}" for one in bad),
-            bad[0].code if bad else "", "both levels are good",
+        self.say(
+            "levels", "; ".join(one.problem for one in bad), "both levels are good",
+            bad[0].verdict.code if bad else "",
         )
         blind = (
             "blind: a level is unknown, or both were not known for "
             f"{self._settings.averaging_time:g} s yet"
         )
-        self._say(
-            "delivery", WARN, blind if decision.blind_for else "", "delivery_blind",
-            "what is pumped is compared with both levels",
+        self.say(
+            "delivery", blind if decision.blind_for else "",
+            "what is pumped is compared with both levels", "delivery_blind", WARN,
         )
-        self._say(
-            "state file", ERROR, self._ledger.problem, "state_not_kept", "stops and faults are kept"
+        self.say(
+            "state file", self._ledger.problem, "stops and faults are kept", "state_not_kept"
         )
-        frost, code = f"{self._frost.name} {self._frost.why}", self._cause("frost_unknown")
+        frost, code = self._frost.problem, self._cause("frost_unknown")
         if self._frost.good:
             frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
-        self._say("frost", WARN, frost, code, "there is no frost")
+        self.say("frost", frost, "there is no frost", code, WARN)
         if self._permit.given:
-            self._say(
-                "supervisor", WARN, self._permit.missing(now), "no_permit",
-                "bringup lets the pump run",
-            )
+            missing = self._permit.missing(now)
+            self.say("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
         self._diagnose_drive(now)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
@@ -658,20 +630,13 @@ class PumpNode(Lifecycle, LinkedNode):
             "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
         }
 
-    def _say(self, part: str, level: bytes, problem: str, code: str, well: str) -> None:
-        """Say that a part has a problem, or where there is none that it is well."""
-        if problem:
-            self.diagnose(part, level, problem, code)
-        else:
-            self.diagnose(part, OK, well)
-
     def _cause(self, code: str) -> str:
         """Return the code from which an interlock follows; empty where that is not known."""
         inputs = {
             "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
             "frost_unknown": self._frost, "command_unknown": self._command,
         }
-        cause = inputs[code].code if code in inputs else ""
+        cause = inputs[code].verdict.code if code in inputs else ""
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
 
@@ -679,12 +644,12 @@ class PumpNode(Lifecycle, LinkedNode):
         command, silence = self._command, self._silence()
         trouble = command.publishers.said(time.monotonic())
         if not trouble and not command.good:
-            trouble = f"{command.name} {command.why}"
+            trouble = command.problem
         if silence and self.acted and not trouble:
             self.diagnose("command", STALE, silence, "no_command")
         else:
-            code = command.code or "two_controllers"
-            self._say("command", ERROR, trouble, code, silence or "commands come")
+            code = command.verdict.code or "two_controllers"
+            self.say("command", trouble, silence or "commands come", code)
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
@@ -704,9 +669,9 @@ class PumpNode(Lifecycle, LinkedNode):
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
             code = "second_master" if snapshot.second_master else "drive_warning"
-            self._say(
-                "drive", WARN, said and f"the drive: {said}",
-                code if status.remote else "drive_local", f"connected to {snapshot.identity}",
+            self.say(
+                "drive", said and f"the drive: {said}", f"connected to {snapshot.identity}",
+                code if status.remote else "drive_local", WARN,
             )
         own = self._drive.timeout
         beware = f"; beware: {own.traps}" if own is not None and own.traps else ""

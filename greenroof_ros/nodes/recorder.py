@@ -42,7 +42,7 @@ class RecorderNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
-        super().__init__("recorder", "recorder", may_be_live=False)
+        super().__init__("recorder", "recorder", live=False)
         values = declare(self, parameters())
         directory = values["directory"]
         self._limit = values["peer_limit"]
@@ -65,7 +65,7 @@ class RecorderNode(LinkedNode):
         self._closed = False
         self._looked_at = 0.0
         self._ending_since: float | None = None
-        self._publish_written = self.publish_topic("/recorder/written")
+        self.open_outputs("/recorder/written")
         self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
         for topic, queue in zip(self._topics, self._queues, strict=True):
             self.subscribe(topic.name, partial(self._take, queue), raw=True)
@@ -92,7 +92,7 @@ class RecorderNode(LinkedNode):
         return {"bag": str(self._bag.directory.resolve())}
 
     def _report_written(self) -> None:
-        self._publish_written(float(self._bag.safe))
+        self.publish("/recorder/written", float(self._bag.safe))
 
     def on_idle(self) -> float:
         """End the bag when the last tick is in it, or does not come whole."""

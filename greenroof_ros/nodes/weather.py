@@ -55,6 +55,11 @@ from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
+_FROST = "/weather/frost"
+_RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
+_RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
+    "/forecast/precipitation", "/forecast/evapotranspiration",
+)
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -117,10 +122,16 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 def _forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the forecasts that the parameters choose."""
+    """Return the forecasts that the parameters choose.
+
+    Raises:
+        ConfigurationError: they choose none.
+    """
     name = "forecast"
     try:
         choice = choose(values[name])
+        if values["live"] and choice.file is None:
+            raise ValueError("must be a FILE.csv in a live graph, or empty where there is none")
         name = "forecast_skill"
         check_skill(values[name])
     except ValueError as error:
@@ -138,17 +149,6 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
             )
         given["dressed"] = Path(values["dressed"])
     return replace(choice, **given)
-
-
-def _forecast_file(values: dict[str, Any]) -> Path:
-    """Return the file of forecasts of a live graph."""
-    file = _forecast(values).file
-    if file is None:
-        raise ConfigurationError(
-            "must be a FILE.csv in a live graph, or empty where there is none",
-            key="parameter forecast of weather", value=values["forecast"],
-        )
-    return file
 
 
 class _Records:
@@ -197,7 +197,6 @@ class WeatherNode(LinkedNode):
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
         site = self.declare_site()
-        self.act_every(site.tau)
         values = declare(self, parameters(site))
         self._site = site
         if self.live:
@@ -205,11 +204,12 @@ class WeatherNode(LinkedNode):
             self._dressing = self._record(values["dressed"])
             # A file of many members takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
-            self._live_forecast = None if not values["forecast"] else LiveForecast(
-                ForecastFile(_forecast_file(values)), site, values["horizon"],
-                values["issue_limit"], values["all_members"], self._dressing,
-            )
-            if self._live_forecast is not None:
+            self._live_forecast: LiveForecast | None = None
+            if values["forecast"] and (file := _forecast(values).file) is not None:
+                self._live_forecast = LiveForecast(
+                    ForecastFile(file), site, values["horizon"], values["issue_limit"],
+                    values["all_members"], self._dressing,
+                )
                 self._live_forecast.file.look()
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
@@ -217,13 +217,9 @@ class WeatherNode(LinkedNode):
         else:
             self._records = _Records(site, values)
             self._time = self.subscribe(CLOCK)
-        self._publish_rain_forecast = self.publish_topic("/forecast/precipitation")
-        self._publish_evapotranspiration_forecast = self.publish_topic(
-            "/forecast/evapotranspiration"
+        self.open_outputs(
+            _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
         )
-        self._publish_rain = self.publish_topic("/weather/precipitation")
-        self._publish_evapotranspiration = self.publish_topic("/weather/evapotranspiration")
-        self._publish_frost = self.publish_topic("/weather/frost")
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts that are known at it."""
@@ -234,11 +230,11 @@ class WeatherNode(LinkedNode):
         tick = records.tick(self._time.value)
         hour = records.series.at(tick)
         # What the controller waits for comes first: it needs longest.
-        self._publish_frost(hour.frost)
-        self._publish_rain_forecast(records.forecast.precipitation(tick))
-        self._publish_evapotranspiration_forecast(records.forecast.evapotranspiration(tick))
-        self._publish_rain(hour.precipitation)
-        self._publish_evapotranspiration(hour.evapotranspiration)
+        self.publish(_FROST, hour.frost)
+        self.publish(_RAIN_FORECAST, records.forecast.precipitation(tick))
+        self.publish(_EVAPOTRANSPIRATION_FORECAST, records.forecast.evapotranspiration(tick))
+        self.publish(_RAIN, hour.precipitation)
+        self.publish(_EVAPOTRANSPIRATION, hour.evapotranspiration)
         self.set_time(self._time.value)
 
     def _publish_live(self) -> None:
@@ -252,18 +248,18 @@ class WeatherNode(LinkedNode):
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
-        self._publish_frost(self._frost(temperature))
+        self.publish(_FROST, self._frost(temperature))
         evapotranspiration: float | None
         if outlook is not None:
-            self._publish_rain_forecast(outlook.rain)
-            self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
+            self.publish(_RAIN_FORECAST, outlook.rain)
+            self.publish(_EVAPOTRANSPIRATION_FORECAST, outlook.evapotranspiration)
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))
         if rain is not None:
-            self._publish_rain(rain)
+            self.publish(_RAIN, rain)
         if evapotranspiration is not None:
-            self._publish_evapotranspiration(evapotranspiration)
+            self.publish(_EVAPOTRANSPIRATION, evapotranspiration)
         instead = "unknown" if forecast is None else "forecast"
         self._say_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
         self._say_gauge(
@@ -292,10 +288,9 @@ class WeatherNode(LinkedNode):
             self.diagnose(part, WARN, why, "record_short")
         elif dressing.problem:
             self.diagnose(part, WARN, f"is not kept: {dressing.problem}", "record_not_kept")
-        elif not self._rain_gauge.good:
-            self.diagnose(part, OK, "is used; without /gauge/precipitation nothing is added to it")
         else:
-            self.diagnose(part, OK, "is kept")
+            well = "is used; without /gauge/precipitation nothing is added to it"
+            self.diagnose(part, OK, "is kept" if self._rain_gauge.good else well)
 
     def on_stop(self) -> None:
         """Let what was learned be written."""
@@ -317,27 +312,25 @@ class WeatherNode(LinkedNode):
             self._files_read = forecast.file.count
             self.get_logger().info("the file of forecasts was read")
         problem = forecast.file.problem
+        unreadable = "forecast_unreadable" if problem else ""
         try:
             outlook = forecast.at(now, rain)
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
             usual = self._site.climatic_evapotranspiration(self._month(now))
             of_record = forecast.of_record(now, usual, rain)
-            cause = "forecast_unreadable" if problem else ""
             self.reports.numbers.pop("forecast", None)
             if of_record is None:
-                self.diagnose("forecast", ERROR, why, "forecast_missing", cause)
+                self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
             else:
                 why = f"the record of past weather stands for a forecast: {why}"
-                self.diagnose("forecast", WARN, why, "forecast_of_record", cause)
+                self.diagnose("forecast", WARN, why, "forecast_of_record", unreadable)
             return of_record
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
-        if problem:
-            issued += f"; what was read before holds on: {problem}"
-        code = "forecast_unreadable" if problem else ""
-        self.diagnose("forecast", WARN if problem else OK, issued, code)
+        trouble = problem and f"{issued}; what was read before holds on: {problem}"
+        self.say("forecast", trouble, issued, unreadable, WARN)
         return outlook
 
     def _frost(self, temperature: float) -> float:
@@ -360,7 +353,7 @@ class WeatherNode(LinkedNode):
             self.diagnose(part, OK, f"{gauge.name} is good")
         elif gauge.heard:
             self.diagnose(
-                part, WARN, f"{gauge.name} {gauge.why}; {instead}", "gauge_bad", gauge.code
+                part, WARN, f"{gauge.problem}; {instead}", "gauge_bad", gauge.verdict.code
             )
 
 

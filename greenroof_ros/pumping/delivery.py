@@ -41,8 +41,8 @@ only, plus or less ``level_offset``, by which a sensor may be wrong for good.
 
 A level that does not change at all needs no averaging and no share: a quiet sensor's roof is a
 fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and cistern
-that both stand still are one once that of the cistern was. Otherwise the rule that a level is
-frozen, which heals, would stop the pump before the balance does, again and again.
+that both stand still are one once the tolerance times the cistern's area was. Otherwise the rule
+that a level is frozen, which heals, would stop the pump before the balance does, again and again.
 
 Why it is no false alarm: readings each second with independent errors of 5 mm (standard deviation)
 have, averaged over 60 s, one of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs two means that are

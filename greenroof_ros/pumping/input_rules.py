@@ -1,6 +1,6 @@
 """Whether a live input may be acted on: its age, its publishers, and what water cannot do.
 
-Everything here is told the time (s of a steady clock), and knows no other.
+Who calls gives the time, in s of a steady clock.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Verdict(NamedTuple):
     """What is wrong with an input.
 
     Attributes:
-        code: of the rule that it breaks, of :data:`.interlocks.CONDITIONS`; empty where it is good.
+        code: names the rule that it breaks, in :data:`.interlocks.CONDITIONS`; empty where it is
+            good.
         why: what it does, for a sentence that begins with its name.
     """
 
@@ -70,7 +71,7 @@ class Reach(NamedTuple):
 
 
 def cistern_reach(site: Site) -> Reach:
-    """Return that of the cistern: rain and mains into it, and pumps and outlets out of it.
+    """Return the reach of the cistern: rain and mains into it, and pumps and outlets out of it.
 
     All rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
@@ -84,7 +85,7 @@ def cistern_reach(site: Site) -> Reach:
 
 
 def roof_reach(site: Site) -> Reach:
-    """Return that of the roof: rain and full pumps, and evapotranspiration and drainage."""
+    """Return the reach of the roof: rain and full pumps, and evapotranspiration and drainage."""
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
@@ -222,7 +223,7 @@ class InputRules:
             limit: its greatest age (s).
             recovery: for how long it must have kept all rules (s).
             limit_name: of the parameter that is the limit, for messages.
-            level: what else holds for a level.
+            level: the rule that a level must keep besides.
         """
         self._limit = limit
         self._limit_name = limit_name
@@ -240,7 +241,7 @@ class InputRules:
         Args:
             now: s.
             value: that came.
-            refused: why it is none; empty where it is one.
+            refused: why it counts for nothing; empty where it counts.
         """
         self.judge(now)  # it may have been silent
         self._came = now

@@ -315,6 +315,9 @@ CONDITIONS = {code: (one.reason, one.advice) for code, one in INTERLOCKS.items()
         "once before you rely on it.",
     ),
     # --- any node, and bringup ---
+    "peers_awaited": (
+        "not all of the node's peers are there yet, so it does nothing", "Start what it waits for."
+    ),
     "node_failed": ("the node has failed and ended", "Mend what it says, and start it again."),
     "disk_hangs": ("the disk takes nothing; logs and summary wait in memory", "See to the disk."),
     # --- the recorder and the sensors ---

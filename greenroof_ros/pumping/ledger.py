@@ -24,11 +24,12 @@ import stat
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.disk import DISK, PATIENCE_S
+from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
 
 DAY_S = 86_400.0
@@ -107,17 +108,17 @@ class Ledger:
         self._file = file
         self._clock = system_clock
         self._unsaved = 0.0
-        self._sequence = 0
         self._unseen = 0.0
-        self._problem = ""
         self._only: FileIO | None = None  # the lock
-        self.record = self._found = self._to_write = Record()
+        self.record = self._found = Record()
         if file is not None:
+            self._lines = _Lines(file)
+            self._newest = Newest(self._lines.write, partial(_why, file))
             self._lock(file)
             self._begin(file)
 
     def take(self) -> bool:
-        """Take the file, if another one had it or it could not be made; return whether that is new.
+        """Take the file, if another had it or it could not be made; return whether that is new.
 
         What it says by now counts, and what was stopped or found here meanwhile. A release of
         before was not one of what it says now, or of its not being readable.
@@ -139,14 +140,14 @@ class Ledger:
             # Not of the file itself, in whose place another is put where it is broken or removed.
             self._only = take_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError, ValueError) as error:
-            self._problem = _why(file, error)
+            self._newest.problem = _why(file, error)
             return False
-        self._problem = ""
+        self._newest.problem = ""
         return True
 
     def _begin(self, file: Path) -> None:
         """Begin with what the file says, and the time since that was written."""
-        self.record, self._sequence, whole = _read(file)
+        self.record, self._lines.sequence, whole = _read(file)
         self._found = self.record
         down = self._clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
@@ -160,9 +161,11 @@ class Ledger:
     @property
     def problem(self) -> str:
         """Why the file could not be written; empty where it could. Control goes on."""
+        if self._file is None:
+            return ""
         if self._only is not None and DISK.late:
             return f"{self._file} could not be written within {PATIENCE_S:g} s"
-        return self._problem
+        return self._newest.problem
 
     def stop(self, reason: str) -> None:
         """Keep the pump off, or release it (empty), also where a stop or a fault is unknown."""
@@ -184,7 +187,7 @@ class Ledger:
         self._save()
 
     def count(self, dt: float, run: float, volume: float) -> None:
-        """Count the time that passed, that of it in which the pump was on (s), and m3 pumped."""
+        """Count the time that passed (s), in how much of it the pump was on (s), and m3 pumped."""
         self._pass(dt)
         self.record = replace(
             self.record,
@@ -236,26 +239,29 @@ class Ledger:
     def _save(self) -> None:
         """Have the record written, after the one that is being written."""
         self._unsaved = 0.0
-        if self._file is None or self._only is None:
-            return
-        self._to_write = replace(self.record, written_at=self._clock())
-        if not DISK.do(self._write):
-            self._problem = _why(self._file, OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
+        if self._only is not None:
+            self._newest.give(replace(self.record, written_at=self._clock()))
 
-    def _write(self) -> None:
-        """Write the newest record, on the disk's thread."""
-        file, record = self._file, self._to_write
-        assert file is not None
-        try:
-            if self._sequence == 0 or not file.exists():
-                _make(file, record)
-                self._sequence = 2
-            else:
-                _overwrite(file, self._sequence + 1, record)
-                self._sequence += 1
-            self._problem = ""
-        except Exception as error:  # whatever it is, the next record is tried again
-            self._problem = _why(file, error)
+
+class _Lines:
+    """The two lines of the file.
+
+    Attributes:
+        sequence: number of the newest; 0 where the file must be made.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.sequence = 0
+
+    def write(self, record: Record) -> None:
+        """Write a record, on the disk's thread."""
+        if self.sequence == 0 or not self._file.exists():
+            _make(self._file, record)
+            self.sequence = 2
+        else:
+            _overwrite(self._file, self.sequence + 1, record)
+            self.sequence += 1
 
 
 def _why(file: Path, error: Exception) -> str:

@@ -6,12 +6,11 @@ Whatever a limit forbids heals by itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.records import entry, keys
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
@@ -19,7 +18,7 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.pumping.ledger import DAY_S, Ledger
 
 _HOUR_S = 3600.0
-# Time in which a pump that runs at length makes up for what is owed (s).
+# Time in which a pump that runs at length makes up for the outstanding volume (s).
 _CATCH_UP = 60.0
 _LEAST_FLOW = 0.2
 # More than the reference evapotranspiration of any climate in FAO-56, Table 2 (m/day).
@@ -49,88 +48,86 @@ def _time_for(site: Site, volume: float) -> float:
     return min(DAY_S, round(volume / least_flow) + 1.0)
 
 
-def _setting(
-    default: float | Callable[[Site], float], unit: str, low: float, high: float, meaning: str
-) -> Any:
-    """Return the field of a setting; its default may follow from the site."""
-    return field(metadata={"parameter": Parameter("", default, unit, low, high, meaning)})
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PumpSettings:
     """The limits of a pump, and the thresholds of its checks.
 
-    Unit, range, default and meaning of each stand beside it; :func:`pump_parameters` lists them,
-    and :func:`settings_for` fills in what is not given.
+    Unit, range, default and meaning of each stand beside it, but for the defaults that follow from
+    the site; :func:`pump_parameters` lists them all, and :func:`settings_for` fills in what is not
+    given.
     """
 
-    least_speed: float = _setting(
-        0.3, "1", 0.05, 1.0,
+    least_speed: float = entry(
         "least speed of the drive, share of the rated one; its drive file's where that is larger",
+        0.05, 1.0, unit="1", default=0.3,
     )
-    least_flow: float = _setting(
-        _LEAST_FLOW, "1", 0.01, 1.0,
+    least_flow: float = entry(
         "least continuous flow of the pump, share of the maximum; below it there are pulses",
+        0.01, 1.0, unit="1", default=_LEAST_FLOW,
     )
-    ramp: float = _setting(
-        1.0, "1/s", 0.001, 10.0,
+    ramp: float = entry(
         "how fast the asked speed changes while the pump runs; the drive has a ramp of its own",
+        0.001, 10.0, unit="1/s", default=1.0,
     )
-    least_on: float = _setting(10.0, "s", 0.0, 3600.0, "how long the pump stays on, once it is")
-    least_off: float = _setting(10.0, "s", 0.0, 3600.0, "how long the pump stays off, once it is")
-    starts_per_hour: float = _setting(
-        lambda site: site.starts_per_hour, "1/h", 1.0, 3600.0,
-        "starts in any hour; by default the site's",
+    least_on: float = entry(
+        "how long the pump stays on, once it is", 0.0, 3600.0, unit="s", default=10.0
     )
-    greatest_run: float = _setting(
-        lambda site: _time_for(site, _filling(site)), "s", 1.0, DAY_S,
+    least_off: float = entry(
+        "how long the pump stays off, once it is", 0.0, 3600.0, unit="s", default=10.0
+    )
+    starts_per_hour: float = entry(
+        "starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
+    )
+    greatest_run: float = entry(
         "time on without a break; by default in which a fifth of the flow fills an empty roof",
+        1.0, DAY_S, unit="s",
     )
-    greatest_run_per_day: float = _setting(
-        lambda site: _time_for(site, _volume_per_day(site)), "s", 1.0, DAY_S,
+    greatest_run_per_day: float = entry(
         "time on in 24 h; by default in which a fifth of the flow delivers the day's volume",
+        1.0, DAY_S, unit="s",
     )
-    greatest_volume_per_day: float = _setting(
-        _volume_per_day, "m3", 1e-6, 1e9,
+    greatest_volume_per_day: float = entry(
         "pumped in 24 h; by default 1.5 times an empty roof's filling and 10 mm for the plants",
+        1e-6, 1e9, unit="m3",
     )
-    suction_hysteresis: float = _setting(
-        0.02, "m", 0.0, 10.0,
+    suction_hysteresis: float = entry(
         "how far above the level of a dry-run cut the cistern must be before the pump runs again",
+        0.0, 10.0, unit="m", default=0.02,
     )
-    drive_ramp: float = _setting(
-        30.0, "s", 0.0, 30.0,
+    drive_ramp: float = entry(
         "the drive's own ramp, from rest to rated speed and back, the longer of both; no drive may "
         "have a longer one than by default",
+        0.0, 30.0, unit="s", default=30.0,
     )
-    follow_tolerance: float = _setting(
-        0.1, "1", 0.01, 1.0,
+    follow_tolerance: float = entry(
         "how far the speed may be from the asked one, or from what the ramp has reached on the way "
         "there, share of the rated one; less than the least speed",
+        0.01, 1.0, unit="1", default=0.1,
     )
-    follow_time: float = _setting(
-        12.0, "s", 0.1, 600.0, "how long it may be farther, before that is a fault"
+    follow_time: float = entry(
+        "how long it may be farther, before that is a fault", 0.1, 600.0, unit="s", default=12.0
     )
-    averaging_time: float = _setting(
-        60.0, "s", 1.0, 3600.0, "time over which the delivery check averages levels and volumes"
+    averaging_time: float = entry(
+        "time over which the delivery check averages levels and volumes",
+        1.0, 3600.0, unit="s", default=60.0,
     )
-    level_tolerance: float = _setting(
-        0.006, "m", 1e-4, 1.0,
+    level_tolerance: float = entry(
         "change of a mean level that the delivery check leaves unexplained; 13 times the noise of "
         "the mean of readings each second with 5 mm, and above what a sensor resolves",
+        1e-4, 1.0, unit="m", default=0.006,
     )
-    level_offset: float = _setting(
-        0.02, "m", 0.0, 1.0,
+    level_offset: float = entry(
         "how far a level sensor may be from the truth, above or below, for good; so far above the "
         "suction level is the dry-run cut",
+        0.0, 1.0, unit="m", default=0.02,
     )
-    least_delivery: float = _setting(
-        0.5, "1", 0.05, 0.95,
+    least_delivery: float = entry(
         "share of the pumped volume that must reach the roof; its inverse may leave the cistern",
+        0.05, 0.95, unit="1", default=0.5,
     )
-    greatest_loss: float = _setting(
-        1.0, "mm/h", 0.01, 1000.0,
+    greatest_loss: float = entry(
         "greatest evapotranspiration of an hour, and greatest drift of a level sensor",
+        0.01, 1000.0, unit="mm/h", default=1.0,
     )
 
     def __post_init__(self) -> None:
@@ -142,20 +139,23 @@ class PumpSettings:
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
                 f"must be less than least_speed, {self.least_speed:g}: a pump that stands would "
-                "count as one that runs, and one that is told to stop and runs on as one that "
-                "stands",
+                "count as one that runs, and one that runs on after a stop as one that stands",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
 
 
 def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     """Return each setting as a parameter, with its default for a site."""
-    parameters = []
-    for each in fields(PumpSettings):
-        one: Parameter = each.metadata["parameter"]
-        default = one.default(site) if callable(one.default) else one.default
-        parameters.append(replace(one, name=each.name, default=default))
-    return tuple(parameters)
+    of_site = {
+        "starts_per_hour": site.starts_per_hour,
+        "greatest_run": _time_for(site, _filling(site)),
+        "greatest_run_per_day": _time_for(site, _volume_per_day(site)),
+        "greatest_volume_per_day": _volume_per_day(site),
+    }
+    return tuple(
+        replace(key.entry, name=key.name, default=of_site.get(key.name, key.default))
+        for key in keys(PumpSettings)
+    )
 
 
 def settings_for(site: Site, **given: float) -> PumpSettings:
@@ -271,30 +271,28 @@ class Pulses:
 
     Below its least flow a pump gets too warm, and below its least speed it delivers nothing. A
     command below both is delivered in pulses at the least share. A least pulse is what the least
-    share delivers in the least time on. A pulse begins when a least pulse will be owed by its end,
-    and ends when nothing is owed any more: less is delivered than was commanded by at most one
-    least pulse, and more only by what flows in a step and while the pump comes to rest. What is
-    owed is what was commanded less what was delivered, by the actual flow.
+    share delivers in the least time on. The outstanding volume is what was commanded less what was
+    delivered, by the actual flow. A pulse begins when a least pulse will be outstanding by its end,
+    and ends when nothing is any more: less is delivered than was commanded by at most one least
+    pulse, and more only by what flows in a step and while the pump comes to rest.
 
-    What may be owed is limited, so that nothing is caught up that nobody waits for:
+    The outstanding volume is limited, so that nothing is caught up that nobody waits for:
 
-    - after a stop for any other reason than a command of 0 nothing is owed;
-    - while the command is 0, or at least the least share, at most one least pulse;
+    - after a stop for any other reason than a command of 0 it is 0;
+    - while the command is 0, or at least the least share, it is at most one least pulse;
     - below it at most what the least share delivers from one permitted start to the next, or a
-      least pulse if that is more: with 20 starts an hour that of 180 s.
+      least pulse if that is more: with 20 starts an hour what it delivers in 180 s.
 
     Attributes:
-        owed: commanded less delivered (m3), within its limits; negative after the least time on
-            delivered more than was commanded.
+        outstanding: commanded less delivered (m3), within its limits; negative after the least time
+            on delivered more than was commanded.
     """
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
         self._site = site
         self._settings = settings
         self._spacing = _HOUR_S / settings.starts_per_hour
-        self._wanted = 0.0
-        self._most_owed = 0.0
-        self.owed = 0.0
+        self.clear()
 
     def least_share(self, cistern_level: float) -> float:
         """Return the least share of the maximum flow that is asked for at a level (m)."""
@@ -311,13 +309,12 @@ class Pulses:
         return min(1.0, max(self._settings.least_speed, speed))
 
     def account(self, delivered: float, dt: float) -> None:
-        """Count what was delivered (m3) in dt (s) against what :meth:`ask` was told before."""
-        owed = self.owed + self._wanted * dt - delivered
-        self.owed = min(self._most_owed, max(-self._most_owed, owed))
+        """Count what was delivered (m3) in dt (s), and what :meth:`ask` was to deliver in it."""
+        self._set_outstanding(self.outstanding + self._wanted * dt - delivered)
 
-    def drop(self) -> None:
-        """Forget what is owed, and that anything is wanted."""
-        self._wanted = self._most_owed = self.owed = 0.0
+    def clear(self) -> None:
+        """Forget what is outstanding, and that anything is wanted."""
+        self._wanted = self._greatest = self.outstanding = 0.0
 
     def ask(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
         """Return the share of the maximum flow to ask for; 0 is off.
@@ -329,20 +326,21 @@ class Pulses:
             since_start: time since the pump was last started (s).
         """
         least, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
-        self._wanted = self._flow(command, cistern_level)
+        self._wanted, self._greatest = self._flow(command, cistern_level), pulse
         if 0 < command < least:
-            self._most_owed = max(pulse, self._spacing * self._flow(least, cistern_level))
-        else:
-            self._most_owed = pulse
-        self.owed = min(self._most_owed, max(-self._most_owed, self.owed))
+            self._greatest = max(pulse, self._spacing * self._flow(least, cistern_level))
+        self._set_outstanding(self.outstanding)
         if command >= least:
-            catch_up = self.owed / _CATCH_UP / self._flow(1.0, cistern_level)
+            catch_up = self.outstanding / _CATCH_UP / self._flow(1.0, cistern_level)
             return min(1.0, max(least, command + catch_up))
-        if on:
-            return least if command > 0 and self.owed > 0 else 0.0
-        by_its_end = self.owed + self._settings.least_on * self._wanted
-        due = command > 0 and self.owed > 0 and by_its_end >= pulse
-        return least if due and since_start >= self._spacing else 0.0
+        due = command > 0 and self.outstanding > 0
+        if not on:
+            by_its_end = self.outstanding + self._settings.least_on * self._wanted
+            due = due and by_its_end >= pulse and since_start >= self._spacing
+        return least if due else 0.0
+
+    def _set_outstanding(self, volume: float) -> None:
+        self.outstanding = min(self._greatest, max(-self._greatest, volume))
 
     def _flow(self, share: float, cistern_level: float) -> float:
         return share * flow_at(self._site, 1.0, cistern_level)

@@ -13,7 +13,7 @@ from greenroof_ros.pumping.interlocks import ENABLE, INHIBIT, INTERLOCKS, LATCHE
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
-# Words that others look for in what is said: a stop by hand, and a pump that is off and may turn.
+# Words that others look for in /pump/state: a stop by hand, and a pump that is off and may turn.
 OPERATOR_STOPPED = "an operator stopped it"
 STILL_TURNS = "the pump still turns"
 STANDS_UNKNOWN = "whether the pump stands is not known"
@@ -42,7 +42,7 @@ class Observation:
         drive_flow: of the drive's own (m3/s).
         drive_ready: whether it runs, or would if it were asked to.
         drive_fault: its fault, as text; empty where there is none.
-        runs_on: whether that is that it does not obey a stop.
+        runs_on: whether the fault is that it does not obey a stop.
         reasons: what the node itself has against running, by interlock.
     """
 
@@ -62,7 +62,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Decision:
-    """What the drive is asked for, and what is told.
+    """What the drive is asked for, and what is reported.
 
     Attributes:
         speed: asked for, share of the rated speed; None is off.
@@ -121,7 +121,7 @@ class PumpControl:
         # What the slowest drive that is allowed turns at on its way to the speed asked for, share
         # of the rated speed; before the first step it may have run.
         self._ramped = 1.0
-        self._astray_for = 0.0
+        self._follow_error_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
         # What it turned at most when that was last known, share of the rated speed; before that
@@ -141,14 +141,14 @@ class PumpControl:
         if cleared:
             self._ledger.fault("", "")
             self._delivery = DeliveryCheck(self._site, self._settings)
-            self._astray_for = 0.0
+            self._follow_error_for = 0.0
         return cleared
 
     def pass_unseen(self, dt: float) -> None:
         """Count time in which nobody was there, as in a suspend of the machine; then it is off.
 
-        At worst the pump ran on until the drive's own timeout stopped it. Whether it stands is to
-        be seen anew: this time is none for which a drive that is called did not answer.
+        At worst the pump ran on until the drive's own timeout stopped it. This time does not count
+        as one in which a drive that is called did not answer: whether it stands must be seen again.
 
         Args:
             dt: since the last step (s).
@@ -163,7 +163,7 @@ class PumpControl:
         self._ledger.count(dt, ran, volume)
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
-        self._pulses.drop()
+        self._pulses.clear()
         if self._asked is not None:
             self._limits.switch(False)
         self._asked = None
@@ -202,19 +202,19 @@ class PumpControl:
         )
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        told, command, refused = seen.command, None, ""
-        if told is not None and 0 <= told < math.inf:
-            command = min(told, 1.0)
-            if told > 1:
-                warnings.append(f"the command {told:g} is above 1 and taken as 1")
-        elif told is not None:
-            refused = f"the command {told:g} is refused: it must be a number from 0 to 1"
+        command, refused = seen.command, ""
+        if command is not None and not 0 <= command < math.inf:
+            refused = f"the command {command:g} is refused: it must be a number from 0 to 1"
+            command = None
+        elif command is not None and command > 1:
+            warnings.append(f"the command {command:g} is above 1 and taken as 1")
+            command = 1.0
         unheard = seen.speed is None and not backwards
         active = evaluate({
             **self._faults(drive_dt, seen, backwards, undelivered),
             **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
             **seen.reasons,
-            "command_unknown": "there is no command" if told is None else "",
+            "command_unknown": "there is no command" if seen.command is None else "",
             "command_refused": refused,
             "drive_speed_unknown": "the speed of the drive is unknown" if unheard else "",
             "drive_not_ready": "" if seen.drive_ready or backwards else "the drive is not ready",
@@ -223,7 +223,7 @@ class PumpControl:
         if active:
             state = _STATES[INTERLOCKS[next(iter(active))].kind]
             why = "; ".join(active.values())
-            self._pulses.drop()
+            self._pulses.clear()
         else:
             assert command is not None
             assert seen.cistern_level is not None
@@ -236,7 +236,7 @@ class PumpControl:
         self._asked = asked
 
         turning = seen.speed is not None and seen.speed > STANDS
-        if state == "running" and self._is_astray(seen.speed):
+        if state == "running" and self._has_follow_error(seen.speed):
             state = "starting"
         elif state == "off" and turning:
             state = "stopping"
@@ -298,16 +298,16 @@ class PumpControl:
         self._limits.account(dt, on)
         self._ledger.count(dt, dt if on else 0.0, max(seen, unseen) * dt)
 
-    def _is_astray(self, speed: float | None) -> bool:
-        """Whether the pump turns at another speed than it was asked for."""
+    def _has_follow_error(self, speed: float | None) -> bool:
+        """Whether the pump turns at another speed than the one asked for, beyond the tolerance."""
         asked = self._asked or 0.0
         return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
 
     def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
         """Whether the pump is at a speed that the drive's ramp does not explain.
 
-        What obeys is between what the slowest ramp has reached and the speed asked for; the ramp
-        goes on from there, so that it counts from where a drive is when it is asked anew. It begins
+        A drive that obeys is between what the slowest ramp has reached and the speed asked for. The
+        ramp goes on from there, so that a new speed counts from where the drive then is. It begins
         when a pump that stood turns.
         """
         if self._asked is not None and speed <= STANDS:
@@ -328,19 +328,18 @@ class PumpControl:
     ) -> dict[str, str]:
         """Return the faults by interlock: those now, and the first one, kept until it is reset.
 
-        With them goes what else is kept over restarts: who stopped the pump.
+        Beside them, what else the ledger keeps the pump off for: a stop, and a record not read.
         """
         if seen.speed is not None:  # what is not heard for a moment may go on
-            astray = self._is_beyond_ramp(seen.speed, drive_dt)
-            self._astray_for = self._astray_for + drive_dt if astray else 0.0
+            beyond = self._is_beyond_ramp(seen.speed, drive_dt)
+            self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
         found = {"delivery": undelivered}
-        if seen.speed is not None and self._astray_for > self._settings.follow_time:
-            asked = "it is told to stop"
-            if self._asked is not None:
-                asked = f"{self._asked:.2f} is asked for"
-            found["runs_on" if self._asked is None else "speed_not_followed"] = (
+        if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
+            off = self._asked is None
+            asked = "it is told to stop" if off else f"{self._asked:.2f} is asked for"
+            found["runs_on" if off else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
-                f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
+                f"{asked}, for {self._follow_error_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         found["turns_backwards"] = backwards
@@ -371,10 +370,10 @@ class PumpControl:
         why = "as commanded"
         if wanted < least:
             why = "a pulse, since the command is below the least flow"
-            if pulses.owed > pulse:
+            if pulses.outstanding > pulse:
                 warnings.append(
-                    f"{pulses.owed:.3f} m3 are owed, more than a least pulse of {pulse:.3f} m3: "
-                    "least times and starts per hour allow no more"
+                    f"{pulses.outstanding:.3f} m3 are outstanding, more than a least pulse of "
+                    f"{pulse:.3f} m3: least times and starts per hour allow no more"
                 )
         if on and share == 0 and since_start < self._settings.least_on:
             share, why = least, f"it stays on for at least {self._settings.least_on:g} s"

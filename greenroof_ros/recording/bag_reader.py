@@ -230,7 +230,7 @@ def _as_the_plant_took_it(
 ) -> tuple[_Series, list[str]]:
     """Return what the plant of a run made of the values of a topic: what it refused acted as 0.
 
-    What the plant itself says is as it is: the run's own numbers are of it.
+    What the plant itself says stays as it is: the run's own numbers come from it.
     """
     fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
     plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)

@@ -250,7 +250,7 @@ class BagFile:
     """An mcap file that is written; where no more of it can be, it ends with its last flush.
 
     Of what did not fit, a part would else be in the file; how much can be recovered would then be
-    another number than that of what is known to be safe.
+    another number than what is known to be safe.
 
     Attributes:
         path: the file.
@@ -263,7 +263,7 @@ class BagFile:
 
         Args:
             path: must not exist.
-            topics: those that it can hold.
+            topics: those that it can have messages of.
 
         Raises:
             FileExistsError: the file exists.
@@ -377,7 +377,7 @@ def next_file(files: Sequence[Path], bag: Path) -> Path:
 
 
 def recovered_bag(bag: Path) -> Path:
-    """Return where the recovery of a damaged bag goes unless it is told otherwise: beside it."""
+    """Return where the recovery of a damaged bag goes by default: beside it."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
 
@@ -513,7 +513,7 @@ def _qos_profile(qos: Qos) -> dict[str, Any]:
 
 
 def _definition(types: Mapping[str, Any], name: str) -> str:
-    """Return a type's definition with those that it uses appended, as bags hold it."""
+    """Return a type's definition with those that it uses appended, as in bags."""
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):
         short = used.replace("/msg/", "/")

@@ -1,7 +1,7 @@
 """How the makes of drives obey their control words: state machines for the simulated drive.
 
 Each is written from the maker's manual, not from the drive file, which has the control words and
-conditions that the driver goes by; so the two hold each other to account. What a manual leaves open
+conditions that the driver goes by; so each checks the other. What a manual leaves open
 is decided against the driver: the stricter reading stands here.
 """
 
@@ -130,8 +130,8 @@ class FcProfile(SimulatedDrive):
     """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile".
 
     Bits 2 brake, 3 coast, 4 quick stop and 5 hold of the control word are active low; 6 starts; 7
-    resets; only with bit 10, "data valid", it is one. 8-04 after the timeout: 5 stops and trips, 2
-    stops until there is a valid word, 1 freezes the output.
+    resets; without bit 10, "data valid", it does not count. 8-04 after the timeout: 5 stops and
+    trips, 2 stops until there is a valid word, 1 freezes the output.
     """
 
     DELIVERED = (600, 0)  # 8-03 60 s, 8-04 Off

@@ -53,7 +53,7 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     "wrong_unit": Fault(9, "answers come from the next device id"),
     "wrong_function": Fault(10, "answers are to the next function code"),
     "wrong_length": Fault(11, "answers lack their last byte"),
-    "absurd_value": Fault(12, "the register of the speed holds nonsense", "the raw value", 0x7FFF),
+    "absurd_value": Fault(12, "the register of the speed reads nonsense", "the raw value", 0x7FFF),
     "exception": Fault(13, "every request is refused", "exception code", 4),
     "drive_fault": Fault(
         14, "the drive trips and cannot be reset while this stands",

@@ -29,8 +29,6 @@ from greenroof_ros.drives.modbus_line import Address, Serial
 from greenroof_ros.simulators import faults
 
 _WRITES = (5, 6, 15, 16, 22, 23)
-NO_LINE = Serial(19200, "even", 1, faults.DEVICE_ID)
-"""of workbenches, which are always on TCP"""
 
 
 @dataclass
@@ -52,7 +50,7 @@ class Device:
     """A device on the wire.
 
     Attributes:
-        read: returns what all its registers hold, by address.
+        read: returns all its registers, by address.
         write: takes the first address and the values of a write; returns why it refuses.
         hears: is called for each request, with its first register; tells whether it is answered.
     """
@@ -72,12 +70,12 @@ class Device:
         ) -> ExcCodes | None:
             if values is not None:
                 return self.write(address, [int(value) for value in values])
-            # The answer to a write repeats what was written, whatever the register then holds.
+            # The answer to a write repeats what was written, whatever is in the register then.
             if function not in _WRITES:
-                held, wanted = self.read(), range(address, address + count)
-                if any(register not in held for register in wanted):
+                known, wanted = self.read(), range(address, address + count)
+                if any(register not in known for register in wanted):
                     return ExcCodes.ILLEGAL_ADDRESS
-                current[address:address + count] = [held[register] for register in wanted]
+                current[address:address + count] = [known[register] for register in wanted]
             return None
 
         everything = SimData(0, count=65536, datatype=DataType.REGISTERS)
@@ -166,8 +164,8 @@ class Server:
     def __init__(
         self,
         address: Address,
-        line: Serial,
         devices: Mapping[int, Device],
+        line: Serial | None = None,
         fault: StandingFault | None = None,
         identity: tuple[str, str] | None = None,
     ) -> None:
@@ -175,8 +173,8 @@ class Server:
 
         Args:
             address: TCP port or serial line; port 0 takes a free one.
-            line: settings of the serial line.
             devices: that are there, by unit identifier or slave address.
+            line: settings of a serial line; not needed on TCP.
             fault: of the wire; never any if None.
             identity: maker and product that function 43/14 names; one for all servers of a process.
         """
@@ -205,6 +203,7 @@ class Server:
             )
         server: ModbusTcpServer | ModbusSerialServer
         if self.address.line:
+            assert self._line is not None
             server = ModbusSerialServer(
                 devices, framer=FramerType.RTU, port=self.address.line, identity=named,
                 baudrate=self._line.baud_rate, parity=self._line.parity_letter(self.address.line),
@@ -289,9 +288,7 @@ class Bench(ABC):
         self.registers = {faults.SPEED: 0, faults.FAULT: 0, faults.PARAMETER: faults.DEFAULT}
         self.servers: list[Server] = []
         self._known = known
-        self._workbench = Server(
-            workbench, NO_LINE, {faults.DEVICE_ID: Device(self.look, self._write)}
-        )
+        self._workbench = Server(workbench, {faults.DEVICE_ID: Device(self.look, self._write)})
         self._began = time.monotonic()
 
     @property
@@ -304,7 +301,7 @@ class Bench(ABC):
         """Let time pass until the end."""
 
     def look(self) -> Mapping[int, int]:
-        """Return what the registers of the workbench hold."""
+        """Return the registers of the workbench."""
         return self.registers
 
     def adjust(self, register: int, value: int) -> None:

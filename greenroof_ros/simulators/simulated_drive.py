@@ -1,32 +1,39 @@
 """A drive that is not there: registers, ramp, faults and timeout, as far as all makes are alike.
 
-What a make does with its control word is a subclass in `control_profiles`. Nothing here waits or
-speaks Modbus; time is what a clock says.
+What a make does with its control word is a subclass in `control_profiles`. A `SimulatedDrive`
+neither waits nor speaks Modbus, and time is what a clock says; a `DriveBench` runs one in real
+time, on a port or a line of its own, with its workbench beside it.
 """
 
 from __future__ import annotations
 
+import asyncio
 import enum
 import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.drive_file import DriveFile, Register
-from greenroof_ros.drives.modbus_line import decode, encode
+from greenroof_ros.drives.modbus_line import SIMULATOR, Address, decode, encode
+from greenroof_ros.model.initial_state import default_state
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.server import Bench, Device, PseudoLine, Server
 
 _RATED_RPM = 1500
 _RATED_FREQUENCY = 500
 """0.1 Hz"""
 _AT_SPEED = 0.01
-_NOT_MOVING = 1e-9
 _STUCK_AT = 0.5
+# How often a bench moves its drive (s), and the address of a drive on a pseudo-terminal.
+_STEP_S, _PTY = 0.01, "pty"
 
 
 class Motion(enum.Enum):
@@ -46,8 +53,8 @@ class DriveSettings:
         ramp_s: from rest to rated speed, and back (s).
         coast_s: from rated speed to rest without torque (s).
         boot_s: from power-up until it answers (s).
-        timeout_s: its communication timeout (s), which then stops it, rounded to what its register
-            can hold; None as delivered.
+        timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
+            its register; None as delivered.
         speed: factor by which ramps and coasting are faster than real; no other time is.
     """
 
@@ -64,7 +71,7 @@ class SimulatedDrive(ABC):
     Attributes:
         speed: of the motor (share of rated).
         flow: tells what the pump delivers at a speed (m3/s), for drives that report it.
-        say: is told what happens, for people.
+        say: reports what happens, for people.
         settings: how it is made and set.
         timeout: its communication timeout, of the interface by which it is spoken to.
         guard: raw time and action of that timeout that are in force.
@@ -72,7 +79,7 @@ class SimulatedDrive(ABC):
         lost: whether the bus was silent for longer than the timeout.
         fault: code, or bits, of what has tripped it; 0 if nothing has.
         last_fault: what has tripped it last.
-        loss: that of the timeout.
+        loss: the fault after the timeout.
         word: the control word.
         state: of its state machine, where it has one.
     """
@@ -200,7 +207,7 @@ class SimulatedDrive(ABC):
         """Take in that the motor has come to rest; called again and again."""
 
     def counts(self, name: str) -> bool:
-        """Tell whether a write starts the timeout anew, to a register, or a reading where ''."""
+        """Tell whether a write restarts the timeout, to a register, or a reading where ''."""
         return True
 
     def control(self, word: int) -> None:
@@ -220,7 +227,7 @@ class SimulatedDrive(ABC):
 
     @property
     def fault_register(self) -> int:
-        """What the register of faults holds."""
+        """The value of the register of faults."""
         return self.fault
 
     def wrote(self, name: str) -> None:
@@ -241,7 +248,7 @@ class SimulatedDrive(ABC):
             self.trip(self.loss)
 
     def power_up(self) -> None:
-        """Begin anew; what is in the registers stays."""
+        """Start with the registers as they are."""
         self.word, self.state = 0, self.INITIAL
         self.take_over_settings()
 
@@ -296,15 +303,14 @@ class SimulatedDrive(ABC):
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
             reach = self.settings.speed * step / full if full else math.inf
             self.speed += min(max(wanted - self.speed, -reach), reach)
-        if abs(self.speed) < _NOT_MOVING:
-            self.speed = 0.0
+        if not self.speed:
             self.standstill()
 
     @property
     def _ignores_stop(self) -> bool:
-        """Whether it is told to stop, and runs on while it says that it is off."""
-        told = self.motion is not Motion.FOLLOW or not self.wanted
-        return self._standing == "runs_on" and told and self._at >= self._answers_from
+        """Whether it is to stop, and runs on while it says that it is off."""
+        off = self.motion is not Motion.FOLLOW or not self.wanted
+        return self._standing == "runs_on" and off and self._at >= self._answers_from
 
     @property
     def moving(self) -> bool:
@@ -324,13 +330,13 @@ class SimulatedDrive(ABC):
     # --- registers --------------------------------------------------------------------------------
 
     def get(self, name: str) -> int:
-        """Return what a register holds (raw)."""
+        """Return a register's value (raw)."""
         register = self._registers[name]
         words = [self._words[address] for address in self._addresses(name)]
         return int(decode(words, register.type, register.word_order))
 
     def put(self, name: str, value: float) -> None:
-        """Let a register hold something (raw)."""
+        """Set a register's value (raw)."""
         register = self._registers[name]
         words = encode(value, register.type, register.word_order)
         self._words |= zip(self._addresses(name), words, strict=True)
@@ -340,7 +346,7 @@ class SimulatedDrive(ABC):
         return range(register.address, register.address + register.width)
 
     def registers(self) -> Mapping[int, int]:
-        """Return what every register holds, by address."""
+        """Return every register's value, by address."""
         self.advance()
         self.put("status", self.status())
         self.put(self._file.faults.register, self.fault_register)
@@ -434,3 +440,100 @@ class SimulatedDrive(ABC):
         """Take the drive over at its panel, or hand it back to the bus."""
         self.advance()
         self.local = local
+
+
+class DriveBench(Bench):
+    """Runs a simulated drive.
+
+    Attributes:
+        drive: the drive.
+    """
+
+    def __init__(
+        self, make: type[SimulatedDrive], file: DriveFile, settings: DriveSettings,
+        address: Address, workbench: Address, site: Site,
+    ) -> None:
+        """Prepare it; nothing is opened yet.
+
+        Args:
+            make: of the drive, as `control_profiles.profile_of` has it.
+            file: of that make.
+            settings: of the drive.
+            address: TCP port or serial line of the drive; port 0 takes a free one, and the line
+                ``pty`` is a pseudo-terminal. A drive whose file tells of no timeout of an Ethernet
+                port of its own is behind a gateway there.
+            workbench: TCP port of the workbench, likewise.
+            site: for the flow, of drives that report it; until the workbench gets another level,
+                the cistern's is the one that runs begin with.
+
+        Raises:
+            ConfigurationError: the drive file tells of no timeout of the interface that is reached.
+        """
+        super().__init__(faults.DRIVE_FAULTS, workbench)
+        self._line = PseudoLine() if address.line == _PTY else None
+        own = address if self._line is None else Address(line=self._line.ends[0])
+        self._reached = replace(own, gateway=not own.line and file.timeout.tcp is None)
+        self._device_id = file.device_id_at(self._reached)
+        self.drive = make(file, settings, interface=self._reached.interface)
+        self.drive.say = self.say
+        self.drive.flow = lambda speed: flow_at(
+            site, speed, self.registers[faults.CISTERN_LEVEL] * faults.LEVEL_UNIT
+        )
+        level = site.cistern_level(default_state(site)[1][0])
+        self.registers |= {
+            faults.POWER_CYCLE: 0, faults.LOCAL: 0,
+            faults.CISTERN_LEVEL: round(level / faults.LEVEL_UNIT),
+        }
+        device = Device(self.drive.registers, self.drive.write, self._hears)
+        self.servers.append(
+            Server(own, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
+        )
+
+    @property
+    def place(self) -> str:
+        """Where the drive is; behind a gateway if it has no Ethernet port of its own."""
+        address = replace(self.servers[0].address, gateway=self._reached.gateway)
+        end = self._line.ends[1] if self._line is not None else address
+        return f"drive {end}, device {self._device_id}"
+
+    def inject(self, name: str, parameter: int) -> bool:
+        """Let a fault stand, of the wire or of the drive."""
+        codes = [faults.DEFAULT, *ExcCodes]
+        if name in ("exception", "refused_writes") and parameter not in codes:
+            return False
+        super().inject(name, parameter)
+        self.drive.inject(name, self.fault.parameter)
+        return True
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Let time pass until the end."""
+        if self._line is not None:
+            self._line.join()
+        while not ended.is_set():
+            self.drive.advance()
+            # The drive's port is open while it has power and does not refuse.
+            await self.servers[0].be_open(self._answers)
+            await asyncio.sleep(_STEP_S)
+
+    @property
+    def _answers(self) -> bool:
+        return self.drive.answers and self.fault.name != "refused"
+
+    def _hears(self, register: int) -> bool:
+        if self._answers:
+            self.drive.heard()
+        return self._answers
+
+    def look(self) -> Mapping[int, int]:
+        """Return the registers of the workbench, the true speed among them."""
+        self.drive.advance()
+        return self.registers | {faults.SPEED: round(self.drive.speed / faults.SPEED_UNIT)}
+
+    def adjust(self, register: int, value: int) -> None:
+        """Cut the power, or take the drive over at its panel."""
+        if register == faults.POWER_CYCLE and value:
+            self.drive.power_cycle()
+        elif register == faults.LOCAL:
+            self.drive.take_over(bool(value))
+        if register != faults.POWER_CYCLE:
+            self.registers[register] = value

@@ -15,7 +15,7 @@ from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.server import NO_LINE, Bench, Device, Server
+from greenroof_ros.simulators.server import Bench, Device, Server
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
 _LOOKS = 20
@@ -72,7 +72,7 @@ class SiteBench(Bench):
         self.tick, self.pumped = 0, 0.0
         self._sensors: dict[str, Sensor] = {tank: getattr(sensors, tank) for tank in TANKS}
         self._drive = None if drive is None else ModbusLine(
-            drive, port=0, device_id=faults.DEVICE_ID, serial=NO_LINE, timeout_s=_DRIVE_ANSWERS_S
+            drive, port=0, device_id=faults.DEVICE_ID, timeout_s=_DRIVE_ANSWERS_S
         )
         self._drive_gone, self._output = False, output
         self._tick_s = site.tau / factor
@@ -85,7 +85,7 @@ class SiteBench(Bench):
         for address, tanks in places.items():
             devices = {device_id: self._device(each) for device_id, each in tanks.items()}
             line = self._sensors[next(iter(tanks.values()))[0]].serial
-            self.servers.append(Server(parse_address(address), line, devices))
+            self.servers.append(Server(parse_address(address), devices, line))
 
     def _device(self, tanks: Sequence[str]) -> Device:
         """Return the device that the sensors of some tanks are."""

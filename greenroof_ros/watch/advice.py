@@ -143,7 +143,7 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
     (r"pump: .*", r"without a break", _OF["longest_run"]),
     (r"pump: .*", r"in this day", _OF["daily_volume"]),
     (
-        r"pump: limits", r"are owed",
+        r"pump: limits", r"are outstanding",
         "The pump lags behind what is asked for, since it may not start more often. Nothing to do "
         "if this passes within the hour.",
     ),

@@ -13,12 +13,12 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup.__main__ import make_parser
+from greenroof_ros.bringup.__main__ import make_parser, simulated_run
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import live_site
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
-from greenroof_ros.bringup.simulated import simulated_run
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.processes import take_lock
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
@@ -285,15 +285,9 @@ def test_a_drive_of_another_program_is_left_to_it(
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one: another domain would not tell them apart."""
-    import fcntl
-
     (tmp_path / "live").mkdir()
-    number = os.open(tmp_path / "live", os.O_RDONLY)
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX)
+    with take_lock(tmp_path / "live" / "bringup.lock"):
         done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
-    finally:
-        os.close(number)
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"

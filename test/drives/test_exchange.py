@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
+from greenroof_ros.drives.drive import DriveInUseError, DriveLock, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
     DriveExchange,
@@ -225,7 +226,7 @@ def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence
         wait(lambda: drive.values[4] == 10000)
 
 
-def test_one_lost_answer_does_not_stop_the_pump(
+def test_one_lost_answer_does_not_stop_the_pump_and_close_connects_once_more_to_stop(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
     run_at_half(exchange, drive, hand)
@@ -236,12 +237,6 @@ def test_one_lost_answer_does_not_stop_the_pump(
     wait(lambda: exchange.snapshot.problem == "")
     assert exchange.snapshot.connected and wire.connections == 1
     assert OFF not in drive.written
-
-
-def test_close_connects_once_more_to_stop(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    run_at_half(exchange, drive, hand)
     wire.answer = lambda _request: None
     wire.drop()
     wait(lambda: not exchange.snapshot.connected)
@@ -259,21 +254,6 @@ def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> No
         assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
         with closing(Wire(drive, port)):
             wait(lambda: exchange.snapshot.connected, seconds=5.5)
-
-
-def test_the_timeout_of_another_port_guards_nothing(
-    file: DriveFile, drive: Registers, wire: Wire
-) -> None:
-    """ABB's embedded fieldbus is serial: an Ethernet port is an adapter's, with 50.02 and 50.03."""
-    with driving(file, wire.at) as exchange:
-        wait(lambda: exchange.snapshot.connected)
-        now = exchange.snapshot
-        assert not now.timeout_known and now.timeout_s is None
-        assert "1234" in now.identity
-        for words in ("abb_acs880.yaml", "timeout.tcp", "gateway://HOST:PORT"):
-            assert words in now.timeout_note
-        asked = {frame[-8:-4] for frame in wire.frames if frame[14:16] == "03"}
-        assert not asked & {"16b5", "16b7"}  # neither 58.14 nor 58.16 was read
 
 
 def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
@@ -438,20 +418,14 @@ def silences(times: list[float]) -> list[float]:
     return [gap for gap in gaps if gap > 1.0]
 
 
-@pytest.mark.parametrize(
-    ("timeout", "silence"), [(15, 2.5), (None, 1.8)], ids=["its own timeout", "the limit"]
-)
 def test_a_drive_that_refuses_to_stop_is_left_in_silence(
-    file: DriveFile, drive: Registers, wire: Wire, timeout: int | None, silence: float
+    file: DriveFile, drive: Registers, wire: Wire
 ) -> None:
-    """Its own timeout, 58.16, is 1.5 s, or unknown, and the limit 0.8 s; the margin is 1 s.
+    """Its own timeout, 58.16, is unknown, and the limit 0.8 s; the margin is 1 s.
 
     Closed in a silence it tries once more, and ends.
     """
-    if timeout is None:
-        del drive.values[5815]
-    else:
-        drive.values[5815] = timeout
+    del drive.values[5815]
     times: list[float] = []
     with closing(made(file, wire.gateway, timeout_limit_s=0.8)) as exchange, closing(
         Hand(exchange, None)
@@ -459,7 +433,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
         run_at_half(exchange, drive, hand)
         drive.written.clear()
         wire.answer = refusing(drive, times)
-        wait(lambda: f"so nothing is sent for {silence} s" in exchange.snapshot.problem)
+        wait(lambda: "so nothing is sent for 1.8 s" in exchange.snapshot.problem)
         assert "refused with exception 6" in exchange.snapshot.problem
         assert exchange.snapshot.state is State.SILENT
         assert not exchange.snapshot.connected and exchange.snapshot.status is None
@@ -470,7 +444,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
             time.sleep(0.3)
         exchange.reset()
         wait(lambda: len(silences(times)) == 2, seconds=8)
-        assert min(silences(times)) >= silence
+        assert min(silences(times)) >= 1.8
         assert wire.connections == connections + 2  # one attempt after each silence
         wire.answer = drive
         wait(lambda: exchange.snapshot.connected, seconds=5)
@@ -506,74 +480,57 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("soon")
-def test_a_drive_that_runs_on_is_left_in_silence(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+@pytest.mark.parametrize(
+    ("says", "left_for"),
+    [
+        # It says from now on that it is off, as after OFF1, and turns all the same.
+        ({3: 0x1231, 4: 10000}, re.escape(f"{ACKNOWLEDGES} (it is 50.0%)")),
+        # -32768 of 20000 is no speed.
+        ({3: 0x1231, 4: 0x8000}, "register 400005.* is -32768.*; its speed cannot be read.*, "
+         r"although \*stop\* is written"),
+        # Without bit 9 a person at the panel has it, and sees to it.
+        ({3: 0x1031, 4: 0x8000}, ""),
+    ],
+    ids=["runs on", "no speed", "no speed, in local control"],
+)
+def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, says: dict[int, int],
+    left_for: str,
 ) -> None:
     """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
     drive.values[5815] = 15
     times: list[float] = []
     run_at_half(exchange, drive, hand)
     wire.answer = refusing(drive, times, refuses=False)
-    # It says from now on that it is off, as after OFF1, and turns all the same.
-    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 10000})
+    drive.on_write = lambda _address, _word: drive.values.update(says)
     hand.speed = None
-    # Who asks for it sees the cause before the silence.
-    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
-    assert exchange.snapshot.state is State.STOPPING and not silences(times)
-    assert exchange.snapshot.connected
-    wait(lambda: f"{ACKNOWLEDGES} (it is 50.0%), so nothing is sent for 2.5 s"
-         in exchange.snapshot.problem)
+    if says[4] == 10000:  # who asks for it sees the cause before the silence
+        wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
+        assert exchange.snapshot.state is State.STOPPING and not silences(times)
+    if not left_for:
+        time.sleep(4.0)
+        assert "nothing is sent" not in exchange.snapshot.problem
+        assert max(silences(times), default=0.0) < 2.5
+        return
+    wait(lambda: re.search(f"{left_for}, so nothing is sent for 2.5 s", exchange.snapshot.problem))
     assert "two connections" not in exchange.snapshot.problem
     assert not exchange.snapshot.connected and exchange.snapshot.status is None
-    drive.written.clear()
-    wait(lambda: exchange.snapshot.connected)
-    assert drive.written[0] == OFF
-    assert len(silences(times)) == 1 and silences(times)[0] >= 2.5
-    # It obeys again.
-    drive.values.update({3: 0x1231, 4: 0})
-    drive.on_write = lambda _address, _word: None
-    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
-    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
-
-
-@pytest.mark.usefixtures("soon")
-@pytest.mark.parametrize(
-    ("word", "left"), [(0x1231, True), (0x1031, False)], ids=["on the bus", "in local control"]
-)
-def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, word: int, left: bool
-) -> None:
-    """-32768 of 20000 is no speed. Without bit 9 a person at the panel has it, and sees to it."""
-    drive.values[5815] = 15
-    times: list[float] = []
-    run_at_half(exchange, drive, hand)
-    wire.answer = refusing(drive, times, refuses=False)
-    drive.on_write = lambda _address, _word: drive.values.update({3: word, 4: 0x8000})
-    hand.speed = None
-
-    def is_left() -> bool:
-        return "so nothing is sent for 2.5 s" in exchange.snapshot.problem
-
-    if not left:
-        with pytest.raises(AssertionError, match="did not come"):
-            wait(is_left, seconds=4.0)
-        return
-    wait(is_left)
-    for words in (
-        "(register 400005) is -32768", "its speed cannot be read", "although *stop* is written"
-    ):
-        assert words in exchange.snapshot.problem
-    count = len(times)
-    wait(lambda: len(times) > count)
-    assert times[count] - times[count - 1] >= 2.5
     assert drive.written[-1] in (OFF, (1, 0))
+    drive.written.clear()
+    # It obeys again.
+    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 0})
+    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
+    assert drive.written[0] == OFF
+    # Where no speed is read connections are lost before, with shorter waits.
+    assert silences(times)[-1] >= 2.5 and (says[4] != 10000 or len(silences(times)) == 1)
+    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
 
 
 # --- whether a drive obeys, by a clock of the test's own ------------------------------------------
 
 
-class Told:
-    """Tells a drive to stop ten times a second, and listens to what it says."""
+class Stopping:
+    """Writes *stop* ten times a second, and listens to what the drive says."""
 
     def __init__(self) -> None:
         self.now, self.obedience, self.faults = 0.0, Obedience("there"), set[str]()
@@ -587,7 +544,7 @@ class Told:
         until = self.now + seconds
         while self.now < until:
             self.now += 0.1
-            self.obedience.told_to_stop(self.now)
+            self.obedience.stop_written(self.now)
             said = speed(self.now)
             try:
                 if said is None:
@@ -615,48 +572,48 @@ class Told:
 
 def test_a_ramp_however_slow_is_obedience() -> None:
     """1 % in 9 s; then noise at rest."""
-    told = Told()
-    told.listen(900, lambda now: max(0.019, 1.0 - 0.01 * (now // 9)))
-    assert told.faults == {""} and not told.left
+    stopping = Stopping()
+    stopping.listen(900, lambda now: max(0.019, 1.0 - 0.01 * (now // 9)))
+    assert stopping.faults == {""} and not stopping.left
 
 
 def test_one_that_runs_on_is_left_after_it_could_be_seen_and_again_after_a_minute() -> None:
-    told = Told()
-    told.listen(200, lambda _now: 0.5)
-    assert told.faults == {"", ACKNOWLEDGES.replace("1 s", "10 s")}
-    assert [round(at, -1) for at, _ in told.left] == [10, 80, 140]
-    assert 12 < told.left[0][0] < 12.5
-    assert told.left[0][1].endswith("not fallen for 10 s (it is 50.0%)")
+    stopping = Stopping()
+    stopping.listen(200, lambda _now: 0.5)
+    assert stopping.faults == {"", ACKNOWLEDGES.replace("1 s", "10 s")}
+    assert [round(at, -1) for at, _ in stopping.left] == [10, 80, 140]
+    assert 12 < stopping.left[0][0] < 12.5
+    assert stopping.left[0][1].endswith("not fallen for 10 s (it is 50.0%)")
 
 
 def test_what_is_known_of_the_speed_outlives_connections_that_break() -> None:
-    told = Told()
-    while not told.left and told.now < 60:
-        told.listen(0.7, lambda _now: 0.5)
-        told.lose()
-    assert 12 < told.left[0][0] < 20 and "has not fallen" in told.left[0][1]
+    stopping = Stopping()
+    while not stopping.left and stopping.now < 60:
+        stopping.listen(0.7, lambda _now: 0.5)
+        stopping.lose()
+    assert 12 < stopping.left[0][0] < 20 and "has not fallen" in stopping.left[0][1]
 
 
 @pytest.mark.parametrize("way", ["stood", "was run", "in local control"])
 def test_one_that_stood_or_was_run_or_is_a_persons_begins_anew(way: str) -> None:
-    told = Told()
-    told.listen(9.5, lambda _now: 0.5)
+    stopping = Stopping()
+    stopping.listen(9.5, lambda _now: 0.5)
     if way == "was run":
-        told.obedience.forget()
+        stopping.obedience.forget()
     else:
-        told.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
-    told.lose()
-    told.listen(9.5, lambda _now: 0.5)
-    told.listen(60, lambda _now: 0.5, remote=False)
-    assert told.faults == {""} and not told.left
+        stopping.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
+    stopping.lose()
+    stopping.listen(9.5, lambda _now: 0.5)
+    stopping.listen(60, lambda _now: 0.5, remote=False)
+    assert stopping.faults == {""} and not stopping.left
 
 
 def test_one_whose_speed_cannot_be_read_is_left_and_again_after_a_minute() -> None:
-    told = Told()
-    told.listen(5, lambda _now: 0.0)
-    told.listen(100, lambda _now: None)
-    assert [round(at, -1) for at, _ in told.left] == [20, 80]
-    assert told.left[0][1].startswith("; its speed cannot be read")
+    stopping = Stopping()
+    stopping.listen(5, lambda _now: 0.0)
+    stopping.listen(100, lambda _now: None)
+    assert [round(at, -1) for at, _ in stopping.left] == [20, 80]
+    assert stopping.left[0][1].startswith("; its speed cannot be read")
 
 
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
@@ -708,44 +665,45 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- where time is not real -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("answers", [True, False])
+SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
+
+
+@pytest.mark.parametrize("before", ["the simulator", "another", "a silent one"])
 def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, answers: bool
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, before: str
 ) -> None:
-    """Though it ran; and one that does not answer that question is as little run."""
-    wire.answer = lambda request: drive(request) if answers or request[7] != 43 else []
-    run_at_half(exchange, drive, hand)
-    exchange.only_simulator()
-    assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
+    """Though it ran; one that does not answer that question is as little run.
+
+    Each connection may lead to another one.
+    """
+
+    def answer(request: bytes) -> Any:
+        if request[7] != 43 or before == "another":
+            return drive(request)
+        body = request[6:7] + SIMULATOR
+        whole = request[:4] + len(body).to_bytes(2, "big") + body
+        return [(0.0, whole)] if before == "the simulator" else []
+
+    wire.answer = answer
+    if before == "the simulator":
+        exchange.only_simulator()
+        run_at_half(exchange, drive, hand)
+        assert exchange.snapshot.no_simulator == ""
+        wire.answer = drive
+        wire.drop()
+        wait(lambda: exchange.snapshot.no_simulator)
+        wait(lambda: drive.values[0] == 0x047E)
+    else:
+        run_at_half(exchange, drive, hand)
+        exchange.only_simulator()
+        assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
     drive.written.clear()
     wait(lambda: len(drive.written) > 5)
     assert RUN not in drive.written
     assert exchange.snapshot.no_simulator != ""
-    if answers:
-        assert "does not identify itself" in exchange.snapshot.unguarded
-
-
-def test_the_simulator_is_asked_again_on_each_connection(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    names = b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
-
-    def answer(request: bytes) -> Any:
-        body = request[6:7] + bytes.fromhex("2b0e0101000002") + names
-        head = request[:4] + len(body).to_bytes(2, "big")
-        return [(0.0, head + body)] if request[7] == 43 else drive(request)
-
-    wire.answer = answer
-    exchange.only_simulator()
-    run_at_half(exchange, drive, hand)
-    assert exchange.snapshot.no_simulator == ""
-    wire.answer = drive
-    wire.drop()
-    wait(lambda: exchange.snapshot.no_simulator)
-    wait(lambda: drive.values[0] == 0x047E)
-    drive.written.clear()
-    wait(lambda: len(drive.written) > 5)
-    assert RUN not in drive.written
+    assert before == "a silent one" or (
+        "does not identify itself" in exchange.snapshot.unguarded
+    )
 
 
 # --- two drivers ----------------------------------------------------------------------------------
@@ -763,7 +721,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(
     time.sleep(1.5)
     assert not exchange.snapshot.connected and exchange.snapshot.errors == 1
     # The supervisor's stop goes by, where that one is its own.
-    with pytest.raises(HeldError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
         stop_drive(file, parse_address(wire.at), driver=1)
     assert wire.connections == 0
     assert str(stop_drive(file, parse_address(wire.at), driver=os.getpid())) == "speed 0.0%, off"
@@ -785,7 +743,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(file: DriveFile, tmp_path
         for name in ("ttyUSB0,1", "by-id,2")
     )
     one.take()
-    with pytest.raises(HeldError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
         two.take()
     one.release()
     two.take()
@@ -797,6 +755,8 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
     """Nobody's process has it, so that its file is nobody's; then root takes it over."""
     port = free_ports(1)[0]
     lock = DriveLock(file, parse_address(f"tcp://localhost:{port}"))
+    lock.take()  # what that imports nobody may not be able to read
+    lock.release()
     ours, theirs = os.pipe()
     ready, said = os.pipe()
     child = os.fork()
@@ -809,6 +769,7 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
             os.read(ours, 1)
         finally:
             os._exit(0)
+    os.close(said)
     assert os.read(ready, 1) == b"x"
     with pytest.raises(DriveError, match=f"process {child} of this machine"):
         lock.take()
@@ -816,7 +777,7 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
     os.waitpid(child, 0)
     lock.take()
     lock.release()
-    for each in (ours, theirs, ready, said):
+    for each in (ours, theirs, ready):
         os.close(each)
 
 

@@ -163,11 +163,6 @@ def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
 @pytest.mark.parametrize(
     ("changes", "line", "said"),
     [
-        (
-            ["scale: 0.0001 ", "scal: 0.0001 "], 16,
-            "cistern.scal = 0.0001: is no key here; did you mean scale?",
-        ),
-        (["  kind: input ", "  kind: coil "], 14, "cistern.kind = 'coil': must be one of input"),
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["type: uint16", "type: uint32"], None, "word_order: must be 'high first' or 'low"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
@@ -175,8 +170,6 @@ def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give the"),
         (["5031", "5030"], 27, "roof.register = 0: is the cistern's: both sensors would be"),
-        (["  period: 1.0", "  period: 0"], 22, "cistern.period = 0: must be from 0.05 to 3600"),
-        (["roof:", "roofs:"], 24, "roofs"),
         # One process for each sensor, and one alone can open the line, by whichever of its names.
         (
             ["tcp://127.0.0.1:5030", "/dev/ttyS0", "tcp://127.0.0.1:5031", "LINK"], 25,
@@ -187,6 +180,7 @@ def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
 def test_a_wrong_file_is_refused_with_line_key_and_value(
     tmp_path: Path, changes: list[str], line: int | None, said: str
 ) -> None:
+    """What any file may have wrong, as an unknown key, test_drive_files.py shows."""
     link, text = tmp_path / "line", SHIPPED
     link.symlink_to("/dev/ttyS0")
     for old, new in zip(changes[::2], changes[1::2], strict=True):

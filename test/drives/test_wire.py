@@ -208,13 +208,6 @@ def test_start_stop_and_reset(name: str) -> None:
     follow(name, STOPS[name].rstrip() + RESETS[name], Drive.reset)
 
 
-def test_a_refused_step_of_the_stop_does_not_keep_the_next_from_being_written() -> None:
-    refuses("abb_acs880", """
-OFF1          : 06 0000 047E -> 86 06 : busy
-no speed      : 06 0001 0000
-""", Drive.stop, "answer", "writing 0x047E to register 0: refused with exc")
-
-
 # --- what it says ---------------------------------------------------------------------------------
 
 READS: list[tuple[str, str, dict[str, Any]]] = [
@@ -400,16 +393,6 @@ def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
         follow(name, "", Drive.timeout)
 
 
-@pytest.mark.parametrize("rpm", [0, 1, 299, 7201, 0xFFFF])
-def test_a_rated_speed_that_cannot_be_is_refused(rpm: int) -> None:
-    """NSP 9604 (0x2584) of 1 rpm would make any speed the least, of 65535 rpm the greatest."""
-    refuses("schneider_atv630", f"""
-ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
-RFRD          : 03 219C 0001 -> 03 02 02EE : 750
-NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
-""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
-
-
 # --- serial line ----------------------------------------------------------------------------------
 
 def test_check_is_that_of_a_manual() -> None:
@@ -535,18 +518,6 @@ def test_a_connection_without_an_answer_is_reset() -> None:
     assert ended == ["reset"]
 
 
-def test_a_connection_is_watched_by_the_kernel() -> None:
-    """Timer 2 of /proc/net/tcp, keepalive, runs while nothing is sent: proc_net_tcp.txt."""
-    with closing(Wire(lambda _request: [])) as wire:
-
-        def look(_drive: Drive) -> list[str]:
-            lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-            return [line[5][:2] for line in lines if line[2].endswith(f":{wire.port:04X}")
-                    and line[3] == "01"]
-
-        assert talk("abb_acs880", wire.at, look) == ["02"]
-
-
 def test_nobody_there() -> None:
     wire = Wire(lambda _request: [])
     wire.close()
@@ -555,11 +526,35 @@ def test_nobody_there() -> None:
     assert got.value.kind == "connection"
 
 
-def test_a_speed_that_cannot_be() -> None:
-    refuses("abb_acs880", """
-              : 03 0003 0001 -> 03 02 1337
-              : 03 0004 0001 -> 03 02 7FFF
-""", Drive.read, "answer", r"register 400005\) is 32767: 1.63835 share")
+REFUSED: list[tuple[str, str, Task, str, str]] = [
+    ("abb_acs880", """
+400004        : 03 0003 0001 -> 03 02 1238 : tripped
+04.01         : 03 0190 0001 -> 03 02 6681
+""", run, "drive", "fault: EFB communication loss"),
+    # A refused step does not keep the next one from being written.
+    ("abb_acs880", """
+OFF1          : 06 0000 047E -> 86 06 : busy
+no speed      : 06 0001 0000
+""", Drive.stop, "answer", "writing 0x047E to register 0: refused with exc"),
+    ("abb_acs880", """
+400004        : 03 0003 0001 -> 03 02 1337
+400005        : 03 0004 0001 -> 03 02 7FFF
+""", Drive.read, "answer", r"register 400005\) is 32767: 1.63835 share"),
+    # NSP 9604 (0x2584) of 1 rpm would make any speed the least, of 65535 rpm the greatest.
+    *(("schneider_atv630", f"""
+ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
+RFRD          : 03 219C 0001 -> 03 02 02EE : 750
+NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
+""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
+      for rpm in (0, 299, 7201, 0xFFFF)),
+]
+
+
+@pytest.mark.parametrize(("name", "dialogue", "task", "kind", "says"), REFUSED)
+def test_what_cannot_be_done_or_believed(
+    name: str, dialogue: str, task: Task, kind: str, says: str
+) -> None:
+    refuses(name, dialogue, task, kind, says)
 
 
 def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
@@ -580,13 +575,6 @@ def test_an_own_file_may_begin_its_speeds_at_0(tmp_path: Path) -> None:
               : 03 0003 0001 -> 03 02 1231
 -1 count      : 03 0004 0001 -> 03 02 FFFF
 """, Drive.read).speed == 0
-
-
-def test_a_fault_keeps_it_from_running() -> None:
-    refuses("abb_acs880", """
-              : 03 0003 0001 -> 03 02 1238 : tripped
-04.01         : 03 0190 0001 -> 03 02 6681
-""", run, "drive", "fault: EFB communication loss")
 
 
 def test_local_control_is_named() -> None:

@@ -16,7 +16,7 @@ from cases import Case
 from graphs import Process, own_domain
 from players import HOSTILE, HUGE, OFF_S, ON_S, Players
 from rig import FullDiskRig, Rig, SiteRig, pump_node, wait, write_forecast
-from truth import STANDS
+from truth import AT_REST
 from watcher import Watcher
 
 from greenroof_ros.common.interface import read_topics
@@ -80,7 +80,7 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
         case "power cycle, then kill":
             truth.inject_drive("power_cycle")
             rig.drive.powered_at = time.monotonic()
-            wait(lambda: truth.speed <= STANDS, 10, "a drive that loses power")
+            wait(lambda: truth.speed <= AT_REST, 10, "a drive that loses power")
             wait(rig.runs, 90, "a pump that runs again")
             rig.main.process.kill()
         case "drive":
@@ -161,8 +161,8 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
         undo.callback(truth.take_over, False)
     elif case.target.startswith("runs_on"):
         truth.inject_drive("runs_on", case.parameter)
-        rig.watcher.hold(True)
-        undo.callback(rig.watcher.hold, False)
+        rig.watcher.stop(True)
+        undo.callback(rig.watcher.stop, False)
         undo.callback(truth.inject_drive, "none")
     elif case.target == "timeout_off":
         # It is read with each new connection.
@@ -180,14 +180,14 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
 
 def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
     """Let the motor run whatever it is told, or again after it stood; then it can be stopped."""
-    undo.callback(rig.watcher.hold, False)
-    undo.callback(wait, lambda: rig.truth.speed <= STANDS, 8, "a pump that can be stopped stands")
+    undo.callback(rig.watcher.stop, False)
+    undo.callback(wait, lambda: rig.truth.speed <= AT_REST, 8, "a pump that can be stopped stands")
     undo.callback(rig.truth.inject_drive, "none")
     if case.target != "contactor":
         rig.truth.inject_drive(case.target)
-    rig.watcher.hold(True)
+    rig.watcher.stop(True)
     if case.target == "contactor":
-        wait(lambda: rig.truth.speed <= STANDS, 10, "a pump that is held stands")
+        wait(lambda: rig.truth.speed <= AT_REST, 10, "a pump that is stopped stands")
         rig.truth.inject_drive("stuck_running", 8000)
 
 

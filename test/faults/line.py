@@ -7,7 +7,7 @@ import threading
 
 from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.server import NO_LINE, Device, Server, StandingFault
+from greenroof_ros.simulators.server import Device, Server, StandingFault
 
 
 class Line:
@@ -15,12 +15,12 @@ class Line:
 
     def __init__(self, port: int, behind: int) -> None:
         self._behind = ModbusLine(
-            Address("127.0.0.1", behind), port=0, device_id=1, serial=NO_LINE, timeout_s=0.2
+            Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
         )
         self._fault = StandingFault()
         self._level: dict[int, int] = {}
         device = Device(lambda: self._level, hears=self._ask)
-        self._server = Server(Address("127.0.0.1", port), NO_LINE, {1: device}, self._fault)
+        self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()

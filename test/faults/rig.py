@@ -22,7 +22,7 @@ from graphs import Process, alive, free_ports
 from line import Line
 from places import CONFIG, guarding
 from players import TRUE, Players, Relay
-from truth import STANDS, Truth
+from truth import AT_REST, Truth
 from watcher import Watcher
 
 from greenroof_ros.common.interface import read_topics
@@ -286,9 +286,9 @@ class Rig:
             wrong.append(f"process {pid} is left")
             os.kill(pid, signal.SIGKILL)
         until = time.monotonic() + 2 * RAMP_S
-        while self.truth.speed > STANDS and time.monotonic() < until:
+        while self.truth.speed > AT_REST and time.monotonic() < until:
             time.sleep(0.05)
-        if self.truth.speed > STANDS and self.drive.process.process.poll() is None:
+        if self.truth.speed > AT_REST and self.drive.process.process.poll() is None:
             wrong.append(f"the pump runs on at {self.truth.speed:.2f}")
         if "Traceback" in self.main.stderr():
             wrong.append("a traceback in what was printed")

@@ -19,8 +19,9 @@ _PERIOD_S = 0.05
 _KEPT = 7200
 # How far back a pump without a break is looked for (s).
 _LOOK_BACK_S = 15.0
-# Below it the motor stands (share of rated speed).
-STANDS = 0.005
+# Below it the motor is at rest (share of rated speed). It is less than the speed up to which a pump
+# stands for its driver, since a true speed has no noise.
+AT_REST = 0.005
 # Above it it runs.
 TURNS = 0.1
 
@@ -93,7 +94,7 @@ class Truth:
 
     def stood_at(self, since: float) -> float | None:
         """Return when the pump first stood after a time; None if it has not."""
-        return next((at for at, speed in self._from(since) if speed <= STANDS), None)
+        return next((at for at, speed in self._from(since) if speed <= AT_REST), None)
 
     def turned(self, since: float, until: float) -> float:
         """Return the greatest speed between two times."""

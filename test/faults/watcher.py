@@ -214,7 +214,7 @@ class Watcher:
         """Call ~/reset of the pump node and return its answer; empty where there was none."""
         return self._call(self._reset, Trigger.Request(), seconds)
 
-    def hold(self, on: bool, seconds: float = 5.0) -> str:
+    def stop(self, on: bool, seconds: float = 5.0) -> str:
         """Call ~/stop of the pump node."""
         return self._call(self._stop, SetBool.Request(data=on), seconds)
 

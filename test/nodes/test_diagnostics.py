@@ -49,9 +49,11 @@ def check(arrays: list[DiagnosticArray]) -> None:
             assert status.message
             values = {entry.key: entry.value for entry in status.values}
             assert len(values) == len(status.values)
-            # What is not well has a code for programs; a node's own values are JSON.
+            # What is not well, or waits, has a code for programs; a node's own values are JSON.
             code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
-            assert (code in CONDITIONS and bool(since)) == (status.level != OK), status
+            waits = ": " not in status.name and status.level == OK and status.message == "starting"
+            assert (code in CONDITIONS and bool(since)) == (status.level != OK or waits), status
+            assert (code == "peers_awaited") == waits
     codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
     assert len(codes) == len(names) and "" not in codes
 

@@ -132,14 +132,8 @@ def test_frozen() -> None:
 
 def test_jump() -> None:
     """It rises by at most 1 mm/s: in 10 s from 1.5 m to 1.51 m, and 2 cm beyond are tolerated."""
-    for values, broken in (
-        ({0.0: 1.5, 10.0: 1.529}, ["", ""]),
-        ({0.0: 1.5, 10.0: 1.531, 11.0: 1.531}, ["", "jump", ""]),
-        # And falls by 2 mm/s at most: to 1.48 m, less 2 cm.
-        ({0.0: 1.5, 10.0: 1.461}, ["", ""]),
-        ({0.0: 1.5, 10.0: 1.459}, ["", "jump"]),
-    ):
-        assert rules_of(values, InputRules(0.0, 60.0, 0.0, level=level_rule())) == broken
+    rules = InputRules(0.0, 60.0, 0.0, level=level_rule())
+    assert rules_of({0.0: 1.5, 10.0: 1.531, 11.0: 1.531}, rules) == ["", "jump", ""]
     level = level_rule()
     level.came(0.0, 0.5)
     assert level.came(10.0, 0.459).why == (
@@ -200,19 +194,6 @@ def test_any_step_beyond_is_a_jump(passed: float, beyond: float, up: bool) -> No
     rules.came(0.0, 20.0)
     step = passed * 0.001 + 0.02 + beyond if up else -(passed * 0.002 + 0.02 + beyond)
     assert rule(rules.came(passed, 20.0 + step)) == "jump"
-
-
-@given(times=st.lists(st.floats(0.0, 4.9), min_size=1, max_size=30), bad=st.integers(0, 29))
-def test_it_is_good_only_after_the_recovery_time(times: list[float], bad: int) -> None:
-    """However values come: never good sooner than 10 s after the last that was refused."""
-    rules = InputRules(0.0, limit=5.0, recovery=10.0)
-    now, last = 0.0, 0.0
-    for index, passed in enumerate(times):
-        now += passed
-        if index == bad:
-            last = now
-        if rules.came(now, 1.0, "was refused" if index == bad else "").good:
-            assert now - last >= 10.0
 
 
 def test_speeds_of_the_paper_s_site() -> None:

@@ -50,20 +50,6 @@ def test_a_pulse_in_words() -> None:
         ("running", "a pulse, since the command is below the least flow"),
         ("stopping", "the next pulse is not due yet"),
     }
-    rig.run(600, 0.1)
-    assert "m3 are owed, more than a least pulse" in rig.decisions[-1].warning
-
-
-def test_it_stays_on_for_its_least_time() -> None:
-    """Of 60 s, though the command goes back to 0 after five: at the least flow, and then off."""
-    rig = Rig(settings=settings_for(PAPER_SITE, least_on=60.0))
-    started = next(second for second in range(60) if rig.step(0.5).speed is not None)
-    rig.run(5, 0.5)
-    rig.run(100, 0.0)
-    later = rig.decisions[started + 6 :]
-    assert [one.why for one in later[:54]] == ["it stays on for at least 60 s"] * 54
-    assert later[54].speed is None
-    assert later[54].why == "the command is 0"
 
 
 def test_a_full_roof() -> None:
@@ -169,13 +155,7 @@ def test_the_first_fault_stays_until_it_is_reset_and_a_stop_until_it_is_released
     assert decision.why == (
         "an operator stopped it; no connection to the drive; whether the pump stands is not known"
     )
-    rig.change = {"drive_fault": "overload"}
-    decision = rig.run(20, 0.5)
-    assert (decision.state, decision.why) == (
-        "fault", "the drive reports: overload; an operator stopped it"
-    )
     rig.change = {}
-    rig.control.reset()
     assert rig.run(600, 0.5).why == "an operator stopped it"
     rig.control.stop(False)
     assert rig.step(0.5).speed is not None
@@ -289,6 +269,9 @@ def test_a_drive_has_its_own_time() -> None:
          "computed from the speed"),
         ({"speed": None}, 0.0, "unknown, taken as 0"),
         ({"speed": 0.0, "flow": 0.003}, 0.003, "flow meter"),
+        # A meter that gives litres.
+        ({"flow": 5.7, "speed": 0.8}, 0.00609864, "computed from the speed"),
+        ({"flow": 5.7, "drive_flow": 0.004}, 0.004, "the drive's own"),
     ],
 )
 def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source: str) -> None:
@@ -300,19 +283,10 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     decision = rig.step(0.5)
     assert decision.flow == pytest.approx(flow, abs=5e-9)
     assert decision.source == source
-
-
-def test_a_flow_beyond_the_pump_is_not_believed() -> None:
-    """A meter that gives litres: 5.7 instead of 0.0057 m3/s."""
-    rig = Rig(x1=70.0)
-    rig.change = {"flow": 5.7}
-    decision = rig.run(60, 0.5)
-    assert (decision.source, decision.warning) == (
-        "computed from the speed",
-        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most",
+    assert decision.warning == (
+        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most"
+        if change.get("flow") == 5.7 else ""
     )
-    rig.change = {"flow": 5.7, "drive_flow": 0.004}
-    assert rig.step(0.5).source == "the drive's own"
 
 
 def test_no_flow_once_the_pump_stands() -> None:
@@ -422,15 +396,6 @@ def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> N
     least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, run.x1)
     assert simulated > 0.04
     assert rig.delivered == pytest.approx(simulated, abs=max(0.01 * simulated, least_pulse))
-
-
-def test_least_speed_of_the_drive() -> None:
-    """It is the pulses' speed where it delivers more than the least flow."""
-    rig = Rig(settings=settings_for(PAPER_SITE, least_speed=0.8))
-    rig.run(600, 0.3)
-    speeds = {one.speed for one in rig.decisions} - {None}
-    assert sorted(speeds) == pytest.approx([0.8] * len(speeds))
-    assert speeds
 
 
 ANYTHING = st.none() | st.floats() | st.floats(0, 1)

@@ -214,10 +214,10 @@ def test_a_drive_that_is_not_there_and_one_that_somebody_has(wire: Wire) -> None
             why = absence(third, "already")
             assert on_pump("drive", why).startswith("Another program on this computer"), why
         finally:
-            third._exchange.close()
+            third.exchange.close()
     finally:
         for one in (first, second):
-            one._exchange.close()
+            one.exchange.close()
 
 
 # --- sensors and the weather ----------------------------------------------------------------------

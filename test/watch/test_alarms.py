@@ -399,7 +399,7 @@ def test_the_order_of_alarms() -> None:
         other,
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
         *node("/recorder", "recorder", ("recording", ERROR, "nothing is recorded: full")),
-        *node("/pump", "pump", ("limits", WARN, "5 m3 are owed"),
+        *node("/pump", "pump", ("limits", WARN, "5 m3 are outstanding"),
               ("pump", WARN, f"held: {STOPPED}")),
     ])
     assert present(alarms) == [

@@ -60,7 +60,7 @@ def test_alarms_come_and_go_and_stop_holds(domain: int, tmp_path: Path) -> None:
         time.sleep(5.0)  # it commands again
         page.wait_for_selector(held)
         assert rig.truth.speed < 0.005
-        assert rig.watcher.hold(False)
+        assert rig.watcher.stop(False)
         rig.until_running()
         page.wait_for_selector(".tile[data-key=pump][data-state=running]")
         watch.process.terminate()

@@ -261,7 +261,7 @@ def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
     one.add_statuses(100.2, lost, START + 5 * SECOND)
     one.add_statuses(100.3, lost, 2**62)
     hear(one, 7, 8, QUIET)
-    one.add_statuses(100.4, [Status("/pump: limits", 1, "5 m3 are owed", "host 7")])
+    one.add_statuses(100.4, [Status("/pump: limits", 1, "5 m3 are outstanding", "host 7")])
     document = shown(one)
     since = {row["id"]: row["since_text"] for row in document["alarms"]}
     assert since == {"/pump: drive": "00:00:05", "/pump: limits": "00:00:07"}
@@ -691,7 +691,7 @@ def with_pump(one: Watched, wall: float, state: str, **said: Any) -> dict[str, A
     pump = node("pump", pump=state, **said)
     part = replace(pump, name="/pump: pump", level=1, message=state, values={})
     one.add_statuses(wall, [
-        pump, part, replace(part, name="/pump: limits", message="3 m3 are owed"),
+        pump, part, replace(part, name="/pump: limits", message="3 m3 are outstanding"),
     ])
     return shown(one, wall)
 

@@ -1,0 +1,142 @@
+"""Plans that are made in perfect knowledge of the weather, carried out in the exact plant."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import command_to, maximum_pump_flow
+from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+from greenroof_ros.model.soil import soil_of
+
+Values = NDArray[np.float64]
+Wanted = Callable[[int, float, float], float]
+
+# Of the recursion: length of a step (s), at most so many of them, for the memory of their levels,
+# and nodes below and above the target.
+_STEP_S, _MOST_STEPS = 300.0, 10_000
+_NODES = 3000, 1000
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedOut:
+    """A plan that was run through the exact plant.
+
+    Attributes:
+        total_m3: total deviation (m3, summed over the ticks).
+        pumped_m3: volume pumped.
+        flows: of the pumps in each tick (m3/s), shape (N,).
+        commands: share of the maximum flow, likewise (1).
+    """
+
+    total_m3: float
+    pumped_m3: float
+    flows: Values
+    commands: Values
+
+
+def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
+    """Run a plan through the exact plant, whatever errors the run has of sensor and pumps.
+
+    Args:
+        run: weather, site, initial state and length; its controller and forecast do not matter.
+        wanted: returns what the roof is to hold at the end of a tick (m3), by the tick's index and
+            what cistern and roof hold (m3).
+        max_command: largest command (share of the maximum flow).
+    """
+    # Without a forecast, which takes its time to make.
+    run = replace(
+        run, sensor_pump_errors=SensorPumpErrors(), forecast=PerfectForecast(run.series, run.site.M)
+    )
+    plan, metrics = _Plan(run, wanted, max_command), Metrics()
+    flows, commands = array("d"), array("d")
+    for tick in closed_loop(run, plan, metrics):
+        plan.tick = tick.k + 1
+        flows.append(tick.flows.pump)
+        commands.append(tick.command)
+    return CarriedOut(
+        metrics["total_deviation_m3"], metrics["pumped_m3"],
+        *(np.frombuffer(values)[: run.steps] for values in (flows, commands)),
+    )
+
+
+def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
+    """Carry out the plan of ``lookahead``'s recursion for a run whose whole weather is known.
+
+    It is :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` over the run, whose end is the
+    end of all, in steps of five minutes, or of a ten-thousandth of a long run. It keeps the soil as
+    it is. So its total is the upper side of the least that is possible, on every site.
+
+    Args:
+        run: as for :func:`carry_out`.
+        max_command: largest command (share of the maximum flow).
+    """
+    site, n = run.site, run.steps
+    block = max(1, round(_STEP_S / site.tau), -(-n // _MOST_STEPS))
+    starts = np.arange(0, n, block)
+    rain, evaporated, frost = (
+        np.add.reduceat(np.frombuffer(series[:n]), starts) / np.diff(starts, append=n)
+        for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
+    )
+    flow = max_command * maximum_pump_flow(site, run.x1) * (1 - frost)
+    program = OrderUpTo(site, site.tau * np.append(starts, n), fine=_NODES)
+    policy = program.solve(
+        run.x1, run.x2, rain[None], evaporated, flow, np.zeros((1, len(starts)), dtype=np.intp)
+    )
+
+    def wanted(k: int, x1: float, x2: float) -> float:
+        stored = program.stored(x1, x2) if len(policy.water) > 1 else 0.0
+        level = float(policy.level(min(k // block, len(starts) - 1), 0, x2, stored))
+        return level - BELOW_M3 if level >= x2 else -math.inf
+
+    return carry_out(run, wanted, max_command)
+
+
+class _Plan:
+    """Pumps what brings the roof to the volume that is planned for the next tick.
+
+    Attributes:
+        tick: the present one; whoever runs the plan keeps it.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+
+    def __init__(self, run: Run, wanted: Wanted, max_command: float) -> None:
+        self.tick = 0
+        self._site, self._soil = run.site, soil_of(run.site)
+        self._wanted = wanted
+        self._max_command = max_command
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Decide from the levels (m) and the present weather, the first of the forecast."""
+        site = self._site
+        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
+        command = command_to(
+            site, self._soil, x1, x2, self._wanted(self.tick, x1, x2), precipitation[0],
+            evapotranspiration[0],
+        )
+        return min(command, self._max_command)
+
+    def skip(self) -> None:
+        """Do nothing: whoever runs the plan keeps the tick."""
+
+    def statistics(self) -> None:
+        """It solves nothing while it runs."""
