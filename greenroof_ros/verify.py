@@ -27,8 +27,7 @@ from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
 from greenroof_ros.verification.pairs import Class, Sum, tally
 from greenroof_ros.verification.scores import Tally
 from greenroof_ros.verification.table import csv_text, terminal_table
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\

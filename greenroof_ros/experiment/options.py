@@ -24,12 +24,12 @@ from greenroof_ros.forecast.choice import (
     MODELS,
     NUMBERS,
     OPTIONS,
-    SERVICE_DELAY_H,
     ForecastChoice,
     check_skill,
     choose,
 )
 from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -41,8 +41,7 @@ from greenroof_ros.model.initial_state import (
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.filling import GAPS, REFUSE
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 
 _PARAMETER = "parameter_"  # begins the names of the controller's parameters among the arguments
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
-from greenroof_ros.formats.issue import SERVICE_DELAY_H as SERVICE_DELAY_H
 from greenroof_ros.formats.reading import SUFFIXES
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 

@@ -51,9 +51,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.formats.issue import Archive, Issue
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, QUANTITIES, Archive, Issue
 from greenroof_ros.formats.table import Table, numbered_lines, read_table
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, refuse_between_hours

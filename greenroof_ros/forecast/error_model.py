@@ -26,8 +26,13 @@ from numpy.typing import NDArray
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.climate import NormalRecords
 from greenroof_ros.forecast.skill import Skill
-from greenroof_ros.formats.issue import ISSUE_HOURS, newest_issue
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.records import (
+    EVAPOTRANSPIRATION,
+    ISSUE_HOURS,
+    PRECIPITATION,
+    QUANTITIES,
+    newest_issue,
+)
 from greenroof_ros.weather.series import Weather, records_at
 
 Array = NDArray[np.float64]

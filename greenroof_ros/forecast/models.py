@@ -1,6 +1,6 @@
 """Models of hourly forecasts.
 
-When they are issued, :mod:`greenroof_ros.formats.issue` says; a perfect forecast has no
+When they are issued, :mod:`greenroof_ros.formats.records` says; a perfect forecast has no
 issues, and a file has its own. The present hour is observed, not forecast;
 :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
 """
@@ -20,8 +20,15 @@ from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.formats.issue import SERVICE_DELAY_H, Archive, Issue, newest_issue
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION
+from greenroof_ros.formats.records import (
+    EVAPOTRANSPIRATION,
+    HOUR,
+    PRECIPITATION,
+    SERVICE_DELAY_H,
+    Archive,
+    Issue,
+    newest_issue,
+)
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, records_at, refuse_between_hours
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.issue import Archive, Issue
-from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 

@@ -57,13 +57,16 @@ from greenroof_ros.common.times import (
     parse_time,
     to_minutes,
 )
-from greenroof_ros.formats.issue import ISSUE_HOURS, SERVICE_DELAY_H, Archive, Issue
 from greenroof_ros.formats.records import (
     FOR_EVAPOTRANSPIRATION,
     HOUR,
+    ISSUE_HOURS,
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
+    SERVICE_DELAY_H,
+    Archive,
+    Issue,
     Records,
     join,
 )

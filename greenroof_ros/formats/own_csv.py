@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.issue import Archive, Issue
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
     PRECIPITATION,
     QUANTITIES,
     TEMPERATURE,
+    Archive,
+    Issue,
     Records,
 )
 from greenroof_ros.formats.table import Table, numbered_lines, read_table

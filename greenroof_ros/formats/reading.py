@@ -11,8 +11,7 @@ from typing import TypeAlias, TypeVar
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import caspar, eccc, open_meteo, own_csv
-from greenroof_ros.formats.issue import Archive, Issue
-from greenroof_ros.formats.records import Records
+from greenroof_ros.formats.records import Archive, Issue, Records
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json", ".nc")

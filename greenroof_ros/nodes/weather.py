@@ -26,20 +26,19 @@ from greenroof_ros.forecast.choice import (
     MODELS,
     NUMBERS,
     OPTIONS,
-    SERVICE_DELAY_H,
     ForecastChoice,
     check_skill,
     choose,
 )
-from greenroof_ros.forecast.live_dressing import LiveDressing
 from greenroof_ros.forecast.live_forecast import (
     ForecastFile,
+    LiveDressing,
     LiveForecast,
     NoForecastError,
-    Outlook,
 )
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.resampling import Outlook, make_forecast
 from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.link import LinkedNode
@@ -51,8 +50,7 @@ from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.filling import GAPS, REFUSE
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 _FROST = "/weather/frost"

@@ -47,8 +47,7 @@ from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.filling import GAPS, REFUSE
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")

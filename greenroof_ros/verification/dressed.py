@@ -12,8 +12,7 @@ from rich.table import Table
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing
-from greenroof_ros.formats.issue import Archive
-from greenroof_ros.formats.records import HOUR
+from greenroof_ros.formats.records import HOUR, Archive
 from greenroof_ros.verification.scores import fair_crps
 from greenroof_ros.weather.series import Weather
 

@@ -14,8 +14,7 @@ from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.models import make_model
-from greenroof_ros.formats.issue import ISSUE_HOURS, Issue
-from greenroof_ros.formats.records import HOUR
+from greenroof_ros.formats.records import HOUR, ISSUE_HOURS, Issue
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, refuse_between_hours
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.issue import Issue
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, Records, name_hours
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, Issue, Records, name_hours
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import FAO56, why_missing
 from greenroof_ros.weather.filling import REFUSE, suspicious_rain

@@ -20,13 +20,11 @@ import numpy as np
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.dressing import learn
-from greenroof_ros.formats.issue import Archive
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR
+from greenroof_ros.formats.records import HOUR, Archive
 from greenroof_ros.model.site import read_site
 from greenroof_ros.verification.dressed import worth
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather
 
 

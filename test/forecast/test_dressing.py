@@ -21,8 +21,7 @@ from greenroof_ros.forecast.dressing import (
     learn,
     read_dressing,
 )
-from greenroof_ros.formats.issue import Archive, Issue
-from greenroof_ros.formats.records import Records
+from greenroof_ros.formats.records import Archive, Issue, Records
 from greenroof_ros.verification.dressed import worth
 from greenroof_ros.weather.series import Weather
 

@@ -13,8 +13,12 @@ from paper import PAPER_SITE
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
-from greenroof_ros.forecast.live_dressing import LiveDressing
-from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.live_forecast import (
+    ForecastFile,
+    LiveDressing,
+    LiveForecast,
+    NoForecastError,
+)
 from greenroof_ros.formats.own_csv import read_forecasts
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"

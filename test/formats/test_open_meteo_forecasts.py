@@ -18,8 +18,8 @@ from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.issue import Archive
 from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import Archive
 
 BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"

@@ -41,11 +41,11 @@ from greenroof_ros.common.files import shared_directory  # noqa: E402
 from greenroof_ros.controllers.registry import find_controller  # noqa: E402
 from greenroof_ros.experiment.closed_loop import closed_loop  # noqa: E402
 from greenroof_ros.experiment.run import build_run, count_ticks  # noqa: E402
-from greenroof_ros.forecast.choice import SERVICE_DELAY_H, choose  # noqa: E402
+from greenroof_ros.forecast.choice import choose  # noqa: E402
 from greenroof_ros.forecast.dressing import dressing_text, learn  # noqa: E402
-from greenroof_ros.formats.issue import Archive  # noqa: E402
 from greenroof_ros.formats.own_csv import write_forecasts  # noqa: E402
 from greenroof_ros.formats.reading import read_archive  # noqa: E402
+from greenroof_ros.formats.records import SERVICE_DELAY_H, Archive  # noqa: E402
 from greenroof_ros.model.initial_state import initial_state  # noqa: E402
 from greenroof_ros.model.metrics import Metrics  # noqa: E402
 from greenroof_ros.model.site import Site, edited, read_site  # noqa: E402

@@ -15,8 +15,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.model.site import read_site
-from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TORONTO = read_site(CONFIG / "site.yaml")
