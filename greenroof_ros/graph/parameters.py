@@ -226,7 +226,7 @@ def _sections(
         else:
             raise ConfigurationError(
                 f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
-                file=file, line=content.lines[name], value=part,
+                file=file, line=content.lines[name], value=None if part == "" else part,
                 key=f"{section}: {name}" if section else name,
             )
 
