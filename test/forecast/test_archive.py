@@ -136,15 +136,6 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
     )
 
 
-def test_choices(tmp_path: Path) -> None:
-    """Files by their ending, directories by being there or by the last character."""
-    for text in ("a.csv", "a.JSON", "b/a.nc", "later/", str(tmp_path)):
-        choice = choose(text)
-        assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
-        assert choice.takes == ("delay",)
-    assert replace(choice, delay=3.0).options() == {"delay": 3.0}
-
-
 def test_a_run_by_an_archive(tmp_path: Path) -> None:
     """A directory of runs is carried into the run's own, where the graph reads it again."""
     source = write_runs(tmp_path / "runs")

@@ -212,7 +212,6 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         "HRDPS_P_PR_SFC: must be the sum since the issue; it falls by 2 mm to 2 h after it",
     ),
     "hole": ({"sums": [0.0, np.nan, 0.001]}, "HRDPS_P_PR_SFC: is missing 1 h after the issue"),
-    "nothing": ({"sums": [0.0, np.nan]}, "HRDPS_P_PR_SFC: is missing 1 h after the issue"),
     "millimetres": (
         {"sums": [0.0, 1.0, 3.0]},
         "HRDPS_P_PR_SFC: must be 0 to 500 mm/h, not 1000 before 1 h after the issue",
@@ -222,32 +221,9 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         "time: must have further hours, 1 to 6 from each to the next after 4",
     ),
     "first": ({"sums": [0.0]}, "time: must have further hours, 1 to 6 from each to the next"),
-    "order": (
-        {"hours": [0, 1, 2, 2, 4, 5]},
-        "time: must have further hours, 1 to 6 from each to the next after 2",
-    ),
     "longer time": (  # of a dimension of its own: the last sums would be those of the first hours
         {"edit": instead("time", range(9), ["later"])},
         "time: must have the dimension time, not (later)",
-    ),
-    "one time": (
-        {"edit": instead("time", 1, [])}, "time: must have the dimension time, not ()",
-    ),
-    "infinite time": (
-        {"edit": instead("time", [0, 1, 2, 3, np.inf, np.inf])},
-        "time[4] = inf: must be finite, and a number of 32 bits",
-    ),
-    "text of time": (
-        {"edit": instead("time", np.array([*"012345"], dtype=object), datatype=str)},
-        "time: must be of a type of numbers, such as float or int",
-    ),
-    "text of places": (
-        {"edit": instead("lat", LATITUDES.astype(str).astype(object), datatype=str)},
-        "lat: must be of a type of numbers, such as float or int",
-    ),
-    "text of sums": (
-        {"edit": instead(RAIN, np.full((6, 3, 4), "0", dtype=object), datatype=str)},
-        f"{RAIN}: must be of a type of numbers, such as float or int",
     ),
     "letters of sums": (
         {"edit": instead(RAIN, np.full((6, 3, 4), b"0"), datatype="S1")},
@@ -269,33 +245,13 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"edit": instead("lat", np.where(LATITUDES < 43.65, LATITUDES, np.nan))},
         "lat: must have degrees from -90 to 90 for every point of the grid, and one point or more",
     ),
-    "no longitude": (
-        {"edit": instead("lon", LONGITUDES - 360)},
-        "lon: must have degrees from -360 to 360 for every point of the grid, and one point or m",
-    ),
     "places turned": (  # as many points, in another order
         {"edit": instead("lat", np.tile([43.62, 43.63, 43.64, 43.65], (3, 1)).T, ["rlon", "rlat"])},
         f"{RAIN!r}: {PLACES}(rlon, rlat) and longitude (rlat, rlon) have them, not (time, rlat, rl",
     ),
-    "places in a row": (
-        {"edit": instead("lat", LATITUDES[0], ["rlon"])},
-        f"{RAIN!r}: {PLACES}(rlon) and longitude (rlat, rlon) have them, not (time, rlat, rlon)",
-    ),
-    "sums without places": (
-        {"edit": instead(RAIN, SUMS, ["time"])},
-        f"{RAIN!r}: {PLACES}(rlat, rlon) and longitude (rlat, rlon) have them, not (time)",
-    ),
     "packed": (
         {"edit": attribute(RAIN, "scale_factor", "a tenth")},
         f"{RAIN}:scale_factor = 'a tenth': must be a number",
-    ),
-    "two offsets": (
-        {"edit": lambda dataset: dataset["time"].setncattr("add_offset", [0.0, 1.0])},
-        "time:add_offset = '[0. 1.]': must be a number",
-    ),
-    "units in numbers": (
-        {"edit": lambda dataset: dataset[RAIN].setncattr("units", [1, 2])},
-        f"{RAIN}:units = '[1 2]': must be 'm', of the sum since the issue",
     ),
 }
 
