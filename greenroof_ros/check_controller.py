@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import command
+from greenroof_ros.common.command_line import Finding, command, print_findings
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.findings import Finding, print_findings
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import command, within
+from greenroof_ros.common.command_line import command, print_findings, within
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.findings import print_findings
 from greenroof_ros.graph.domain import no_ros
 from greenroof_ros.model.site import read_site
 

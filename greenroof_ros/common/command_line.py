@@ -10,7 +10,8 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
@@ -182,3 +183,35 @@ def namespace(text: str) -> str:
 
 # argparse puts it into its message
 namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of one check.
+
+    Attributes:
+        check: what the part must do.
+        problem: what this one does instead; empty where it is right.
+        came: what it did, where that is right and worth a number.
+    """
+
+    check: str
+    problem: str
+    came: str = ""
+
+
+def print_findings(title: str, findings: Sequence[Finding]) -> int:
+    """Print findings as a table, and return the exit code: whether all is right."""
+    from rich.console import Console  # most commands print none
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for name in ("check", "result"):
+        table.add_column(name)
+    for finding in findings:
+        right = f"right: {finding.came}" if finding.came else "right"
+        table.add_row(finding.check, finding.problem or right)
+    Console().print(table)
+    failed = [finding for finding in findings if finding.problem]
+    print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")
+    return EXIT_FAILED if failed else EXIT_DONE

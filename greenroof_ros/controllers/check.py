@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.command_line import Finding
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice

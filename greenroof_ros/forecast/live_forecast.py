@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from greenroof_ros.common.disk import Kept
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.kept import Kept
 from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.dressing import dress_issue, dressing_text, read_dressing

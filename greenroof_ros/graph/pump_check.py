@@ -18,8 +18,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
 
+from greenroof_ros.common.command_line import Finding
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor

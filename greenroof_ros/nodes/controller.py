@@ -20,9 +20,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.disk import Kept
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.common.kept import Kept
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide

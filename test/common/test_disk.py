@@ -1,13 +1,20 @@
-"""The thread that writes: in order, with limited room, and without a mistake ending it."""
+"""What a thread writes: in order, in limited room, on a disk that works, hangs or is full."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
+import time
 from functools import partial
+from pathlib import Path
 
 import pytest
+from places import CHECKOUT
 
-from greenroof_ros.common.disk import DiskThread
+from greenroof_ros.common.disk import DiskThread, Kept
+from greenroof_ros.common.errors import ConfigurationError
 
 TOO_LONG_S = 60
 
@@ -52,3 +59,88 @@ def test_a_mistake_in_one_job_ends_no_other(capfd: pytest.CaptureFixture[str]) -
     disk.do(newest.write)
     assert disk.wait(TOO_LONG_S) and newest.written == [0]
     assert "ValueError" in capfd.readouterr().err
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    """By the next process; before the first there is nothing."""
+    file = tmp_path / "site" / "numbers.json"
+    kept = Kept(file)
+    assert kept.read() == {}
+    kept.write({"a": 1.5, "b": -0.1})
+    kept.close()
+    assert kept.problem == ""
+    assert Kept(file).read() == {"a": 1.5, "b": -0.1}
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[1.0]", '{"a": "1.0"}', '{"a": NaN}', '{"a": true}', "\0\1"]
+)
+def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "numbers.json"
+    file.write_text(content)
+    with pytest.raises(ConfigurationError, match=r"numbers\.json"):
+        Kept(file).read()
+
+
+def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
+    """A pipe that nobody reads: the end waits two seconds, and what is newest is written later."""
+    os.mkfifo(tmp_path / "numbers.part")
+    kept = Kept(tmp_path / "numbers.json")
+    began = time.monotonic()
+    kept.write({"a": 1.0})
+    kept.write({"a": 2.0})
+    assert kept.problem == "" and time.monotonic() - began < 1.0
+    kept.close()
+    assert time.monotonic() - began < 5.0
+    time.sleep(max(0.0, began + 2.5 - time.monotonic()))
+    assert kept.problem == "the disk takes nothing"
+    woken = (tmp_path / "numbers.part").rename(tmp_path / "pipe")
+    with woken.open() as pipe:  # the disk wakes up
+        assert '"a": ' in pipe.read()
+    kept.close()
+    assert kept.read() == {"a": 2.0} and kept.problem == ""
+
+
+def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
+    """Within what its end waits for at most, two seconds, and what a busy machine takes."""
+    os.mkfifo(tmp_path / "numbers.part")
+    program = (
+        "import sys; from pathlib import Path; from greenroof_ros.common.disk import Kept; "
+        "kept = Kept(Path(sys.argv[1])); kept.write({'a': 1.0}); kept.close()"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "numbers.json")]
+    assert subprocess.run(command, cwd=CHECKOUT, timeout=20).returncode == 0
+
+
+def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or a power cut may leave the name with nothing behind it."""
+    file = tmp_path / "numbers.json"
+    file.write_text('{"a": 1.0}')
+    seen = []
+
+    def fsync(number: int) -> None:
+        part = tmp_path / "numbers.part"
+        assert part.samefile(f"/dev/fd/{number}")
+        seen.append((part.read_text(), file.read_text()))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    kept = Kept(file)
+    kept.write({"a": 2.0})
+    kept.close()
+    assert seen == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
+    assert kept.read() == {"a": 2.0}
+
+
+def test_what_went_wrong_is_said(tmp_path: Path) -> None:
+    """As long as it is so; the next writing is tried again."""
+    (tmp_path / "state").write_text("a file where a directory is due")
+    kept = Kept(tmp_path / "state" / "numbers.json")
+    kept.write({"a": 1.0})
+    kept.close()
+    assert "File exists" in kept.problem or "Not a directory" in kept.problem
+    (tmp_path / "state").unlink()
+    kept.write({"a": 2.0})
+    kept.close()
+    assert kept.problem == ""
