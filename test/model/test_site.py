@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given
-from paper import PAPER_SITE, TABLE_I, sites
+from paper import PAPER_SITE, TABLE_I, paper_run, sites
+from studies import GRID, grid
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.site import Site, edited, read_site
+from greenroof_ros.study.grid import read_grid
 
 MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
@@ -381,3 +384,18 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
         write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
         assert refusal(child).startswith(str(tmp_path / reason))
+
+
+def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:
+    """Elsewhere the file that it extends is not beside it."""
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: site_catchment.yaml\na1: 50.0\ninitial_cistern: 42.5\n")
+    run = paper_run("--controller", "onoff", "--hours", "1", "--site", str(file))
+    directory = make_run_directory(tmp_path / "run", "onoff")
+    write_configuration(directory, run, {})
+    assert read_site(directory / "configuration" / "site.yaml") == read_site(file)
+    text = GRID.replace(str(shared_directory() / "config" / "site.yaml"), "mine.yaml")
+    (carried,) = {case.site for case in read_grid(tmp_path / grid(tmp_path, text))}
+    copy = tmp_path / "copy.yaml"
+    copy.write_bytes(carried.content)
+    assert b"extends" not in carried.content and read_site(copy) == read_site(file)
