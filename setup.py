@@ -58,7 +58,8 @@ setup(
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={f"{NAME}.report": ["*.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.calibration": ["page.html"], f"{NAME}.verification": ["page.html"]},
+                  f"{NAME}.calibration": ["page.html", "findings.yaml"],
+                  f"{NAME}.verification": ["page.html", "findings.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -74,6 +75,7 @@ setup(
         "mcap>=1.5,<2",  # writes and reads bags; 1.5 has Writer.flush; brings zstandard
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
+        "ruamel.yaml>=0.17.21,<0.20",  # edits site files, and keeps their comments and numbers
         "rich>=13,<16",  # progress bar and tables on the terminal
     ],
     extras_require={

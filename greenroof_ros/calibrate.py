@@ -3,52 +3,46 @@
 from __future__ import annotations
 
 import argparse
-import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from greenroof_ros.calibration.bag_record import read_bag_record
+from greenroof_ros.calibration.checks import FINDINGS, check_fit, check_record, level_sensor
 from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.dry_nights import dry_nights
-from greenroof_ros.calibration.fit import Fit, fit, measured_roof
-from greenroof_ros.calibration.halves import Halves, halve
-from greenroof_ros.calibration.months import Months, counted
-from greenroof_ros.calibration.pump import fit_pump
-from greenroof_ros.calibration.record import Record
-from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
-from greenroof_ros.calibration.sentences import (
-    of_months,
-    of_pump,
-    of_sensor,
-    of_sheet,
-    of_target,
+from greenroof_ros.calibration.fit import Fit, fit, measured_roof, reachable_target
+from greenroof_ros.calibration.pumps import fit_pumps
+from greenroof_ros.calibration.record import (
+    Halves,
+    Record,
+    Steps,
+    comparable,
+    halve,
+    in_months,
+    month_numbers,
 )
+from greenroof_ros.calibration.scores import PARTS, ScoreRow, score, time_name
 from greenroof_ros.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
-    fitted_site_file,
-    pump_site_file,
-    refuse_other_forms,
-    refuse_unlike,
+    Entry,
+    edited_site_file,
+    fit_entries,
+    sheet_entries,
 )
-from greenroof_ros.calibration.storms import comparable
-from greenroof_ros.calibration.suspicions import refuse_wrong
-from greenroof_ros.calibration.target import reachable_target
-from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.progress_lines import ProgressLines
+from greenroof_ros.common.output import refuse_unwritable
+from greenroof_ros.common.progress_bar import progress_bar
+from greenroof_ros.common.quality import Finding, Severity, accept
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
-from greenroof_ros.model.site import Site, edited, read_site
+from greenroof_ros.model.site import Site, read_site
 
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
@@ -70,6 +64,9 @@ like these, in which empty cells and missing rows are gaps:
   temperature                  degC; or least temperature and greatest temperature of the day
 
 The model knows no snow: where winters were recorded, say which months count, as in --months 4-10.
+
+What cannot be true is refused, with its code and its figures; --accept CODE has it fitted all the
+same, with a warning: a dead sensor (sensor-dead), a wrong unit (unit-error) and so on.
 
 Written are the site file, and a page beside it with its name and .html. With --pump-data and no
 MEASURED the site file alone, with the pumps of the data sheet.
@@ -112,6 +109,11 @@ def make_parser() -> argparse.ArgumentParser:
         help="months of the record that are fitted and judged, such as 4-10, or 11-3 over new "
         "year; the others are simulated only (default: all)",
     )
+    parser.add_argument(
+        "--accept", nargs="+", default=[], choices=FINDINGS.refusals, metavar="CODE",
+        help="fit what is refused with these codes, with a warning: "
+        + ", ".join(FINDINGS.refusals),
+    )
     return parser
 
 
@@ -121,56 +123,33 @@ def main() -> int:
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
-    _check_output(output, page_file)
+    refuse_unwritable(output, (".yaml", ".yml"), "--output")
+    refuse_unwritable(page_file, (".html",), "--output")
     if arguments.measured is None and arguments.pump_data is None:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
-    months = None if arguments.months is None else Months(arguments.months)
+    if arguments.months is not None:
+        month_numbers(arguments.months)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     site = read_site(site_file)
-    refuse_other_forms(site_file)
-    text = edited(site_file, {})
+    findings = []
     sheet = None
-    notes = []
     if arguments.pump_data is not None:
-        source = arguments.pump_data.name
         sheet = _read_sheet(arguments.pump_data, site)
-        notes.append(of_sheet(sheet))
-        site = replace(site, a_hat=sheet.a_hat, c_hat=sheet.c_hat)
-        heading = [f"Pumps fitted to {source} by greenroof calibrate."]
-        pumps_text = pump_site_file(text, sheet, heading)
-        refuse_unlike(pumps_text, site, site_file)
-    if arguments.measured is not None:
-        if months is not None:
-            notes.append(of_months(months))
-        fitted, fitted_text, page_text = _fit(
-            arguments.measured, months, measured_roof(site), sheet, text, notes
-        )
-        refuse_unlike(fitted_text, fitted.site, site_file)
-        page_file.write_text(page_text, encoding="utf-8")
-        output.write_text(fitted_text, encoding="utf-8")
-        written = f"{output}, {page_file}"
+        findings.append(FINDINGS.make("data-sheet", "curve", "data sheet", **sheet._asdict()))
+        site = replace(site, **sheet._asdict())
+    if arguments.measured is None:
+        assert sheet is not None
+        heading = [f"Pumps fitted to {arguments.pump_data.name} by greenroof calibrate."]
+        texts = {output: edited_site_file(site_file, sheet_entries(sheet), heading)}
+        _print(findings)
     else:
-        _print_notes(notes)
-        output.write_text(pumps_text, encoding="utf-8")
-        written = str(output)
+        text, page = _calibrate(arguments, site_file, site, sheet, findings)
+        texts = {page_file: page, output: text}
+    for file, text in texts.items():
+        file.write_text(text, encoding="utf-8")
+    written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
-
-
-def _check_output(output: Path, page_file: Path) -> None:
-    """Refuse, before minutes of a fit, where its files could not be written."""
-    if output.suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(
-            "must be the name of a file that ends in .yaml", key="--output", value=str(output)
-        )
-    if not (output.parent.is_dir() and os.access(output.parent, os.W_OK)):
-        raise ConfigurationError(
-            "must be in a directory that exists and can be written to", key="--output",
-            value=str(output),
-        )
-    for file in (output, page_file):
-        if file.exists():
-            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
 
 
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
@@ -188,119 +167,118 @@ def _read_sheet(file: Path, site: Site) -> PumpCurve:
     return sheet
 
 
-def _fit(
-    measured: Path, months: Months | None, site: Site, sheet: PumpCurve | None, text: str,
-    notes: Sequence[str],
-) -> tuple[Fit, str, str]:
-    """Fit a record, print what was found, and return it with the texts of site file and page.
+def _calibrate(
+    arguments: argparse.Namespace, site_file: Path, site: Site, sheet: PumpCurve | None,
+    findings: Sequence[Finding],
+) -> tuple[str, str]:
+    """Fit a record, print what was found, and return the texts of site file and page.
 
     Args:
-        measured: the record.
-        months: of it that count; None for all.
-        site: where the fit begins.
-        sheet: what was fitted to the pumps' data sheet before.
-        text: of the site file.
-        notes: what is to be said of the fit already.
+        arguments: of the command line.
+        site_file: that the fit begins with.
+        site: its site, with the pumps of the data sheet.
+        sheet: what was fitted to the data sheet before.
+        findings: of the fit, so far.
     """
     with in_extra("study"):
-        from greenroof_ros.calibration import figures, page
+        from greenroof_ros.calibration.page import render
+    measured: Path = arguments.measured
+    months: str | None = arguments.months
 
     def read(site: Site) -> Record:
         if measured.is_dir():
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months)
 
+    findings = [*findings]
+    if months is not None:
+        findings.append(FINDINGS.make("months", "counted", "months", months=months))
+    site = measured_roof(site)
     record = read(site)
-    counts = counted(record, months)
-    pump = fit_pump(site, record.only(counts))
-    if pump is not None:
-        site = pump.site
+    counts = in_months(record, months)
+    pumps = fit_pumps(site, record.only(counts))
+    site = pumps.site
+    if pumps.parameters:
         record = read(site)  # the pumps' state is now another flow
     seen = record.only(counts)
-    refuse_wrong(seen, site)
+    doubts = accept([*pumps.findings, *check_record(seen, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, halves)
-    with _Bar() as bar:
-        fitted = fit(site, record, halves.earlier, bar.tell)
-    fitted = fitted._replace(site=reachable_target(fitted.site))
-    notes = [*notes]
-    if fitted.site.z_veg != site.z_veg:
-        notes.append(of_target(site, fitted.site))
-    if record.level is not None:
-        notes.append(of_sensor(dry_nights(seen, fitted.simulated.level)))
-    if record.command is not None and record.cistern is not None:
-        notes.append(of_pump(pump))
-    if pump is not None:
-        fitted = fitted._replace(parameters=[*fitted.parameters, *pump.parameters])
-    spans = {
-        part: _span(record, steps)
-        for part, steps in zip(("fit", "validation"), halves, strict=True)
-    }
-    rows = [
-        ScoreRow(name, part, _scores(record, fitted, name, steps))
-        for name in record.measured
-        for part, steps in zip(("fit", "validation"), halves, strict=True)
-    ]
-    refuse_hopeless(record, rows)
-    wrong = warning(rows)
-    heading = [
-        line for one in (*_heading(record, spans, rows), *notes, wrong)
-        for line in textwrap.wrap(one, 98)
-    ]
-    fitted_text = fitted_site_file(text, site, fitted, heading, sheet)
-    page_text = page.render(
-        seen, fitted, rows, figures.make_figures(record, halves, fitted), fitted_text, spans,
-        notes, wrong,
+    with progress_bar() as tell:
+        fitted = fit(site, record, halves.earlier, tell)
+    fitted = fitted._replace(
+        site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
-    _print(fitted, rows)
-    _print_notes(notes)
-    if wrong:
-        Console().print(wrong, style="bold", soft_wrap=True, highlight=False)
-    return fitted, fitted_text, page_text
+    rows = _score(record, fitted, halves)
+    doubts += accept(check_fit(rows), arguments.accept, measured)
+    if fitted.site.z_veg != site.z_veg:
+        findings.append(FINDINGS.make(
+            "target", "moved", "target", was=site.z_veg, now=fitted.site.z_veg,
+            holds=fitted.site.roof_level(fitted.site.z_cap),
+        ))
+    if record.level is not None:
+        findings.append(level_sensor(seen, fitted.simulated.level))
+    findings += doubts
+    spans = {part: _span(record, steps) for part, steps in zip(PARTS, halves, strict=True)}
+    entries: Mapping[str, Entry] = fit_entries(fitted, site.z_veg, sheet)
+    text = edited_site_file(site_file, entries, _heading(measured, spans, rows, findings))
+    page = render(seen, halves, fitted, rows, text, spans, findings)
+    _print_fit(fitted, rows)
+    _print(findings)
+    return text, page
 
 
 def _refuse_dry(record: Record, halves: Halves) -> None:
     """Refuse a record of which a half has nothing measured, or no water."""
     for part, steps in zip(("first", "second"), halves, strict=True):
-        moved = any(np.ptp(series[steps]) > 0 for series in record.measured.values()
-                    if np.any(steps))
-        if not moved:
+        if not steps.any() or all(np.ptp(one[steps]) == 0 for one in record.measured.values()):
             raise ConfigurationError(
                 f"in the {part} half of its rain nothing that was measured changes; a longer "
                 "record, with dry days in it, is needed", file=record.source,
             )
 
 
-def _scores(record: Record, fitted: Fit, name: str, steps: NDArray[np.bool_]) -> Scores:
-    simulated = getattr(fitted.simulated, name)
-    return score(
-        name, simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
-    )
+def _score(record: Record, fitted: Fit, halves: Halves) -> list[ScoreRow]:
+    """Return the scores of everything that was measured, in each half."""
+    return [
+        ScoreRow(name, part, score(
+            name, getattr(fitted.simulated, name)[steps], measured[steps], record.seconds[steps],
+            record.step_s,
+        ))
+        for name, measured in record.measured.items()
+        for part, steps in zip(PARTS, halves, strict=True)
+    ]
 
 
-def _span(record: Record, steps: NDArray[np.bool_]) -> str:
-    times = record.times[steps]
-    return " to ".join(str(time)[:16].replace("T", " ") for time in (times[0], times[-1]))
+def _span(record: Record, steps: Steps) -> str:
+    first, last = np.flatnonzero(steps)[[0, -1]]
+    return " to ".join(record.time(int(step))[:16] for step in (first, last))
 
 
-def _heading(record: Record, spans: dict[str, str], rows: Sequence[ScoreRow]) -> list[str]:
+def _heading(
+    measured: Path, spans: Mapping[str, str], rows: Collection[ScoreRow],
+    findings: Sequence[Finding],
+) -> list[str]:
     """Return what stands at the top of the site file."""
     lines = [
-        f"Fitted to {record.source.name} by greenroof calibrate.",
+        f"Fitted to {measured.name} by greenroof calibrate.",
         f"Fit: {spans['fit']}; validation: {spans['validation']}.",
     ]
     for row in rows:
         nse = ", ".join(
             f"{value:.2f} ({time_name(over_s)})" for over_s, value in row.scores.nse.items()
         )
-        line = f"{row.quantity}, {row.part}: NSE {nse}"
-        if row.quantity == "runoff":
-            line += f"; volume {100 * row.scores.volume_error:+.1f} %"
-        lines.append(f"{line}.")
-    return [*lines, INTERVAL_NOTE]
+        volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
+        lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
+    lines += [INTERVAL_NOTE, *(one.text for one in findings)]
+    return [line for one in lines for line in textwrap.wrap(one, 98)]
 
 
-def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
+def _volume(row: ScoreRow) -> str:
+    return f"{100 * row.scores.volume_error:+.1f} %" if row.quantity == "runoff" else ""
+
+
+def _print_fit(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
     """Print parameters and scores."""
     table = Table(title="Parameters", title_justify="left")
     for name in ("parameter", "value", "95 % interval", ""):
@@ -314,10 +292,10 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
     for name in (*(f"NSE {time_name(time)}" for time in times), "KGE 1 day", "volume"):
         scores.add_column(name, justify="right")
     for row in rows:
-        values = [f"{row.scores.nse[time]:.3f}" for time in times]
-        values.append(f"{row.scores.kge[times[-1]]:.3f}")
-        error = f"{100 * row.scores.volume_error:+.1f} %" if row.quantity == "runoff" else ""
-        scores.add_row(f"{row.quantity}, {row.part}", *values, error)
+        values = [*(row.scores.nse[time] for time in times), row.scores.kge[times[-1]]]
+        scores.add_row(
+            f"{row.quantity}, {row.part}", *(f"{value:.3f}" for value in values), _volume(row)
+        )
     console = Console()
     console.print(table)
     console.print(INTERVAL_NOTE, soft_wrap=True, highlight=False)
@@ -325,38 +303,11 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
     console.print(scores)
 
 
-def _print_notes(notes: Sequence[str]) -> None:
+def _print(findings: Sequence[Finding]) -> None:
     """Print what was found beside the roof's parameters."""
-    for note in notes:
-        Console().print(note, soft_wrap=True, highlight=False)
-
-
-class _Bar:
-    """The bar of a fit on standard error; a line every ten seconds where that is no terminal."""
-
-    def __init__(self) -> None:
-        console = Console(stderr=True)
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn(), console=console,
-            transient=True, disable=not console.is_terminal,
-            refresh_per_second=2,  # a thread that takes its share of two cores
-        )
-        self._task = self._progress.add_task("", total=1.0)
-        self._lines = None if console.is_terminal else ProgressLines()
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def tell(self, text: str, share: float) -> None:
-        """Show how far it is: see :data:`greenroof_ros.calibration.stages.Tell`."""
-        self._progress.update(self._task, description=text, completed=share)
-        if self._lines is not None:
-            self._lines.tell(f"{text}: {share:.0%}")
+    for one in findings:
+        style = "bold" if one.severity is Severity.WARNING else None
+        Console().print(one.text, style=style, soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

@@ -1,37 +1,40 @@
-"""Hold forecasts against records: ``greenroof verify FORECASTS --weather FILE``."""
+"""Compare forecasts with records: ``greenroof verify FORECASTS --weather FILE``."""
 
 from __future__ import annotations
 
 import argparse
-import os
+import csv
+import io
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.progress_lines import ProgressLines
+from greenroof_ros.common.output import refuse_unwritable
+from greenroof_ros.common.progress_bar import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.forecast.dressing import chosen_archive, dressing_text, learn
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.verification.archive_faults import archive_faults
-from greenroof_ros.verification.dressed import worth, worth_table
+from greenroof_ros.verification.checks import check_forecasts
+from greenroof_ros.verification.dressed import Worth, worth
 from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
 from greenroof_ros.verification.pairs import Class, Sum, tally
-from greenroof_ros.verification.scores import Tally
-from greenroof_ros.verification.table import csv_text, terminal_table
+from greenroof_ros.verification.scores import SHOWN, Tally
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
-Hold forecasts of rain against records: by lead, and by sums over hours, with what counts as an
+Score forecasts of rain by records: by lead, and by sums over hours, with what counts as an
 event among them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate
 takes them, or a model of this package, whose forecasts of the records are made and scored.
 
@@ -47,11 +50,12 @@ POD    probability of detection: events that were forecast over events
 FAR    false alarm ratio: forecast events that did not come over forecast events
 ETS    equitable threat score: 1 is perfect, 0 is no skill
 Brier  mean squared error of the event's probability
-CRPS   error of the whole distribution (mm); of a single forecast the mean error
+CRPS   error of the whole distribution (mm), the fair one, alike for any number of members; of a
+       single forecast the mean error
 
 Of an ensemble the first five are those of member 0, the last two of all members.
 --dress scores sums from each issue on: as issued, dressed without the ten days around it, and by
-climate, all that fell in the record. CRPS is the fair one there, alike for any number of members.
+climate, all that fell in the record.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
@@ -126,12 +130,19 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Verify the forecasts that the command line names."""
     arguments = make_parser().parse_args()
-    if arguments.dress:
-        return _dress(arguments)
+    return _dress(arguments) if arguments.dress else _verify(arguments)
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    """Score forecasts, and write what was asked for."""
     sums = _sums(arguments)
-    render = _page(arguments.output)
+    for file in arguments.output:
+        refuse_unwritable(file, (".html", ".csv"), "--output")
     if arguments.fit is not None:
-        _refuse_unwritable(arguments.fit, (".yaml",), "--fit")
+        refuse_unwritable(arguments.fit, (".yaml",), "--fit")
+    with in_extra("study"):  # before the work, where a page is to be written
+        if any(file.suffix == ".html" for file in arguments.output):
+            from greenroof_ros.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site, weather = _site_and_weather(arguments)
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
@@ -140,40 +151,50 @@ def main() -> int:
             f"must be a multiple of {forecasts.finest_lead} h, which is all that {forecasts.name} "
             "says of leads", key="--lead", value=arguments.lead,
         )
-    tallies = _tally(forecasts, weather, arguments.lead, sums)
-    if not any(tally.scores().n for tally in tallies.values()):
+    with _bar("verifying", forecasts.count, "issues") as done:
+        tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
+    span = f"{to_people(weather.first)} to {to_people(weather.end)}"
+    if not any(one.scores().n for one in tallies.values()):
         raise ConfigurationError(
             f"have no whole sum in common with the records: these are of {forecasts.span}, the "
-            f"records of {to_people(weather.first)} to {to_people(weather.end)}",
+            f"records of {span}",
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
-    records = f"{weather.source}, {to_people(weather.first)} to {to_people(weather.end)}"
+    records = f"{weather.source}, {span}"
     # Previous runs are those of whose leads only days are said: a service puts these together.
-    faults = archive_faults(tallies, previous_runs=forecasts.finest_lead > 1)
+    findings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
     texts: dict[Path, str] = {}
     if arguments.fit is not None:  # first, as it may refuse what the scores need no more of
-        # Its parts of scipy take half a second, which those who do not fit are spared.
-        from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
-
-        with _bar("fitting", MOST_TRIALS, "trials") as done:
-            skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
-        texts[arguments.fit] = skill_text(skill, f"{forecasts.name}, against {records}")
+        texts[arguments.fit] = _fit(forecasts, tallies, weather, records)
     for file in arguments.output:
         texts[file] = (
-            csv_text(tallies) if file.suffix == ".csv"
-            else render(forecasts.name, records, len(forecasts), tallies, faults)
+            _csv_text(tallies) if file.suffix == ".csv"
+            else render(forecasts, records, tallies, findings)
         )
     for file, text in texts.items():
         file.write_text(text, encoding="utf-8")
     console = Console()
-    title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
-    console.print(terminal_table(title, tallies))
-    for fault in faults:
-        print(f"warning: {fault}", file=sys.stderr)
+    console.print(_table(
+        f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
+    ))
+    for finding in findings:
+        print(f"warning: {finding.text}", file=sys.stderr)
     if texts:
         written = ", ".join(map(str, texts))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
+
+
+def _fit(
+    forecasts: IssuedForecasts, tallies: Mapping[Class, Tally], weather: Weather, records: str
+) -> str:
+    """Return the file of a skill that is as good as the forecasts."""
+    # Its parts of scipy take half a second, which those who do not fit are spared.
+    from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
+
+    with _bar("fitting", MOST_TRIALS, "trials") as done:
+        skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
+    return skill_text(skill, f"{forecasts.name}, against {records}")
 
 
 def _dress(arguments: argparse.Namespace) -> int:
@@ -186,7 +207,7 @@ def _dress(arguments: argparse.Namespace) -> int:
             "must be given once with --dress: FILE.csv, for --dressed", key="--output"
         )
     output: Path = arguments.output[0]
-    _refuse_unwritable(output, (".csv",), "--output")
+    refuse_unwritable(output, (".csv",), "--output")
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     if choice.file is None:
         raise ConfigurationError(
@@ -201,7 +222,7 @@ def _dress(arguments: argparse.Namespace) -> int:
     output.write_text(dressing_text(dressing), encoding="utf-8")
     console = Console()
     title = f"{archive.source} ({archive.kind}), against {weather.source}"
-    console.print(worth_table(title, rows))
+    console.print(_worth_table(title, rows))
     console.print(
         f"written: {output}, {len(dressing.issued)} issues and {dressing.hours} h after each",
         soft_wrap=True, highlight=False,
@@ -235,63 +256,69 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
     return [Sum(*one) for one in zip(arguments.sums, arguments.events, strict=True)]
 
 
-def _page(
-    output: list[Path],
-) -> Callable[[str, str, int, Mapping[Class, Tally], Sequence[str]], str]:
-    """Return what makes the page; refuse, before it is needed, where files cannot be written."""
-    for file in output:
-        _refuse_unwritable(file, (".html", ".csv"), "--output")
-    if not any(file.suffix == ".html" for file in output):
-        return lambda *_: ""
-    with in_extra("study"):
-        from greenroof_ros.verification.page import render
-    return render
+def _new_table(title: str, *names: str) -> Table:
+    """Return a table of numbers without rows."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in names:
+        table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)
+    return table
 
 
-def _refuse_unwritable(file: Path, endings: tuple[str, ...], key: str) -> None:
-    """Refuse a file that is not of these endings, is there, or cannot be written."""
-    if file.suffix not in endings:
-        raise ConfigurationError(f"must end in {' or '.join(endings)}", key=key, value=str(file))
-    if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
-        raise ConfigurationError(
-            "must be in a directory that exists and can be written to", key=key, value=str(file)
+def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
+    """Return the scores as a person sees them."""
+    headings = (heading for heading, _ in SHOWN.values())
+    table = _new_table(title, "lead", "sum of", "event", *headings)
+    before = ""
+    for one, of_class in tallies.items():
+        scores = of_class.scores()
+        table.add_row(
+            one.lead if one.lead != before else "", f"{one.sum.hours} h", f"{one.sum.event:g} mm",
+            *map(scores.shown, SHOWN),
         )
-    if file.exists():
-        raise ConfigurationError("exists; name another file", key=key, value=str(file))
+        before = one.lead
+    return table
 
 
-def _tally(
-    forecasts: IssuedForecasts, weather: Weather, lead: int, sums: list[Sum]
-) -> dict[Class, Tally]:
-    """Add up all pairs, behind a progress bar."""
-    with _bar("verifying", len(forecasts), "issues") as done:
-        return tally(
-            forecasts, weather.precipitation, forecasts.members, forecasts.hours, lead, sums, done
+def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
+    """Return what dressing is worth as a person sees it."""
+    table = _new_table(
+        title, "sum of", "n", "fell mm", "bias issued", "dressed", "CRPS mm issued", "dressed",
+        "climate",
+    )
+    for row in rows:
+        table.add_row(
+            f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
+            *(f"{one:.2f}" for one in (*row.bias[:2], *row.crps)),
         )
+    return table
+
+
+def _csv_text(tallies: Mapping[Class, Tally]) -> str:
+    """Return all scores as CSV, a line for each class; an empty cell where there is none."""
+    stream = io.StringIO()
+    rows = csv.writer(stream, lineterminator="\n")
+    rows.writerow(
+        ("lead_from_h", "lead_to_h", "sum_hours", "event_mm",
+         *("crps_mm" if name == "crps" else name for name in SHOWN))
+    )
+    for one, of_class in tallies.items():
+        scores = of_class.scores()
+        rows.writerow(
+            (one.low, one.high, one.sum.hours, f"{one.sum.event:g}", scores.n,
+             *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
+        )
+    return stream.getvalue()
 
 
 @contextmanager
 def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error; where that is no terminal, a line now and then.
-
-    Yields:
-        What is called with how many more are done.
-    """
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn(f"{{task.completed}} {unit}"),
-        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
-    ) as progress:
-        task = progress.add_task(what, total=total)
-        lines = ProgressLines()
-        done = 0
-
+    """Show a progress bar; yield what is called with how many more are done."""
+    done = 0
+    with progress_bar() as tell:
         def advance(more: int) -> None:
             nonlocal done
             done += more
-            progress.advance(task, more)
-            if not console.is_terminal:
-                lines.tell(f"{what}: {done} of {total} {unit}")
+            tell(f"{what}: {done} of {total} {unit}", done / total)
 
         yield advance
 

@@ -41,6 +41,7 @@ ROSDEP_KEYS = {
     "mcap": [],
     "eto": [],
     "pyyaml": ["python3-yaml"],
+    "ruamel.yaml": ["python3-ruamel.yaml"],
     "rich": ["python3-rich"],
 }
 # The same of the extras that a user installs, by extra.

@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, least_squares
 
-from greenroof_ros.calibration.intervals import half_intervals, moves
-from greenroof_ros.calibration.meter import least_reading, through_meter
-from greenroof_ros.calibration.record import TOGETHER, Record, Values
+from greenroof_ros.calibration.record import TOGETHER, Record, Steps, Values
 from greenroof_ros.calibration.scores import time_name
-from greenroof_ros.calibration.simulation import Simulated, simulate
-from greenroof_ros.calibration.stages import (
-    BEGINNING,
-    LAST_SEARCH,
-    SEARCH,
-    TELLING,
-    TELLING_THERE,
-    Stages,
-    Tell,
+from greenroof_ros.calibration.simulation import (
+    Simulated,
+    least_reading,
+    simulate,
+    through_meter,
 )
 from greenroof_ros.model.site import Site
 
-Steps = NDArray[np.bool_]
+Tell = Callable[[str, float], None]
+"""Is called with what is being done, and the share of the fit that is done, 0 to 1; it never
+falls."""
 
+_STAGES = (
+    "what the record tells", "where to begin", "search", "what the record tells there",
+    "last search",
+)
 # Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks (s).
 _SUM_S = 3600
 # In a simulation the rain of a step comes evenly, and leaves the drainage layer later than its
@@ -58,6 +58,7 @@ _TELLS_DRAINAGE_S = 3600
 # A half of its interval this large, as a share of the parameter or of its range, says little.
 _HARDLY = 0.5
 _END = 0.005
+_CONFIDENCE = 0.95
 FILLED = "filled"
 _DRAINAGE = "drainage_time"
 
@@ -133,6 +134,28 @@ def measured_roof(site: Site) -> Site:
     return site
 
 
+# Of the water that plants can take, what may be gone: 'a value of 0.50 for p is commonly used for
+# many crops' (FAO-56, chapter 8).
+_MAY_BE_GONE = 0.5
+
+
+def reachable_target(site: Site) -> Site:
+    """Return the site with a target that its roof can hold; itself where it holds the present one.
+
+    What is above field capacity drains, so that a target there would be pumped for without end. A
+    record says nothing of the target: it is set half-way between wilting point and field capacity,
+    and its owner is told to choose another.
+
+    Args:
+        site: of a measured roof.
+    """
+    if site.x2_star < site.z_cap:
+        return site
+    volume = site.wilting_volume + (1 - _MAY_BE_GONE) * site.available_volume
+    depth = float(f"{volume / site.a2:.6g}")  # as it stands in the site file
+    return replace(site, z_veg=depth, x2_star=site.a2 * depth)
+
+
 class Parameter(NamedTuple):
     """A parameter after the fit."""
 
@@ -170,6 +193,32 @@ def with_values(site: Site, values: dict[str, float]) -> tuple[Site, float]:
     return replace(site, **own), values[FILLED]  # type: ignore[arg-type]
 
 
+class _Stages:
+    """Counts the simulations of a fit, stage by stage.
+
+    How many a search needs nobody knows before it ends. So the stages are the steps of the share,
+    and within one it grows by the simulations of the most that it can need; a search that needs
+    fewer ends with a leap.
+    """
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell, self._stage, self._simulations = tell, -1, 0
+
+    def begin(self, most: int) -> None:
+        """Begin the next stage, of so many simulations at most."""
+        self._stage, self._most, self._before = self._stage + 1, most, self._simulations
+        self.simulated(0)
+
+    def simulated(self, more: int = 1) -> None:
+        """Count simulations."""
+        self._simulations += more
+        within = min(1.0, (self._simulations - self._before) / self._most)
+        self._tell(
+            f"{self._stage + 1} of {len(_STAGES)}: {_STAGES[self._stage]}, {self._simulations} "
+            "simulations", (self._stage + within) / len(_STAGES),
+        )
+
+
 def fit(
     site: Site, record: Record, steps: Steps, tell: Tell = lambda text, share: None
 ) -> Fit:
@@ -185,7 +234,7 @@ def fit(
     Parameters that the record cannot tell stay as the site has them: the drainage time where steps
     are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
     sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
-    Intervals are those of :mod:`.intervals` with weeks as groups. They are wider by how far a
+    Intervals are those of :func:`half_intervals` with weeks as groups. They are wider by how far a
     parameter would follow those that cannot be told apart from it, anywhere in their ranges.
 
     Args:
@@ -200,8 +249,7 @@ def fit(
     every = [one for one in known if one.name != _DRAINAGE or not too_long]
     start = {one.name: _begin(site, one) for one in every}
     compare = _Comparison(record, steps)
-    stages = Stages(tell)
-
+    stages = _Stages(tell)
     least = least_reading(record)
 
     def differences(values: dict[str, float], least: float = least) -> Values:
@@ -220,14 +268,14 @@ def fit(
         """
         return _jacobian(lambda near: differences(moved(free, near), 0.0), shares)
 
-    def tell_apart(stage: str) -> tuple[list[Range], list[tuple[Range, str]]]:
-        stages.begin(stage, 1 + len(every))
+    def tell_apart() -> tuple[list[Range], list[tuple[Range, str]]]:
+        stages.begin(1 + len(every))
         shares = np.array([one.share(start[one.name]) for one in every])
         return _tell_apart(every, without_meter(every, shares))
 
-    def solve(stage: str, free: Sequence[Range]) -> OptimizeResult:
+    def solve(free: Sequence[Range]) -> OptimizeResult:
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
-        stages.begin(stage, _MOST_EVALUATIONS * (1 + len(free)))
+        stages.begin(_MOST_EVALUATIONS * (1 + len(free)))
         found = least_squares(
             lambda shares: differences(moved(free, shares)),
             [one.share(start[one.name]) for one in free],
@@ -237,15 +285,15 @@ def fit(
         start.update({one.name: one.value(at) for one, at in zip(free, found.x, strict=True)})
         return found
 
-    telling, _ = tell_apart(TELLING)
+    telling, _ = tell_apart()
     tried = _beginnings(telling, start)
-    stages.begin(BEGINNING, len(tried))
+    stages.begin(len(tried))
     start = min(tried, key=lambda values: _cost(differences(values)))
-    solve(SEARCH, telling)
+    solve(telling)
     # Once more where the roof now is: what tells there may differ from where the search began.
-    telling, held = tell_apart(TELLING_THERE)
+    telling, held = tell_apart()
     start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
-    found = solve(LAST_SEARCH, telling)
+    found = solve(telling)
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     robust = 1 + (found.fun / _ROBUST_FROM) ** 2
@@ -267,7 +315,7 @@ def fit(
     parameters.sort(key=lambda one: order.index(one.name))
     fitted, filled = with_values(site, start)
     simulated = _shown(simulate(fitted, record, filled), least)
-    stages.end()
+    tell("done", 1.0)
     return Fit(fitted, filled, parameters, simulated)
 
 
@@ -390,3 +438,72 @@ def _judged(one: Range, share: float, half: float) -> Parameter:
     elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
         words = "the data hardly tell it"
     return Parameter(one.name, value, low, high, words)
+
+
+def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
+    """Return by how much a least-squares fit moves without one group, shape (groups, parameters).
+
+    Those fits are linear: to leave out a group with Jacobian J_g and residuals r_g moves the
+    parameters by (J'J - J_g'J_g)^-1 J_g' r_g.
+
+    Args:
+        jacobian: at the fit, shape (n, parameters).
+        residuals: there, shape (n,).
+        groups: number of the group that each residual belongs to, shape (n,). Those of one group
+            may depend on each other.
+    """
+    normal = jacobian.T @ jacobian
+    moved = []
+    for group in np.unique(groups):
+        own = jacobian[groups == group]
+        moved.append(np.linalg.pinv(normal - own.T @ own) @ (own.T @ residuals[groups == group]))
+    return np.array(moved)
+
+
+def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
+    """Return the degrees of freedom of each parameter's variance by the jackknife.
+
+    That variance is a sum of squares of what :func:`moves` returns. With residuals that are
+    independent and alike it is near to a chi-squared distribution of as many degrees as give its
+    mean and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002, 169-181).
+    Groups that all tell the same about a parameter have one less than there are; with groups that
+    tell more than others there are fewer, and Student's t is wider (Imbens and Kolesar 2016,
+    doi:10.1162/REST_a_00552).
+
+    Args:
+        jacobian: at the fit, shape (n, parameters).
+        groups: number of the group that each residual belongs to, shape (n,).
+    """
+    normal = jacobian.T @ jacobian
+    own = np.array([
+        jacobian[groups == group].T @ jacobian[groups == group] for group in np.unique(groups)
+    ])
+    without = np.linalg.pinv(normal - own)
+    # Moves are linear in the residuals: covariances of those of all groups, for each parameter.
+    told = own @ without
+    alone = np.einsum("gkp,gkp->gp", without, told)
+    shared = np.einsum("gkp,kl,hlp->pgh", told, np.linalg.pinv(normal), told)
+    covariance = np.einsum("gp,gh->pgh", alone, np.eye(len(own))) - shared
+    return np.asarray(
+        np.einsum("pgg->p", covariance) ** 2 / np.einsum("pgh,pgh->p", covariance, covariance)
+    )
+
+
+def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
+    """Return half of each 95 % interval, from how each value moves without one group.
+
+    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. One group says
+    nothing: the halves are infinite.
+
+    Args:
+        moved: shape (groups, values), but for what is the same in each group.
+        freedom: degrees of freedom of each value; None takes as many as there are groups, less one.
+    """
+    count = len(moved)
+    if count < 2:  # nothing is left without the only group
+        return np.full(moved.shape[1], np.inf)
+    variance = np.var(moved, axis=0) * (count - 1)
+    from scipy.stats import t as student  # half of what the command imports, before it refuses
+
+    quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
+    return np.asarray(quantile * np.sqrt(variance))

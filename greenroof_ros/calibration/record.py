@@ -1,15 +1,25 @@
-"""What was measured on a roof, step by step."""
+"""What was measured on a roof, step by step; its storms, its months and its two halves."""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import ConfigurationError
+
 Values = NDArray[np.float64]
+Steps = NDArray[np.bool_]
+
+# So long without rain parts two storms, and so long after it the roof still answers (s). That long
+# without water ends the half before, too.
+_APART_S, _AFTER_S = 6 * 3600, 24 * 3600
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,7 @@ class Record:
             rounded.
         cistern: level of the cistern at the beginning of the step (m); None where not measured.
         command: mean share of the pumps' maximum flow (1); None where not known.
+        reference_column: that evapotranspiration was read from; empty where it was computed.
     """
 
     source: Path
@@ -44,6 +55,7 @@ class Record:
     last_decimal: float = 0.0
     cistern: Values | None = None
     command: Values | None = None
+    reference_column: str = ""
 
     @property
     def steps(self) -> int:
@@ -63,13 +75,22 @@ class Record:
         """Start of each step on the record's own clock."""
         return self.seconds.astype("datetime64[s]")
 
+    def time(self, step: int) -> str:
+        """Return when a step begins, for people; of one after the last when that begins."""
+        return str(self.times[min(step, self.steps - 1)]).replace("T", " ")
+
+    @property
+    def came(self) -> Values:
+        """Water that came onto the roof (mm); what is not known counts as none."""
+        return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
+
     @property
     def measured(self) -> dict[str, Values]:
         """What a simulation is compared with, by name: ``runoff`` (mm) and ``level`` (m)."""
         both = {"runoff": self.runoff, "level": self.level}
         return {name: series for name, series in both.items() if series is not None}
 
-    def only(self, steps: NDArray[np.bool_]) -> Record:
+    def only(self, steps: Steps) -> Record:
         """Return the record with nothing measured outside of some steps: NaN is there instead."""
         def there(series: Values) -> Values:
             return np.where(steps, series, np.nan)
@@ -81,7 +102,7 @@ class Record:
         )
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Steps:
         """Steps whose water and all of whose :attr:`measured` are there, before and after, too.
 
         A sensor that failed in a step has often seen but a part of the step beside it.
@@ -111,3 +132,110 @@ TOGETHER = {"runoff": sums, "level": means}
 
 Amounts add up. Levels do not: of a span with gaps their sum would tell how long the gaps are.
 """
+
+
+def lately(steps: Steps, count: int) -> Steps:
+    """Return in which steps one of these is, or was among the ``count - 1`` before."""
+    return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
+
+
+class Storm(NamedTuple):
+    """The steps from its first rain to a day after its last, or to the next storm."""
+
+    first: int
+    end: int
+    rain: float
+    """mm"""
+
+
+def storms(record: Record) -> list[Storm]:
+    """Return all storms: rain with less than six hours between, and less than a dry step."""
+    wet = np.flatnonzero(np.nan_to_num(record.rain) > 0)
+    if not len(wet):
+        return []
+    after = math.ceil(_AFTER_S / record.step_s)
+    apart = max(1.0, _APART_S / record.step_s)
+    parts = np.split(wet, np.flatnonzero(np.diff(wet) > apart) + 1)
+    starts = [int(part[0]) for part in parts] + [record.steps]
+    return [
+        Storm(
+            int(part[0]), int(min(part[-1] + 1 + after, following)),
+            float(np.nansum(record.rain[part[0]:part[-1] + 1])),
+        )
+        for part, following in zip(parts, starts[1:], strict=True)
+    ]
+
+
+def comparable(record: Record) -> Steps:
+    """Return which steps a simulation is compared in: the known ones outside of broken storms.
+
+    A storm is broken where rain, pumped water or runoff is missing in it. What came unseen stays on
+    the roof for all of it. And meters fail when most runs off: what they show before and after
+    their gap is then a part of it, and where that ends nobody knows.
+    """
+    steps = record.known
+    missing = np.isnan(record.rain) | np.isnan(record.pumped)
+    if record.runoff is not None:
+        missing |= np.isnan(record.runoff)
+    for storm in storms(record):
+        if missing[storm.first:storm.end].any():
+            steps[storm.first:storm.end] = False
+    return steps
+
+
+class Halves(NamedTuple):
+    """Two parts of a record, each in one piece but for its gaps."""
+
+    earlier: Steps
+    later: Steps
+
+
+def halve(record: Record, steps: Steps) -> Halves:
+    """Split steps on the first dry day after half of the rain and of what was pumped has come.
+
+    Water is what tells something about a roof: halves of the time may have all storms in one. And a
+    storm in both would be judged by those who have seen it. Without a dry day all steps are in the
+    earlier half.
+
+    Args:
+        record: its rain.
+        steps: that count at all.
+    """
+    total = np.cumsum(np.where(steps, record.came, 0.0))
+    dry = ~lately(record.came > 0, math.ceil(_AFTER_S / record.step_s))
+    later = np.cumsum((total >= total[-1] / 2) & dry) > 0
+    return Halves(steps & ~later, steps & later)
+
+
+def month_numbers(span: str) -> list[int]:
+    """Return the months of a span such as ``4-10``, or ``11-3`` over new year; both ends count.
+
+    Raises:
+        ConfigurationError: it is no such span.
+    """
+    match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
+    first, last = map(int, match.groups()) if match else (0, 0)
+    if not (1 <= first <= 12 and 1 <= last <= 12):
+        raise ConfigurationError(
+            "must be the first and the last month that count, such as 4-10, or 11-3 over new year",
+            key="--months", value=span,
+        )
+    return [(first - 1 + more) % 12 + 1 for more in range((last - first) % 12 + 1)]
+
+
+def in_months(record: Record, span: str | None) -> Steps:
+    """Return which steps begin in a span of months, by the record's own clock; None means all.
+
+    Raises:
+        ConfigurationError: none does, or it is no such span.
+    """
+    if span is None:
+        return np.full(record.steps, True)
+    number = record.times.astype("datetime64[M]").astype(np.int64) % 12 + 1
+    within = np.isin(number, month_numbers(span))
+    if not within.any():
+        raise ConfigurationError(
+            f"has no row in the months {span} of --months: it is from "
+            f"{str(record.times[0])[:10]} to {str(record.times[-1])[:10]}", file=record.source,
+        )
+    return within

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from greenroof_ros.calibration.record import TOGETHER, Values
 
 HOUR_S, DAY_S = 3600, 86400
+PARTS = ("fit", "validation")
+"""The halves of a record, by what they are for."""
 
 
 class Scores(NamedTuple):

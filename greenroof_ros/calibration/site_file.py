@@ -1,19 +1,20 @@
-"""The site file of a fitted roof: the one it began with, its fitted lines replaced."""
+"""The site file of a fitted roof: the one that the fit began with, and what was fitted in it."""
 
 from __future__ import annotations
 
-import math
-import re
+import io
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
 
 from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text, read_yaml
 from greenroof_ros.model.pump_curve import PumpCurve
-from greenroof_ros.model.site import Site, read_site, site_parameters
+from greenroof_ros.model.site import edited, read_site, site_parameters
 
 CROP_NOTE = (
     "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
@@ -34,144 +35,110 @@ _ROOF = (
     "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
     "crop_coefficient",
 )
-# Lines that are left away: what follows from the roof is computed.
-_COMPUTED = {"x2_star": "", "z_cap": ""}
+# What follows from the roof, as read_site computes it.
+_PRODUCTS = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 
 
-def fitted_site_file(
-    text: str, site: Site, fit: Fit, heading: Sequence[str], sheet: PumpCurve | None = None
-) -> str:
-    """Return the text of a site file with the fitted roof in it, and its pumps where they were.
+class Entry(NamedTuple):
+    """What is to stand in a site file: a value, and the words behind its unit."""
 
-    Each line of the roof has its value, its unit, and the interval of the fit or why the record
-    cannot tell it; every other line stays as it is.
+    value: float
+    words: str
+
+
+def sheet_entries(sheet: PumpCurve) -> dict[str, Entry]:
+    """Return the entries of a curve that was fitted to a data sheet."""
+    return {name: Entry(value, _FROM_SHEET) for name, value in sheet._asdict().items()}
+
+
+def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> dict[str, Entry]:
+    """Return the entries of a fit: each with its interval, or why the record cannot tell it.
 
     Args:
-        text: of the site file that the fit began with.
-        site: that it is of.
-        fit: its result, with the pumps' parameters if the record tells something of them.
-        heading: lines about the record and the scores, for the top.
+        fit: the result, with the pumps' parameters if the record tells something of them.
+        target: depth on the roof (m) that the site file had.
         sheet: what was fitted to the pumps' data sheet before.
     """
-    told = {one.name: one for one in fit.parameters}
-    lines = _COMPUTED | _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
-    if fit.site.z_veg != site.z_veg:
-        lines["z_veg"] = _line("z_veg", f"{fit.site.z_veg:.6g}", "choose your own")
-    for name in PumpCurve._fields:
-        if name in told:
-            comment = _comment(told[name])
-            if sheet is not None and not told[name].told:
-                comment = f"{_FROM_SHEET}; {told[name].words}"
-            lines[name] = _line(name, f"{told[name].value:.6g}", comment)
-    return _replaced(text, lines, heading)
+    told = {one.name: one for one in fit.parameters if one.name != FILLED}
+    entries = {} if sheet is None else sheet_entries(sheet)
+    for name in _ROOF:
+        words = _words(told[name]) if name in told else "as it was, not fitted"
+        if name == "crop_coefficient":
+            words += f"; {CROP_NOTE}"
+        entries[name] = Entry(getattr(fit.site, name), words)
+    if fit.site.z_veg != target:
+        entries["z_veg"] = Entry(fit.site.z_veg, "choose your own")
+    for name in told.keys() - set(_ROOF):
+        one = told[name]
+        words = _words(one)
+        if sheet is not None and not one.told:
+            words = f"{_FROM_SHEET}; {one.words}"
+        entries[name] = Entry(one.value, words)
+    return entries
 
 
-def pump_site_file(text: str, sheet: PumpCurve, heading: Sequence[str]) -> str:
-    """Return the text of a site file with the pump curve of a data sheet in it, no more.
+def _words(one: Parameter) -> str:
+    if not one.told:
+        return f"as it was: {one.words}"
+    interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
+    return f"{interval}; {one.words}" if one.words else interval
+
+
+def edited_site_file(file: Path, entries: Mapping[str, Entry], heading: Sequence[str]) -> str:
+    """Return the text of a site file with other entries; all else in it stays as it is.
+
+    What it has from a file that it extends is put into it, so that it stands by itself.
 
     Args:
-        text: of the site file.
-        sheet: the curve.
+        file: with the site.
+        entries: by name; an entry that the file does not have comes last.
         heading: lines for the top.
-    """
-    return _replaced(text, _sheet_lines(sheet), heading)
-
-
-def refuse_other_forms(file: Path) -> None:
-    """Refuse a site file whose lines cannot be replaced: each must be ``key: value``.
-
-    YAML lets keys be in quotes, and all of them be in one line; their old values would stay.
 
     Raises:
-        ConfigurationError: it has such a line.
+        ConfigurationError: the text would be no site, since a value is out of its range.
     """
-    lines = read_text(file).splitlines()
-    for key, line in read_yaml(file).lines.items():
-        if not re.match(rf"{key}\s*:", lines[line - 1]):
-            raise ConfigurationError(
-                f"the site file must have one 'key: value' a line, as in '{key}: 1.0'", file=file,
-                line=line, key=key,
-            )
-
-
-def refuse_unlike(text: str, site: Site, file: Path) -> None:
-    """Refuse the text of a site file that cannot be read, or is not the site that was fitted.
-
-    Args:
-        text: that is to be written.
-        site: that it should be, but for the last of its six digits.
-        file: the site file that the fit began with, which is to be changed then.
-
-    Raises:
-        ConfigurationError: it is so.
-    """
+    yaml = YAML()
+    yaml.preserve_quotes = True
+    yaml.width = 1000
+    site: CommentedMap = yaml.load(edited(file, {}))
+    site.fa.set_block_style()
+    missing = [name for name in entries if name not in site]
+    for name, entry in entries.items():
+        site[name] = yaml.load(f"{entry.value:.6g}")  # a number that stays as it is written
+        _comment(site, name, f"# {_UNITS[name]:<7} {entry.words}")
+    if missing:
+        site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured roof")
+    for name, factors in _PRODUCTS.items():
+        if name in site and not entries.keys().isdisjoint(factors):
+            product = 1.0
+            for factor in factors:
+                product *= float(site.get(factor, 1.0))
+            site[name] = product
+    stream = io.StringIO()
+    yaml.dump(site, stream)
+    text = "\n".join([*(f"# {line}" for line in heading), "", stream.getvalue()])
     with TemporaryDirectory() as directory:
         written = Path(directory) / "site.yaml"
         written.write_text(text, encoding="utf-8")
         try:
-            read = read_site(written)
+            read_site(written)
         except ConfigurationError as error:
             raise ConfigurationError(
                 f"with what was fitted it is no site, and nothing is written: {error.wrong}",
                 file=file,
             ) from error
-    for name in (field.name for field in fields(Site)):
-        value, fitted = getattr(read, name), getattr(site, name)
-        same = value == fitted or (
-            None not in (value, fitted) and math.isclose(value, fitted, rel_tol=1e-5, abs_tol=1e-9)
-        )
-        if not same:
-            raise ConfigurationError(
-                "the site file must have one 'key: value' a line: this would stay, and "
-                f"{fitted:.6g} was fitted", file=file, key=name, value=value,
-            )
+    return text
 
 
-def _replaced(text: str, lines: Mapping[str, str], heading: Sequence[str]) -> str:
-    """Put lines in the places of those of the same keys, with the comments that go on below."""
-    kept: list[str] = []
-    written: set[str] = set()
-    continued = False
-    for line in text.splitlines():
-        key = re.match(r"(\w+)\s*:", line)
-        if key and key[1] in lines:
-            kept += [lines[key[1]]] if lines[key[1]] else []
-            written.add(key[1])
-            continued = True
-        elif not (continued and re.match(r"\s+#", line)):
-            kept.append(line)
-            continued = False
-    missing = [name for name in _ROOF if name in lines and name not in written]
-    if missing:
-        kept += ["", "# The measured roof", *(lines[name] for name in missing)]
-    return "\n".join([*(f"# {line}" for line in heading), "", *kept]) + "\n"
+def _comment(site: CommentedMap, name: str, text: str) -> None:
+    """Replace the comment behind an entry; what is on lines of their own below stays.
 
-
-def _sheet_lines(sheet: PumpCurve) -> dict[str, str]:
-    """Return the lines of a curve that was fitted to a data sheet."""
-    return {
-        name: _line(name, f"{value:.6g}", _FROM_SHEET) for name, value in sheet._asdict().items()
-    }
-
-
-def _roof_lines(fit: Fit) -> dict[str, str]:
-    """Return the line of each parameter of the roof."""
-    told = {one.name: one for one in fit.parameters if one.name != FILLED}
-    lines = {}
-    for name in _ROOF:
-        comment = _comment(told[name]) if name in told else "as it was, not fitted"
-        if name == "crop_coefficient":
-            comment += f"; {CROP_NOTE}"
-        lines[name] = _line(name, f"{getattr(fit.site, name):.6g}", comment)
-    return lines
-
-
-def _line(name: str, number: str, comment: str) -> str:
-    return f"{f'{name}: {number}':<{_COMMENT}}# {_UNITS[name]:<7} {comment}"
-
-
-def _comment(one: Parameter) -> str:
-    if not one.told:
-        return f"as it was: {one.words}"
-    interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
-    return f"{interval}; {one.words}" if one.words else interval
+    The reader keeps all comments up to the next entry with the one before it. Those that are
+    indented go on with the comment that is replaced.
+    """
+    token: Any = site.ca.items.get(name, [None] * 4)[2]
+    below = token.value.partition("\n")[2].splitlines(keepends=True) if token else []
+    while below and below[0].lstrip() != below[0] and below[0].strip():
+        below.pop(0)
+    site.yaml_add_eol_comment(text, name, column=_COMMENT)
+    site.ca.items[name][2].value = "".join([f"{text}\n", *below])

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
-from rich.table import Table
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing
 from greenroof_ros.formats.records import HOUR, Archive
-from greenroof_ros.verification.scores import fair_crps
+from greenroof_ros.verification.scores import crps
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
@@ -80,7 +78,7 @@ def worth(
             )
             found[hours].append((
                 rain, *(float(each.mean()) for each in ensembles),
-                *(_fair_crps(each, rain) for each in ensembles),
+                *(float(crps(each[:, None], np.array([rain]))[0]) for each in ensembles),
             ))
         done(1)
     results = []
@@ -93,22 +91,3 @@ def worth(
                       (means[3], means[4], means[5]))
             )
     return results
-
-
-def _fair_crps(members: Array, observed: float) -> float:
-    return float(fair_crps(members[:, None], np.array([observed]))[0])
-
-
-def worth_table(title: str, rows: Sequence[Worth]) -> Table:
-    """Return what a person sees."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in (
-        "sum of", "n", "fell mm", "bias issued", "dressed", "CRPS mm issued", "dressed", "climate",
-    ):
-        table.add_column(name, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(
-            f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
-            *(f"{one:.2f}" for one in row.bias[:2]), *(f"{one:.2f}" for one in row.crps),
-        )
-    return table

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.verification.issued import Issued
+from greenroof_ros.verification.issued import IssuedForecasts
 from greenroof_ros.verification.scores import Tally
 
 Array = NDArray[np.float64]
@@ -45,8 +46,8 @@ class Class(NamedTuple):
 
 
 def tally(
-    forecasts: Iterable[Issued], observed: Array, members: int, hours: int, lead: int,
-    sums: Sequence[Sum], done: Callable[[int], None],
+    forecasts: IssuedForecasts, observed: Array, lead: int, sums: Sequence[Sum],
+    done: Callable[[int], None],
 ) -> dict[Class, Tally]:
     """Add up all pairs of some forecasts and the records.
 
@@ -58,8 +59,6 @@ def tally(
     Args:
         forecasts: any number.
         observed: records (mm/h), shape (hours,); NaN where missing.
-        members: of each forecast.
-        hours: of the longest forecast that is looked at.
         lead: how many hours make a class of leads; a multiple of each of the sums.
         sums: their lengths and events.
         done: is called with how many more forecasts were added.
@@ -67,26 +66,21 @@ def tally(
     Returns:
         What adds up in each class, in the order of leads and sums.
     """
-    classes = math.ceil(hours / lead)
+    classes = math.ceil(forecasts.hours / lead)
     found = {
-        Class(number * lead, (number + 1) * lead, one): Tally(one.event, members)
+        Class(number * lead, (number + 1) * lead, one): Tally(one.event, forecasts.members)
         for number in range(classes) for one in sums
     }
-    rain = np.full((_AT_ONCE, members, classes * lead), np.nan)
-    fallen = np.full((_AT_ONCE, classes * lead), np.nan)
-    filled = 0
-    for issue in forecasts:
-        length = min(hours, issue.rain.shape[1])
-        rain[filled, :, :length] = issue.rain[:, :length]
-        rain[filled, :, length:] = np.nan
-        fallen[filled] = _window(observed, issue.hour, classes * lead)
-        filled += 1
-        if filled == _AT_ONCE:
-            _add(found, rain, fallen)
-            done(filled)
-            filled = 0
-    _add(found, rain[:filled], fallen[:filled])
-    done(filled)
+    issues = forecasts.each()
+    while batch := list(itertools.islice(issues, _AT_ONCE)):
+        rain = np.full((len(batch), forecasts.members, classes * lead), np.nan)
+        fallen = np.empty((len(batch), classes * lead))
+        for place, issue in enumerate(batch):
+            length = min(forecasts.hours, issue.rain.shape[1])
+            rain[place, :, :length] = issue.rain[:, :length]
+            fallen[place] = _window(observed, issue.hour, classes * lead)
+        _add(found, rain, fallen)
+        done(len(batch))
     return found
 
 

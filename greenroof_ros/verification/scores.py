@@ -77,7 +77,20 @@ class Scores(NamedTuple):
     brier: float
     """mean squared difference of the event's probability and its outcome, 1 or 0"""
     crps: float
-    """mean of the continuous ranked probability score (mm); of one member the mean error"""
+    """mean of the fair continuous ranked probability score (mm); of one member the mean error"""
+
+    def shown(self, name: str) -> str:
+        """Return a score as people read it; a dash where there is none."""
+        value = getattr(self, name)
+        return "-" if math.isnan(value) else format(value, SHOWN[name][1])
+
+
+SHOWN = {
+    "n": ("n", "d"), "bias": ("bias", ".2f"), "r": ("r", ".2f"), "pod": ("POD", ".2f"),
+    "far": ("FAR", ".2f"), "ets": ("ETS", ".2f"), "brier": ("Brier", ".3f"),
+    "crps": ("CRPS mm", ".3f"),
+}
+"""Heading and format of each score."""
 
 
 class Tally:
@@ -154,53 +167,28 @@ class Tally:
 
 
 def crps(forecast: Array, observed: Array) -> Array:
-    """Return the continuous ranked probability score of each pair (mm).
+    """Return the fair continuous ranked probability score of each pair (mm).
 
-    It is the integral over x of the squared difference of the members' distribution and the
-    observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y that is
+    The score is the integral over x of the squared difference of the members' distribution and the
+    observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y the fair one
+    is
 
-        sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M^2)
+        sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M (M - 1))
 
-    (Gneiting and Raftery 2007, Eq. 21). The second sum is taken from the members in their order,
-    x_(1) to x_(M): it is 2 sum_i (2 i - M - 1) x_(i).
-
-    Args:
-        forecast: mm, shape (members, pairs).
-        observed: mm, shape (pairs,).
-    """
-    score: Array = _mean_error(forecast, observed) - _spread(forecast) / len(forecast) ** 2
-    return score
-
-
-def fair_crps(forecast: Array, observed: Array) -> Array:
-    """Return the CRPS that is the same in the mean for any number of members (mm).
-
-    More members of the same distribution have a lower :func:`crps`. With M (M - 1) instead of M^2
-    there it is that of infinitely many (Ferro 2014, doi:10.1002/qj.2270), so that ensembles of
-    unlike size, single forecasts among them, can be compared. Of one member it is the mean error.
+    (Ferro 2014, doi:10.1002/qj.2270), in the mean that of infinitely many members, so that
+    ensembles of unlike size can be compared, single forecasts among them: of one member it is the
+    mean error. The second sum comes from the members in their order, x_(1) to x_(M): it is
+    2 sum_i (2 i - M - 1) x_(i).
 
     Args:
         forecast: mm, shape (members, pairs).
         observed: mm, shape (pairs,).
     """
     members = len(forecast)
-    score: Array = (
-        _mean_error(forecast, observed) - _spread(forecast) / max(members * (members - 1), 1)
-    )
+    errors = np.mean(np.abs(forecast - observed), axis=0)
+    spread = np.arange(1.0 - members, members, 2.0) @ np.sort(forecast, axis=0)
+    score: Array = errors - spread / max(members * (members - 1), 1)
     return score
-
-
-def _mean_error(forecast: Array, observed: Array) -> Array:
-    errors: Array = np.mean(np.abs(forecast - observed), axis=0)
-    return errors
-
-
-def _spread(forecast: Array) -> Array:
-    """Return half the sum of |x_i - x_j| over all pairs of members (mm), shape (pairs,)."""
-    members = len(forecast)
-    weights = np.arange(1.0 - members, members, 2.0)
-    spread: Array = weights @ np.sort(forecast, axis=0)
-    return spread
 
 
 def rank_counts(forecast: Array, observed: Array) -> Array:

@@ -28,10 +28,9 @@ from roofs import ROOFS, read_roof, warm  # noqa: E402
 
 from greenroof_ros.calibration import simulation  # noqa: E402
 from greenroof_ros.calibration.fit import fit, measured_roof  # noqa: E402
-from greenroof_ros.calibration.halves import halve  # noqa: E402
-from greenroof_ros.calibration.meter import least_reading, through_meter  # noqa: E402
+from greenroof_ros.calibration.record import comparable, halve, storms  # noqa: E402
 from greenroof_ros.calibration.scores import score  # noqa: E402
-from greenroof_ros.calibration.storms import comparable, storms  # noqa: E402
+from greenroof_ros.calibration.simulation import least_reading, through_meter  # noqa: E402
 from greenroof_ros.common.files import shared_directory  # noqa: E402
 from greenroof_ros.model.site import read_site  # noqa: E402
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel  # noqa: E402

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from roofs import STEP_S
 
-from greenroof_ros.calibration.record import Record
-from greenroof_ros.calibration.storms import Storm
+from greenroof_ros.calibration.record import Record, Storm
 
 Values = NDArray[np.float64]
 

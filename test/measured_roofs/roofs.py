@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.months import Months
-from greenroof_ros.calibration.record import Record
+from greenroof_ros.calibration.record import Record, in_months
 from greenroof_ros.model.site import Site
 
 STEP_S = 300
@@ -100,4 +99,4 @@ def temperatures(file: Path) -> dict[str, tuple[float, float]]:
 
 def warm(record: Record) -> np.ndarray:
     """Return which steps are of April to October; what runs off in winter is melted snow."""
-    return Months("4-10").steps(record)
+    return in_months(record, "4-10")

@@ -131,9 +131,6 @@ WRONG = {
         "FORECASTS = 'errors': must be an archive with --dress: a model's forecasts are made of ",
     ),
     "nowhere": (DRESS, "--output: must be given once with --dress: FILE.csv, for --dressed"),
-    "page": ([*DRESS, "-o", "new.html"], "--output = 'new.html': must end in .csv"),
-    "exists": ([*DRESS, "-o", "gauge.csv"], "--output = 'gauge.csv': exists; name another file"),
-    "fit": ([*DRESS, "-o", "new.csv", "--fit", "x.yaml"], "--fit: is for scores; --dress makes a"),
     "again": (
         [*DRESS, "-o", "new.csv", "--dressed", "dressed.csv"], "--dressed: is for scores; --dress",
     ),
@@ -141,7 +138,6 @@ WRONG = {
         ["simulate", "--forecast", "errors", "--dressed", "dressed.csv"],
         "--dressed = 'dressed.csv': is an option of a file; the forecast is errors",
     ),
-    "absent": ([*SCORE, "--dressed", "no.csv"], "no.csv: cannot be read: No such file or"),
     "other": (
         [*SCORE, "--dressed", "gauge.csv"],
         "gauge.csv, line 1: 'time': the column must be 'issued': a file for --dressed is made by ",

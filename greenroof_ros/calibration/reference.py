@@ -1,28 +1,77 @@
-"""Reference evapotranspiration of a record from the temperatures of its days."""
+"""Reference evapotranspiration of a record: its own column, or by the temperatures of its days."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import Record, Values
-from greenroof_ros.calibration.scores import time_name
+from greenroof_ros.calibration.record import Record, Steps, Values
+from greenroof_ros.calibration.scores import DAY_S, HOUR_S, time_name
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import Days, hargreaves, over_the_day
 
-_DAY_S = 86400
 # Of a day, so that its extremes are among them; and days without that take those beside them (d).
-_ENOUGH = 0.75
+_ENOUGH, _LONGEST_GAP = 0.75, 3
 # Temperatures further apart (s) miss a day's extremes: those three hours apart see 0.92 of a sine's
 # range at least, those six hours apart 0.71.
-_LONGEST_STEP_S = 3 * 3600
-_LONGEST_GAP = 3
+_LONGEST_STEP_S = 3 * HOUR_S
+
+
+def through_short_gaps(
+    record: Record, values: Values, times: Sequence[datetime], lines: Sequence[int],
+    slots: NDArray[np.int64], *, counts: Steps,
+) -> Values:
+    """Return reference evapotranspiration that is there in every step (mm), shape (steps,).
+
+    A roof dries while its sensors fail, too: a gap of an hour at most takes the straight line
+    between the steps beside it, and a longer one is refused. Rows' times measure a gap, not its
+    steps: where a clock was set on, a step can be without a row though hardly any time is missing.
+
+    Args:
+        record: its times, and the column's name.
+        values: of each step (mm), NaN where there is none.
+        times: of the rows.
+        lines: of the rows in the file.
+        slots: step of each row.
+        counts: whether a step is fitted or judged, shape (steps,); a gap in which none is may be of
+            any length.
+
+    Raises:
+        ConfigurationError: another gap is longer, or it is 0 throughout.
+    """
+    if not np.any(values > 0):
+        raise ConfigurationError(
+            "is 0 throughout: it must be there, or nothing of how the roof dries can be fitted",
+            file=record.source, key=record.reference_column,
+        )
+    missing = np.isnan(values)
+    since = np.array([time.timestamp() for time in times])
+    # Before the first row and after the last as if there were one more, so that gaps there count.
+    since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
+    for low, high in gaps(missing):
+        row, after = (int(one) for one in np.searchsorted(slots, (low, high)))
+        gap_s = float(since[after + 1] - since[row]) - record.step_s
+        if gap_s > HOUR_S and counts[low:high].any():
+            what = "is empty" if slots[row] == low else f"there is no row of {record.times[low]}"
+            raise ConfigurationError(
+                f"{what}, and none has a value for {time_name(round(gap_s))}: it may be missing "
+                "for an hour at most, as a roof dries in gaps of the sensors, too; write a day's "
+                "value into each of its rows, and add missing rows with time and this value, "
+                "their other cells empty", file=record.source, line=lines[row],
+                key=record.reference_column,
+            )
+    steps = np.arange(len(values))
+    return np.interp(steps, steps[~missing], values[~missing])
 
 
 def reference_from_temperatures(
     record: Record, site: Site, days: Days, temperatures: dict[str, Values], *,
-    counts: NDArray[np.bool_],
+    counts: Steps,
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
@@ -60,7 +109,7 @@ def reference_from_temperatures(
                 "[degC]' and 'greatest temperature [degC]' instead", file=record.source,
                 key="temperature",
             )
-        enough = _ENOUGH * _DAY_S / record.step_s
+        enough = _ENOUGH * DAY_S / record.step_s
         least, greatest = _extremes(temperatures["temperature"], day, len(dates), enough)
     else:
         least, _ = _extremes(temperatures["least temperature"], day, len(dates), 1)
@@ -72,7 +121,7 @@ def reference_from_temperatures(
             f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
         )
     seconds = record.seconds
-    numbers, day_of_step = np.unique(seconds // _DAY_S, return_inverse=True)
+    numbers, day_of_step = np.unique(seconds // DAY_S, return_inverse=True)
     of_steps = numbers.astype("datetime64[D]")
     daily = hargreaves(
         site.latitude, of_steps,

@@ -1,0 +1,517 @@
+"""What speaks against a record or its fit, and what else is found: one function for each check.
+
+The bounds part the two measured roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to October,
+in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a broken
+sensor; bounds of levels part the levels that these roofs would have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.calibration.record import Record, Steps, Values, lately, storms
+from greenroof_ros.calibration.scores import DAY_S, HOUR_S, ScoreRow, time_name
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.quality import Finding, Findings
+from greenroof_ros.formats.records import gaps
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.evapotranspiration import evaporable, extraterrestrial_radiation
+
+FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
+"""All that a calibration can find."""
+
+_FEWEST_VALUES = 100
+
+
+def check_record(record: Record, site: Site) -> list[Finding]:
+    """Return what is wrong with a sensor, a unit or a clock of a record.
+
+    Args:
+        record: what was measured in the steps that count.
+        site: its roof and place.
+
+    Raises:
+        ConfigurationError: a column has fewer than 100 values.
+    """
+    for column, values in {"rain": record.rain, **record.measured}.items():
+        there = int(np.count_nonzero(~np.isnan(values)))
+        if there < _FEWEST_VALUES:
+            raise ConfigurationError(
+                f"has {there} values; it must have {_FEWEST_VALUES} at least", file=record.source,
+                key=column,
+            )
+    checks: tuple[Callable[[Record, Site], Iterator[Finding]], ...] = (
+        _sparse, _stuck, _clock, _evapotranspiration, _rain, _level, _runoff, _storm_runoff,
+        _silence, _runoff_without_rain, _rise_without_rain,
+    )
+    return [finding for check in checks for finding in check(record, site)]
+
+
+# --- sensors --------------------------------------------------------------------------------------
+
+# A reading that is the same for so long (s) while so much rain fell (mm), and in so many steps: on
+# two days in a row a roof can be as full, be it wet.
+_STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
+
+
+def _sparse(record: Record, site: Site) -> Iterator[Finding]:
+    """A sensor that is read less often than there are rows: between, all would be gaps."""
+    for column, values in {"rain": record.rain, **record.measured}.items():
+        often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
+        if often > 1:
+            yield FINDINGS.make(
+                "sensor-sparse", "sparse", column,
+                seen=time_name(round(often * record.step_s)), step=time_name(round(record.step_s)),
+            )
+
+
+def _stuck(record: Record, site: Site) -> Iterator[Finding]:
+    """A sensor that shows one value while it must change."""
+    fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
+    for column, values, least_s in (
+        ("level", record.level, _STUCK_S), ("runoff", record.runoff, _STUCK_S),
+        ("rain", record.rain, _RAIN_STUCK_S),
+    ):
+        for low, high in [] if values is None else gaps(np.diff(values) == 0):
+            assert values is not None
+            lasts, fell = (high - low + 1) * record.step_s, fallen[high + 1] - fallen[low]
+            if (
+                high - low + 1 >= _SAME_STEPS and lasts >= least_s
+                and (values[low] != 0 or column == "level")
+                and (fell >= _STUCK_RAIN or column == "rain")
+            ):
+                yield FINDINGS.make(
+                    "sensor-stuck", "stuck", column,
+                    value=float(values[low]), unit="m" if column == "level" else "mm a step",
+                    hours=lasts / HOUR_S, since=record.time(low), fell=float(fell),
+                )
+                break
+
+
+# --- clocks ---------------------------------------------------------------------------------------
+
+# Water reaches a level sensor within minutes and leaves a roof within hours; more is a clock. So is
+# an answer that comes before the rain by more than so many steps, and two hours at most: clocks
+# differ by minutes, and the rises of a level are those of half an hour's means.
+_LONGEST_DELAY_S, _MOST_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
+_EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
+# A correlation that says something, and how many times that without a shift it must be. A roof that
+# answers early is wrong for certain: in 64 windows of 30 and 60 days of the two measured roofs the
+# best is at most 1.03 times that without a shift; with a clock an hour early it is more than 1.1
+# times that in 47 of them.
+_CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
+
+
+def _clock(record: Record, site: Site) -> Iterator[Finding]:
+    """A roof that answers before it rains, or hours after.
+
+    Its rises answer: how long a roof goes on after the rain says nothing about clocks. Those of a
+    level are of half an hour's mean over the one before, in which a sensor's noise is less.
+    """
+    column, series = next(iter(record.measured.items()))
+    if column == "runoff":
+        rises = np.diff(series, prepend=np.nan)
+    else:
+        count = max(1, round(1800 / record.step_s))
+        totals = np.concatenate((np.zeros(count), np.cumsum(np.nan_to_num(series))))
+        means = (totals[count:] - totals[:-count]) / count  # of the steps up to each
+        rises = np.append(means[count:] - means[:-count], np.full(count, np.nan))
+    usual_s = (
+        -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_LONGEST_DELAY_S, record.step_s),
+    )
+    answers = np.maximum(np.nan_to_num(rises), 0.0)
+    lag, best, usual = _lag(record.came, answers, record.step_s, usual_s)
+    early = lag < usual_s[0]
+    better = _EARLY_BETTER if early else _LATE_BETTER
+    if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
+        minutes = abs(lag) / 60
+        yield FINDINGS.make(
+            "clock-shifted", "roof", column,
+            span=f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h",
+            side="before" if early else "after", best=best, usual=usual, lag_s=lag,
+        )
+
+
+def _lag(
+    came: Values, answers: Values, step_s: float, usual_s: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return by how much answers lag (s), their correlation then, and the best of usual lags.
+
+    Roots make one great storm less heavy among the others.
+    """
+    one, other = (np.sqrt(series) - np.mean(np.sqrt(series)) for series in (came, answers))
+    scale = np.sqrt(np.sum(one**2) * np.sum(other**2))
+    if scale == 0:
+        return 0.0, 0.0, 0.0
+    from scipy.signal import correlate, correlation_lags  # as long to import as all else
+
+    lags = correlation_lags(len(other), len(one)) * step_s
+    correlations = correlate(other, one, method="fft") / scale
+    near: NDArray[np.bool_] = np.abs(lags) <= _MOST_SHIFT_S
+    lags, correlations = lags[near], correlations[near]
+    best = int(np.argmax(correlations))
+    usual = (lags >= usual_s[0]) & (lags <= usual_s[1])
+    return float(lags[best]), float(correlations[best]), float(correlations[usual].max())
+
+
+# --- units ----------------------------------------------------------------------------------------
+
+# More evapotranspiration than any day has (mm). Alfalfa, which takes 1.15 times what grass does,
+# took 14 mm on the windiest days of four years in Texas, weighed (Evett, Howell, Todd, Schneider
+# and Tolk, Alfalfa reference ET measurement and prediction, 4th Decennial National Irrigation
+# Symposium, 2000).
+_MOST_A_DAY = 20.0
+# Less than the best day of a month has, as a share of what the sun above the atmosphere could
+# evaporate. By Hargreaves' equation it has 0.12 at least at the two measured roofs, and 0.08 in
+# eleven years of Toronto, in their coldest months; a twelfth of it 0.04 at most, in summer. A bound
+# in mm cannot part the two.
+_LEAST_OF_SUN, _FEWEST_DAYS = 0.06, 30
+# Least rain from which anything can be said (mm), and what is no rain of weeks (mm a day).
+_LEAST_RAIN, _MOST_RAIN_A_DAY = 20.0, 60.0
+# More than a storm's water runs off in it: as a share of all runoff in storms at most 0.13 of the
+# measured roofs, and with a wrong unit 0.21 and more, mostly 0.4. And in mm, which a few drops
+# never are.
+_MOST_EXCESS, _LEAST_EXCESS = 0.25, 5.0
+# The greatest share of a storm of 5 mm or more that runs off: 0.13 at least, and with a wrong unit
+# 0.08 at most; of three such storms in 90 days. A shorter record may be of a dry month.
+_LEAST_SHARE, _LARGE, _FEWEST_LARGE, _LONG_DAYS = 0.1, 5.0, 3, 90
+# What runs off of a storm that is more than the soil's volume comes but for this (mm).
+_HELD_BESIDES = 20.0
+# How much levels rise in storms of 1 mm and more, as a share of their water: 0.4 to 1.1, and with a
+# wrong unit 0.09 at most or 6 at least; of three such storms.
+_LEAST_RISE, _MOST_RISE, _COUNTS, _FEWEST_STORMS = 0.1, 2.0, 1.0, 3
+# Means so long before and after a storm, in which a sensor's noise is less (s).
+_BESIDE_S = 1800
+# So much water leaves some runoff behind (mm), be it in many storms; and so does all that the soil
+# could hold. The measured roofs let nothing run off of 44 mm in four weeks.
+_LEAVES_SOME = 80.0
+# Nobody waters the measured roofs: they dry out, and their bounds allow for what evaporates then. A
+# roof that was watered within a week goes on at the full rate, which is that of the reference grass
+# times 1.3 at most (FAO-56, Eq. 72: 1.05 to 1.3).
+_WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
+
+
+def _days(record: Record) -> float:
+    """Return of how many days the rain is known."""
+    return float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
+
+
+def _watered(record: Record) -> Steps:
+    """Return in which steps something was pumped onto the roof within a week."""
+    return lately(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
+
+
+def _to_hold(record: Record, site: Site, low: int, high: int) -> float:
+    """Return what a roof off which nothing runs must hold in some steps at most (mm).
+
+    It is dry at first. Of what comes, evapotranspiration takes all that it can while somebody
+    waters the roof: a good controller gives it no more than that.
+    """
+    rate = max(_FULL_RATE, site.crop_coefficient)
+    taken = np.where(_watered(record), rate * record.reference, 0.0)
+    gained = np.concatenate(([0.0], np.cumsum((record.came - taken)[low:high])))
+    return float(np.max(gained - np.minimum.accumulate(gained)))
+
+
+def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
+    """A column of evapotranspiration that no place has: a day with too much, no day with enough.
+
+    Too little is seen where the site has its latitude, and in records of 30 days or more.
+    """
+    column = record.reference_column
+    if not column:
+        return
+    numbers, day = np.unique(record.seconds // DAY_S, return_inverse=True)
+    days, totals = numbers.astype("datetime64[D]"), np.bincount(day, record.reference)
+    over = np.flatnonzero(totals > _MOST_A_DAY)
+    if len(over):
+        yield FINDINGS.make(
+            "unit-error", "day", column,
+            most=float(totals[over[0]]), day=str(days[over[0]]), bound=_MOST_A_DAY,
+        )
+    if site.latitude is None or record.steps * record.step_s < _FEWEST_DAYS * DAY_S:
+        return
+    least = _LEAST_OF_SUN * evaporable(extraterrestrial_radiation(site.latitude, days))
+    if np.all(totals < least):
+        best = int(np.argmax(totals))
+        yield FINDINGS.make(
+            "unit-error", "month", column,
+            most=float(totals[best]), day=str(days[best]), bound=float(least[best]),
+        )
+
+
+def _rain(record: Record, site: Site) -> Iterator[Finding]:
+    rain, days = float(np.nansum(record.rain)), _days(record)
+    if rain + float(np.nansum(record.pumped)) < _LEAST_RAIN:
+        yield FINDINGS.make(
+            "unit-error", "little rain", "rain", rain=rain, days=days, bound=_LEAST_RAIN,
+        )
+    if days > 7 and rain / days > _MOST_RAIN_A_DAY:
+        yield FINDINGS.make(
+            "unit-error", "much rain", "rain", rain=rain, days=days,
+        )
+
+
+def _level(record: Record, site: Site) -> Iterator[Finding]:
+    """Levels above the soil, or that rise by much more or less than what storms bring.
+
+    A storm's rise is from the mean of half an hour before its first rain to that after its last.
+    """
+    if record.level is None:
+        return
+    highest = float(np.nanmax(record.level))
+    if highest > site.highest_roof_level:
+        yield FINDINGS.make(
+            "unit-error", "high level", "level",
+            highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(record.level))),
+        )
+    beside = max(1, round(_BESIDE_S / record.step_s))
+    water, rises = record.rain + record.pumped, []
+    for storm in storms(record):
+        wet = np.flatnonzero(np.nan_to_num(record.rain[storm.first:storm.end]) > 0)
+        last = storm.first + int(wet[-1]) + 1
+        if storm.first < beside or last + beside > record.steps:
+            continue
+        came = float(np.sum(water[storm.first - beside:last + beside]))
+        # Levels are of the beginnings of steps: the storm's first is before its rain.
+        before = record.level[storm.first + 1 - beside:storm.first + 1]
+        rise = 1000 * float(np.mean(record.level[last:last + beside]) - np.mean(before))
+        if came >= _COUNTS and not np.isnan(rise):
+            rises.append((came, rise))
+    came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
+    if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / came < _MOST_RISE:
+        yield FINDINGS.make(
+            "unit-error", "rises", "level",
+            risen=risen, came=came, least=_LEAST_RISE, most=_MOST_RISE,
+        )
+
+
+def _runoff(record: Record, site: Site) -> Iterator[Finding]:
+    """Runoff that is more in all than what came, or next to nothing of it.
+
+    Next to nothing is what a watered roof may leave, as long as its soil can hold the rest.
+    """
+    if record.runoff is None:
+        return
+    both = ~np.isnan(record.runoff) & ~np.isnan(record.rain)
+    came, gone = float(np.sum(record.came[both])), float(np.sum(record.runoff[both]))
+    held = 1000 * site.z_soil
+    if gone > came + held:
+        yield FINDINGS.make(
+            "unit-error", "much runoff", "runoff", gone=gone, came=came, held=held,
+        )
+    if gone < 0.001 * came and (
+        not _watered(record).any()
+        or _to_hold(record, site, 0, record.steps) > max(_LEAVES_SOME, held)
+    ):
+        code, case = ("unit-error", "little runoff") if gone > 0 else ("sensor-dead", "nothing")
+        yield FINDINGS.make(code, case, "runoff", gone=gone, came=came)
+
+
+class _Answer(NamedTuple):
+    """A storm's first step, its water, and what ran off in it and the day after (mm)."""
+
+    first: int
+    came: float
+    gone: float
+
+
+def _storm_runoff(record: Record, site: Site) -> Iterator[Finding]:
+    """Runoff that is more than what came storm by storm, or less than any roof lets off.
+
+    Storms with gaps do not count. From when on a roof leaves some of a storm nobody knows where it
+    is watered: a controller may make room for the storm.
+    """
+    if record.runoff is None:
+        return
+    water, held = record.rain + record.pumped, 1000 * site.z_soil
+    answers = [
+        one for one in (
+            _Answer(storm.first, *(float(np.sum(series[storm.first:storm.end]))
+                                   for series in (water, record.runoff)))
+            for storm in storms(record)
+        ) if not np.isnan(one.came + one.gone)
+    ]
+    gone = sum(one.gone for one in answers)
+    excess = sum(max(0.0, one.gone - one.came) for one in answers)
+    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * gone):
+        worst = max(answers, key=lambda one: one.gone - one.came)
+        yield FINDINGS.make(
+            "unit-error", "excess", "runoff",
+            gone=worst.gone, came=worst.came, when=record.time(worst.first), excess=excess,
+            storms=len(answers),
+        )
+    for one in answers:
+        if one.gone < one.came - held - _HELD_BESIDES:
+            yield FINDINGS.make(
+                "unit-error", "held", "runoff",
+                gone=one.gone, came=one.came, when=record.time(one.first), held=held,
+            )
+            return
+    watered = _watered(record)
+    large = [one for one in answers if one.came >= _LARGE and not watered[one.first]]
+    share = max((one.gone / one.came for one in large), default=1.0)
+    if len(large) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and share < _LEAST_SHARE:
+        yield FINDINGS.make(
+            "unit-error", "shares", "runoff", percent=100 * share, storms=len(large), large=_LARGE,
+        )
+
+
+# --- water that is missing ------------------------------------------------------------------------
+
+# Water that comes from a roof without any rain on it for so long (mm, s).
+_UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
+# A level that rises without rain: the means of so long before and after (s), and of so many values
+# at least, apart by so much (mm), and by so many times more than it ever falls so, with none for a
+# day before. Noise of 2 mm makes 2 mm of it; a sensor that feels the sun rises and falls alike.
+_RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
+
+
+def _silence(record: Record, site: Site) -> Iterator[Finding]:
+    """A flow meter that shows none of more water than soil and evapotranspiration can take."""
+    most = max(_LEAVES_SOME, 1000 * site.z_soil)
+    came = np.concatenate(([0.0], np.cumsum(record.came)))
+    for low, high in [] if record.runoff is None else gaps(record.runoff == 0):
+        if came[high] - came[low] > most and _to_hold(record, site, low, high) > most:
+            yield FINDINGS.make(
+                "sensor-dead", "silent", "runoff",
+                days=(high - low) * record.step_s / DAY_S, since=record.time(low),
+                came=float(came[high] - came[low]), most=most,
+            )
+            return
+
+
+def _wet(record: Record) -> Steps:
+    """Return in which steps water came, or may have come."""
+    return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
+
+
+def _runoff_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+    since = math.ceil(_DRY_S / record.step_s)
+    spans = [] if record.runoff is None else gaps(~lately(_wet(record), since))
+    for low, high in spans:
+        assert record.runoff is not None
+        gone = float(np.nansum(record.runoff[low:high]))
+        if low > 0 and gone > _UNEXPLAINED:
+            yield FINDINGS.make(
+                "gauge-blocked", "runoff", "rain",
+                days=(high - low + since - 1) * record.step_s / DAY_S, when=record.time(high),
+                gone=gone,
+            )
+            return
+
+
+def _rise_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+    count = max(_RISE_VALUES, round(_RISE_S / record.step_s))
+    before = max(count, round(DAY_S / record.step_s))
+    if record.level is None or record.steps <= before + count:
+        return
+    at = np.arange(before, record.steps - count)
+    there, rained = (
+        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(record.level), _wet(record))
+    )
+    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.level))))
+    known = there[at + count] - there[at - count] == 2 * count
+    dry = known & (rained[at + count] == rained[at - before])
+    rise = 1000 * (total[at + count] - 2 * total[at] + total[at - count]) / count
+    most = int(np.argmax(np.where(dry, rise, 0.0)))
+    fall = float(np.max(np.where(dry, -rise, 0.0)))
+    if dry[most] and rise[most] > max(_RISE, _RISE_TO_FALL * fall):
+        yield FINDINGS.make(
+            "gauge-blocked", "rise", "rain",
+            dry=time_name(round(before * record.step_s)), when=record.time(int(at[most])),
+            rise=float(rise[most]),
+        )
+
+
+# --- fits -----------------------------------------------------------------------------------------
+
+# Simulated too much or too little by this share, runoff is not that of the roof.
+_VOLUME_OFF = 0.5
+_LOOK_AT = (
+    "Look at units, at clocks that are shifted, at sensors that are stuck or blocked, and at a2 "
+    "and z_soil of the site."
+)
+
+
+def check_fit(rows: Sequence[ScoreRow]) -> list[Finding]:
+    """Return what speaks against a fit.
+
+    It is refused where it is worse than the mean of what was measured, wherever one looks: an NSE
+    below 0 of hours (or the steps, where they are longer) and of days, in the fit and in the
+    validation, of everything that was measured. Nobody should use it where the validation has an
+    NSE of days below 0, of hours (or longer steps) where there are too few days, or a volume that
+    is wrong by more than half.
+    """
+    known = [
+        {over_s: nse for over_s, nse in row.scores.nse.items()
+         if over_s >= HOUR_S and not math.isnan(nse)}
+        for row in rows
+    ]
+    if all(nses and max(nses.values()) < 0 for nses in known):
+        scores = "; ".join(
+            f"{row.quantity}, {row.part}: {' and '.join(map(_nse, nses.items()))}"
+            for row, nses in zip(rows, known, strict=True)
+        )
+        return [FINDINGS.make("no-fit", "no roof", "fit", scores=scores, look=_LOOK_AT)]
+    worse, off = [], []
+    for row, nses in zip(rows, known, strict=True):
+        error = row.scores.volume_error
+        if row.part == "validation" and nses and nses[max(nses)] < 0:
+            worse.append(f"NSE of {row.quantity} {_nse((max(nses), nses[max(nses)]))}")
+        if row.part == "validation" and row.quantity == "runoff" and abs(error) > _VOLUME_OFF:
+            off.append(f"volume of runoff {100 * error:+.0f} %")
+    if not worse and not off:
+        return []
+    what = "worse than the mean of what was measured" if worse else "wrong by much"
+    why = ", ".join(worse + off)
+    return [FINDINGS.make("poor-fit", "poor", "fit", what=what, why=why, look=_LOOK_AT)]
+
+
+def _nse(one: tuple[int, float]) -> str:
+    return f"{one[1]:.2f} ({time_name(one[0])})"
+
+
+# --- level sensors --------------------------------------------------------------------------------
+
+# A day after the last water nothing moves on a roof at night.
+_STILL_S, _SHORTEST_NIGHT_S, _FEWEST_NIGHTS = DAY_S, 3 * HOUR_S, 5
+
+
+def level_sensor(record: Record, simulated: Values) -> Finding:
+    """Return what nights say in which neither rain nor evapotranspiration moves the level.
+
+    The noise is what the level does within a night, about its mean; the drift the line through what
+    the nights' means are above the simulated level. An offset cannot be told from the wilting
+    point, which takes it up.
+
+    Args:
+        record: with a level.
+        simulated: level (m), shape (steps,).
+    """
+    assert record.level is not None
+    recent = lately(record.came > 0, math.ceil(_STILL_S / record.step_s))
+    times, errors, variances = [], [], []
+    for low, high in gaps(~recent & (record.reference == 0) & ~np.isnan(record.level)):
+        if high - low > 1 and (high - low) * record.step_s >= _SHORTEST_NIGHT_S:
+            times.append((low + high) / 2 * record.step_s / DAY_S)
+            errors.append(float(np.mean(record.level[low:high] - simulated[low:high])))
+            variances.append(float(np.var(record.level[low:high], ddof=1)))
+    if len(times) < _FEWEST_NIGHTS:
+        return FINDINGS.make("level-sensor", "unseen", "level sensor")
+    from scipy.stats import linregress  # half of what the command imports, before it refuses
+    from scipy.stats import t as student
+
+    line = linregress(times, errors)
+    drift = 30 * 1000 * float(line.slope)
+    half = 30 * 1000 * float(line.stderr * student.ppf(0.975, len(times) - 2))
+    return FINDINGS.make(
+        "level-sensor", "drift" if abs(drift) > half else "still", "level sensor",
+        noise=1000 * float(np.sqrt(np.mean(variances))), drift=drift, half=half, nights=len(times),
+    )

@@ -1,0 +1,68 @@
+"""What is most likely wrong with an archive: leads that lack water, rain of another place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from statistics import median
+
+from greenroof_ros.common.quality import Finding, Findings
+from greenroof_ros.verification.pairs import Class
+from greenroof_ros.verification.scores import Scores, Tally
+
+_FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
+
+# In a quarter of a year few storms make such differences, in a year none (h).
+_LEAST_HOURS = 8760
+# Of the median of the other leads, or its inverse. In any 365 days of Open-Meteo's previous runs of
+# GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times the others' water, and GFS's
+# fifth day, half of which is missing there, 0.36 to 0.52.
+_LEAST_SHARE = 0.55
+# The least of the services five days ahead is 0.32 (sums over 12 h; the package's table of skill).
+# Of so many pairs that know nothing of one another hardly one in a thousand has so much.
+_LEAST_R, _LEAST_PAIRS = 0.1, 1000
+
+
+def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[Finding]:
+    """Return what is most likely wrong with forecasts.
+
+    Args:
+        tallies: what adds up in each class.
+        previous_runs: whether these are previous runs, whose leads may lack water.
+    """
+    scores = {one: tally.scores() for one, tally in tallies.items()}
+    findings = [
+        _FINDINGS.make("odd-lead", "water", "forecasts", lead=lead, ratio=ratio)
+        for lead, ratio in (_odd_leads(scores) if previous_runs else {}).items()
+    ]
+    # Classes of few pairs tell nothing, nor do those in which forecast or rain is always the same.
+    told = [one.r for one in scores.values() if one.n >= _LEAST_PAIRS and not math.isnan(one.r)]
+    if told and max(told) < _LEAST_R:
+        findings.append(_FINDINGS.make("unrelated", "r", "forecasts", bound=_LEAST_R))
+    return findings
+
+
+def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
+    """Return the leads, in words, whose water is not that of the others, and the ratio (1).
+
+    The water of a lead is its bias, so that its missing hours do not count. Less than 0.55 of the
+    median of the other leads, or more than 1 / 0.55 of it, is odd. A forecast
+    of the far future may be worse, but a model's climate stays what it is. Leads with less than a
+    year, and less than two other leads, tell nothing.
+
+    Args:
+        scores: of previous runs, where each pair of a lead is of other hours.
+    """
+    water: dict[str, float] = {}
+    for one, of_class in scores.items():
+        if of_class.n * one.sum.hours >= _LEAST_HOURS and not math.isnan(of_class.bias):
+            water.setdefault(one.lead, of_class.bias)
+    if len(water) < 3:
+        return {}
+    found = {}
+    for lead, bias in water.items():
+        usual = median(other for name, other in water.items() if name != lead)
+        if not _LEAST_SHARE * usual <= bias <= usual / _LEAST_SHARE:
+            found[lead] = bias / usual if usual else math.inf
+    return found

@@ -1,0 +1,310 @@
+"""The command: the site file and the page that it writes, what it refuses, what it is given."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from browsers import started_browser
+from changes import DAY, LEVEL, RAIN, both, cell, from_row, twin
+from commands import run_command
+from graphs import environment
+from twins import TWIN, record_rows, write
+
+from greenroof_ros.calibration.site_file import Entry, edited_site_file
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import read_site
+
+PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
+PAPER = shared_directory() / "config" / "site.yaml"
+
+
+def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return run_command("calibrate", *arguments, cwd=directory, env=environment(0))
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory in which the command has run on a twin, from the paper's site.
+
+    Its pumps are worn: their data sheet has 50 m. Its target is more than the roof holds.
+    """
+    directory = tmp_path_factory.mktemp("command")
+    write(record_rows(PUMPED, 45, 2, pumping=True), directory / "twin.csv")
+    text = PAPER.read_text(encoding="utf-8")
+    for was, now in (
+        ("a2: 68.8", "a2: 100.0"),
+        ("z_veg: 0.0457", "z_veg: 0.06"),
+        ("z_soil: 0.5", "z_soil: 0.1"),
+        ("latitude: 43.63", "latitude: 52.5"), ("longitude: -79.40", "longitude: 13.4"),
+        ("utc_offset: -5.0", "utc_offset: 1.0"), ("a_in: 0.2922466566001905", "a_in: 300.0"),
+    ):
+        assert was in text
+        text = text.replace(was, now)
+    (directory / "site.yaml").write_text(text, encoding="utf-8")
+    # On the curve 50 - 1e6 q^2.
+    (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
+    ended = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
+            "-o", "fitted.yaml", "--pump-data", "pump.csv", "--months", "4-6",
+        ],
+        cwd=directory, env=environment(0), capture_output=True, text=True, check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "runoff, validation" in ended.stdout
+    assert "crop_coefficient counts where evapotranspiration is computed" in ended.stdout
+    assert "intervals allow for what the record cannot tell apart" in ended.stdout
+    assert "do not use it" not in ended.stdout
+    assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
+    assert "target: z_veg was 0.06 m, and the fitted roof holds 0.0" in ended.stdout
+    assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
+    # On a slow machine a line every ten seconds, and nothing else.
+    progress = re.compile(r"(\d of \d: .*|done): \d+%")
+    assert [line for line in ended.stderr.splitlines() if not progress.fullmatch(line)] == []
+    noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
+    assert float(noise) == pytest.approx(2.0, abs=0.15)  # as the twin was made
+    return directory
+
+
+def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
+    site = read_site(fitted / "fitted.yaml")
+    assert site.field_capacity == pytest.approx(TWIN.field_capacity, rel=0.05)
+    assert site.drainage_time == pytest.approx(TWIN.drainage_time, rel=0.1)
+    text = (fitted / "fitted.yaml").read_text(encoding="utf-8")
+    assert text.startswith("# Fitted to twin.csv by greenroof calibrate.\n")
+    assert "# runoff, validation: NSE " in text
+    top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
+    for note in (
+        "data sheet: a_hat ", "months: 4-6 are", "target: z_veg was ", "level sensor: noise ",
+        "pumps: 5",
+    ):
+        assert note in top
+    # Between wilting point and field capacity, 0.1 m deep.
+    middle = (site.wilting_point + site.field_capacity) / 2
+    assert site.z_veg == pytest.approx(0.1 * middle, rel=1e-4)
+    assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
+    lines = {line.split(":")[0]: line for line in text.splitlines()}
+    assert lines["a_hat"].endswith(
+        "fitted to points of the data sheet; the data cannot tell it apart from c_hat"
+    )
+    low, high = map(float, re.search(r"fitted, (\S+) to (\S+) \(95 %\)", lines["c_hat"]).groups())
+    assert low <= 45.0 <= high
+    assert high - low < 6.0
+    assert low < site.c_hat < high
+    assert lines["crop_coefficient"].endswith(
+        "; counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with "
+        "a weather file's own column"
+    )
+    assert site.z_pump == 0.15  # what was not fitted stays, with its comment
+    assert "# m       elevation of the pumps above the cistern's base [T1]" in text
+
+
+def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
+    """Two lines of the site file are other ones, and nothing else."""
+    sheet = str(fitted / "pump.csv")
+    ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == (
+        "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m\nwritten: pumped.yaml\n"
+    )
+    was, now = (
+        file.read_text(encoding="utf-8").splitlines()
+        for file in (PAPER, tmp_path / "pumped.yaml")
+    )
+    assert now[:2] == ["# Pumps fitted to pump.csv by greenroof calibrate.", ""]
+    changed = [line for before, line in zip(was, now[2:], strict=True) if line != before]
+    assert changed == [
+        "a_hat: -1e+06                 # s2/m5   fitted to points of the data sheet",
+        "c_hat: 50                     # m       fitted to points of the data sheet",
+    ]
+    site = read_site(tmp_path / "pumped.yaml")
+    assert (site.a_hat, site.c_hat) == (-1e6, 50.0)
+
+
+def test_pumps_that_lift_no_water_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "low.csv").write_text("flow [m3/s],head [m]\n0,15\n0.004,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "low.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "error: low.csv: the curve has 15 m at no flow; it must exceed d - z_pump - z_H = 15.25 m "
+        "of the site, or the pumps never lift water to the roof (Eq. 3e)\n"
+    )
+
+
+NEW = {"c_hat": Entry(50.0, "new"), "z_veg": Entry(0.04, "new"), "wilting_point": Entry(0.05, "w"),
+       "field_capacity": Entry(0.3, "f"), "depletion_fraction": Entry(0.5, "p")}
+
+
+@pytest.mark.parametrize("form", ["block", "flow", "quoted", "extends"])
+def test_a_site_file_of_any_form_is_edited(form: str, tmp_path: Path) -> None:
+    """YAML that reads alike: a line for each, all in one line, keys in quotes, extended."""
+    text = PAPER.read_text(encoding="utf-8")
+    if form in ("flow", "quoted"):
+        content = yaml.safe_load(text)
+        pairs = {key: float(one) if isinstance(one, str) else one for key, one in content.items()}
+        style = {"default_flow_style": True} if form == "flow" else {"default_style": None}
+        text = yaml.safe_dump(pairs, sort_keys=False, width=10**6, **style)
+    if form == "quoted":
+        text = re.sub(r"(?m)^(\w+):", r'"\1":', text)
+    if form == "block":
+        text += "x2_star: 3.14416\n"
+    if form == "extends":
+        text = "extends: site.yaml\nc_hat: 54.0\n"
+    file = tmp_path / "own.yaml"
+    file.write_text(text)
+    before = read_site(file)
+    edited = tmp_path / "edited.yaml"
+    edited.write_text(edited_site_file(file, NEW, ["Why."]))
+    after = read_site(edited)
+    assert after == replace(
+        before, c_hat=50.0, z_veg=0.04, x2_star=68.8 * 0.04, wilting_point=0.05, field_capacity=0.3,
+        depletion_fraction=0.5, z_cap=68.8 * 0.5 * 0.3,
+    )
+
+
+def test_all_else_in_a_site_file_stays(tmp_path: Path) -> None:
+    """Its comments with it, but for those that go on behind an entry that is replaced."""
+    was = PAPER.read_text(encoding="utf-8").splitlines()
+    now = edited_site_file(PAPER, NEW, ["Why."]).splitlines()
+    assert now[:2] == ["# Why.", ""]
+    gone = [line for line in was if line not in now]
+    assert [line[:12] for line in gone] == ["z_veg: 0.045", " " * 12, "c_hat: 55.2 "]
+    assert [line for line in now[2:] if line not in was] == [
+        "z_veg: 0.04                   # m       new",
+        "c_hat: 50                     # m       new",
+        "# The measured roof",
+        "wilting_point: 0.05           # 1       w",
+        "field_capacity: 0.3           # 1       f",
+        "depletion_fraction: 0.5       # 1       p",
+    ]
+
+
+def test_what_would_be_no_site_is_refused() -> None:
+    with pytest.raises(ConfigurationError) as error:
+        edited_site_file(PAPER, {"c_hat": Entry(5.0, "new")}, [])
+    assert str(error.value).startswith(
+        f"{PAPER}: with what was fitted it is no site, and nothing is written: c_hat = 5: must"
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (cell(7, RAIN, "wet"), ["line 8: rain [mm] = 'wet': must be a number"]),
+        (both(from_row(5 * DAY, LEVEL, "0.0300"), from_row(5 * DAY, RAIN, "0.1000", 6 * DAY)),
+         ["level: is 0.03 m for 6", "[sensor-stuck]", "rain: is 0.1 mm a step for 24 h",
+          "where this is right all the same: --accept "]),
+    ],
+)
+def test_a_wrong_record_ends_it_with_2(changed: Any, message: list[str], tmp_path: Path) -> None:
+    """A line for each finding, and how all are accepted; nothing is written."""
+    file = write(changed(twin(30, 1)), tmp_path / "wrong.csv")
+    ended = calibrate(tmp_path, str(file), "-o", "fitted.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(f"error: {file}")
+    for part in message:
+        assert part in ended.stderr
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_finding_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -> None:
+    """A level that is stuck for two weeks: output, page and site file say so."""
+    stuck = from_row(5 * DAY, LEVEL, "0.0300", 20 * DAY)
+    write(stuck(twin(60, 1)), tmp_path / "stuck.csv")
+    arguments = ("stuck.csv", "--site", str(fitted / "site.yaml"), "-o", "new.yaml")
+    refused = calibrate(tmp_path, *arguments)
+    assert refused.returncode == 2
+    accepted = re.search(r"--accept (.*)", refused.stderr)[1].split()
+    assert "sensor-stuck" in accepted
+    done = calibrate(tmp_path, *arguments, "--accept", *accepted)
+    assert done.returncode == 0, done.stderr
+    warning = "level (sensor-stuck, accepted): is 0.03 m for "
+    assert warning in done.stdout
+    assert f"# {warning[:40]}" in (tmp_path / "new.yaml").read_text(encoding="utf-8")
+    assert warning[1:] in (tmp_path / "new.html").read_text(encoding="utf-8").split("</header>")[0]
+    unknown = calibrate(tmp_path, *arguments, "--accept", "everything")
+    assert unknown.returncode == 2
+    assert "invalid choice: 'everything'" in unknown.stderr
+
+
+@pytest.mark.parametrize(
+    ("output", "why"),
+    [(".", "must be the name of a file that ends in .yaml or .yml"),
+     ("/", "must be the name of a file that ends in .yaml or .yml"),
+     ("site.html", "must be the name of a file that ends in .yaml or .yml"),
+     ("nowhere/site.yaml", "must be in a directory that exists and can be written to")],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_the_fit(
+    output: str, why: str, tmp_path: Path
+) -> None:
+    """That there is no such record is found after it."""
+    ended = calibrate(tmp_path, "none.csv", "-o", output)
+    assert ended.returncode == 2
+    assert ended.stderr == f"error: --output = '{output}': {why}\n"
+
+
+def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,1e300\n0.004,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(
+        "error: wild.csv, line 2: '0,1e300': must be a flow from 0 to 0.5 m3/s and a head from 0 "
+        "to 500 m; are they in other units"
+    )
+    (tmp_path / "litres.csv").write_text("flow [m3/s],head [m]\n0,55\n4,46\n8,20\n")
+    ended = calibrate(tmp_path, "--pump-data", "litres.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert "error: litres.csv, line 3: '4,46': must be a flow from 0 to 0.5 m3/s" in ended.stderr
+    assert "such as l/s" in ended.stderr
+    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,50\n1e-8,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert "nothing is written: a_hat = -4.1e+17: must be from" in ended.stderr
+
+
+def test_months_that_are_none_are_refused_before_the_record_is_read(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "none.csv", "-o", "fitted.yaml", "--months", "April")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: --months = 'April': must be the first and the last")
+    assert ended.stderr.count("\n") == 1
+
+
+def test_something_must_be_given(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "-o", "fitted.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == "error: MEASURED: must be given, or --pump-data alone\n"
+
+
+def test_it_writes_over_nothing(fitted: Path) -> None:
+    ended = calibrate(fitted, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == "error: --output = 'fitted.yaml': exists; name another file\n"
+
+
+def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
+    with started_browser() as browser:
+        page: Any = browser.new_page(viewport={"width": 1200, "height": 900})
+        asked, wrong = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto((fitted / "fitted.html").as_uri())
+        page.wait_for_selector("html[data-drawn='8']", timeout=60_000)
+        assert wrong == []
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        words = page.inner_text("main")
+        assert "field_capacity" in words
+        assert "Measured and simulated" not in words  # titles are drawn
+        notes = page.locator("#notes li").all_inner_texts()
+        assert [note.split(":")[0] for note in notes] == [
+            "data sheet", "months", "target", "level sensor", "pumps", "pumps"
+        ]
+        assert "The crop_coefficient counts where evapotranspiration is computed" in words
+        assert page.locator("canvas").count() == 8

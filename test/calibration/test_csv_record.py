@@ -1,0 +1,242 @@
+"""Measured records as CSV: what is read from them, which step a row is of, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from changes import LEAST, LEVEL, RAIN, RUNOFF, TIME, Change, cell, change, scaled, twin, without
+from twins import TWIN, write
+
+from greenroof_ros.calibration.csv_record import read_csv_record, steps_of_rows
+from greenroof_ros.common.errors import ConfigurationError
+
+
+def small(header: str, *cells: str) -> str:
+    """A file of 120 rows with the same cells in each."""
+    lines = [header]
+    for row in range(120):
+        hour, minute = divmod(row * 5, 60)
+        lines.append(",".join([f"2021-06-{1 + hour // 24:02}T{hour % 24:02}:{minute:02}",
+                               *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
+    """12 mm/h are 1 mm in 5 minutes; 2 l/s off 100 m2 6 mm, and 50 l 0.5 mm."""
+    file = tmp_path / "record.csv"
+    file.write_text(small(
+        "time,rain [mm/h],runoff [l/s],pumped [l],level [mm],reference evapotranspiration [mm/day]",
+        "12", "2", "50", "25", "2.88",
+    ))
+    record = read_csv_record(file, TWIN)
+    assert record.step_s == 300.0
+    assert record.start.isoformat() == "2021-06-01T00:00:00+01:00"
+    assert record.rain == pytest.approx(np.full(120, 1.0))
+    assert record.runoff == pytest.approx(np.full(120, 6.0))
+    assert record.pumped == pytest.approx(np.full(120, 0.5))
+    assert record.level == pytest.approx(np.full(120, 0.025))
+    assert record.reference == pytest.approx(np.full(120, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("runoff", "last_decimal"),
+    [("0.04", 0.01), ("1.5", 0.1), ("3", 1.0), ("0", 1.0), ("0.30000000000000004", 0.1),
+     ("0.00515464", 1e-8)],
+)
+def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: Path) -> None:
+    """Of 100 m2: 1 in the last place of litres is a hundredth of that in mm."""
+    file = tmp_path / "record.csv"
+    for unit, factor in (("mm", 1.0), ("l", 0.01)):
+        file.write_text(small(
+            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0.1",
+        ))
+        assert read_csv_record(file, TWIN).last_decimal == pytest.approx(factor * last_decimal)
+
+
+def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
+    """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e."""
+    file = tmp_path / "record.csv"
+    file.write_text(small(
+        "time,rain [mm],level [m],pump state [%],cistern level [m],temperature [degC]",
+        "0", "0.02", "50", "3", "",
+    ).replace("T04:00,0,0.02,50,3,", "T04:00,0,0.02,50,3,10").replace(
+        "T05:00,0,0.02,50,3,", "T05:00,0,0.02,50,3,20"))
+    with pytest.raises(ConfigurationError, match="no day has its temperatures"):
+        read_csv_record(file, TWIN)
+    file.write_text(small(
+        "time,rain [mm],level [m],pump state [%],cistern level [m],"
+        "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0.1",
+    ))
+    flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
+    record = read_csv_record(file, TWIN)
+    assert record.pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
+    assert record.command == pytest.approx(np.full(120, 0.5))
+    assert record.cistern == pytest.approx(np.full(120, 3.0))
+
+
+def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
+    """Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0."""
+    text = small(
+        "time,rain [mm],level [m],pump state [1],cistern level [m],"
+        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0.1",
+    )
+    for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
+        text = text.replace(f"T00:{minute},0,0.02,0,3,", f"T00:{minute},0,0.02,{state},{level},")
+    file = tmp_path / "record.csv"
+    file.write_text(text)
+    record = read_csv_record(file, TWIN)
+    assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [3, 7]
+    assert np.nansum(record.pumped) == 0
+    assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
+
+
+def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
+    rows = cell(200, RUNOFF, "")(twin(30, 1)[:500] + twin(30, 1)[600:1000])
+    record = read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+    assert record.steps == 999
+    assert np.flatnonzero(np.isnan(record.rain)).tolist() == list(range(499, 599))
+    assert np.flatnonzero(np.isnan(record.runoff)).tolist() == [199, *range(499, 599)]
+    # A sensor that failed has often seen a part of the steps beside only.
+    assert np.flatnonzero(~record.known).tolist() == [198, 199, 200, *range(498, 600)]
+
+
+WRONG: dict[str, tuple[Change, str]] = {
+    "no rain column": (without(RAIN), "line 1: there must be a column 'rain [mm]'"),
+    "nothing measured": (
+        without(RUNOFF, LEVEL), "there must be a column 'runoff [mm]' or 'level [m]'"),
+    "nothing for evapotranspiration": (
+        without(LEAST), "there must be a column 'reference evapo"),
+    "no unit": (cell(0, 1, "rain"), "line 1: 'rain': a column must be named like 'rain [mm]'"),
+    "unknown unit": (cell(0, 1, "rain [inch]"), "'rain [inch]': the unit of rain must be one like"),
+    "rain in litres": (cell(0, 1, "rain [l]"), "the unit of rain must be one like [mm]"),
+    "unknown quantity": (cell(0, 2, "flow [mm]"), "'flow [mm]': is not a known column"),
+    "a quantity twice": (cell(0, 2, "rain [mm/h]"), "there is a column of rain before this one"),
+    "time not first": (cell(0, 0, "date"), "'date': the first column must be 'time'"),
+    "a pump state alone": (cell(0, 2, "pump state [1]"), "'cistern level [m]', on which"),
+    "not a number": (
+        cell(7, RAIN, "wet"), "line 8: rain [mm] = 'wet': must be a number, or empty"),
+    "infinite": (cell(7, LEVEL, "inf"), "line 8: level [m] = 'inf': must be a number"),
+    "no time": (cell(9, TIME, "noon"), "line 10: time = 'noon': must be a time such as"),
+    "a time twice": (
+        cell(9, TIME, "2021-04-01T00:35:00"), "line 10: time = '2021-04-01T00:35:00"),
+    "irregular steps": (
+        change(TIME, lambda row, text: text[:-2] + "59" if row % 20 == 7 else text),
+        "line 9: time = '2021-04-01T00:35:59+01:00': must be 300 s after the row before, or a "
+        "whole number of such steps, not 359 s; so are 864 of 8640 rows"),
+    "a row cut off": (lambda rows: [*rows[:50], rows[50][:3], *rows[51:]], "must have 6 cells"),
+    "too short": (lambda rows: rows[:40], "has 39 rows; a record must have 100 at least"),
+    "negative rain": (cell(7, RAIN, "-1"), "line 8: rain [mm] = -1.0: must be from 0 to 1900 mm/h"),
+    "rain in micrometres": (scaled(RAIN, 1000), "is the unit of the column right?"),
+    "level in mm called m": (scaled(LEVEL, 1e4), "must be from -0.1 to 100 m; is the unit of"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files_are_refused(name: str, tmp_path: Path) -> None:
+    changed, message = WRONG[name]
+    file = write(changed(twin(30, 1)), tmp_path / "wrong.csv")
+    with pytest.raises(ConfigurationError) as error:
+        read_csv_record(file, TWIN)
+    assert str(error.value).startswith(str(file))
+    assert message in str(error.value)
+
+
+def test_a_place_is_needed_for_temperatures(tmp_path: Path) -> None:
+    file = write(twin(30, 1), tmp_path / "record.csv")
+    with pytest.raises(ConfigurationError, match="needs latitude and longitude"):
+        read_csv_record(file, replace(TWIN, latitude=None))
+    with pytest.raises(ConfigurationError, match="must say its offset from UTC"):
+        read_csv_record(file, replace(TWIN, utc_offset=None))
+
+
+START = datetime(2021, 4, 1, 0, 3, tzinfo=timezone.utc)
+
+
+def steps(since: np.ndarray) -> tuple[list[int], float]:
+    """Steps of rows at some seconds since the first."""
+    times = [START + timedelta(seconds=float(second)) for second in since]
+    slots, step_s = steps_of_rows(Path("roof.csv"), times, list(range(2, len(times) + 2)))
+    return slots.tolist(), step_s
+
+
+def test_a_clock_that_is_set_moves_no_row_that_comes_after() -> None:
+    """Set on by 2 min before row 200 and before row 400; then it is 4 min late, nearer to the next.
+
+    Before row 1000 it is set right by an hour without rows, less 2 min: 2 min late again.
+    """
+    since = 300.0 * np.arange(1200)
+    for first in (200, 400):
+        since[first:] += 120
+    since[1000:] += 3600 - 120
+    found, step_s = steps(since)
+    assert step_s == 300.0
+    assert found[:400] == list(range(400))
+    assert found[400:1000] == list(range(401, 1001))
+    assert found[1000:] == list(range(1012, 1212))
+
+
+def test_no_row_is_moved_by_more_than_half_a_step() -> None:
+    random = np.random.default_rng(4)
+    spacing = np.full(20000, 300.0)
+    resets = random.integers(0, len(spacing), 100)
+    spacing[resets] = random.integers(1, 2000, 100)
+    since = np.concatenate(([0.0], np.cumsum(spacing)))
+    found, step_s = steps(since)
+    assert step_s == 300.0
+    assert np.max(np.abs(np.array(found) * 300.0 - since)) <= 150.0
+
+
+@pytest.mark.parametrize("step_s", [60.0, 600.0, 3600.0, 6 * 3600.0, 86400.0])
+def test_any_step_up_to_a_day_is_taken(step_s: float) -> None:
+    assert steps(step_s * np.arange(120)) == (list(range(120)), step_s)
+
+
+@pytest.mark.parametrize(
+    ("since", "message"),
+    [
+        (2 * 86400.0 * np.arange(120),
+         "line 3: time = '2021-04-03T00:03:00+00:00': the rows are 2 days apart; they must be a "
+         "day apart at most"),
+        (300.0 * np.concatenate((np.arange(60), np.arange(48, 120))),
+         "line 62: time = '2021-04-01T04:03:00+00:00': must be later than the time of the row "
+         "before"),
+        (np.cumsum(np.resize([300.0, 300.0, 420.0], 200)),
+         "line 4: time = '2021-04-01T00:20:00+00:00': must be 300 s after the row before, or a "
+         "whole number of such steps, not 420 s; so are 66 of 200 rows"),
+    ],
+)
+def test_rows_that_are_on_no_clock_are_refused(since: np.ndarray, message: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        steps(since)
+    assert message in str(error.value)
+
+
+def test_two_rows_of_one_step_are_put_together(tmp_path: Path) -> None:
+    """Amounts add up, rates and levels are averaged; what one row leaves empty is not known.
+
+    After the row of 2:00 comes one of 2:02, with which the clock was set, and then 2:05.
+    """
+    lines = ["time,rain [mm],runoff [mm/h],level [m],temperature [degC]"]
+    for row in range(400):
+        hour, minute = divmod(5 * row, 60)
+        lines.append(
+            f"2021-06-{1 + hour // 24:02}T{hour % 24:02}:{minute:02},0.1,0.6,0.02,{10 + hour % 24}"
+        )
+    at = next(number for number, line in enumerate(lines) if "T02:00" in line)
+    lines.insert(at + 1, "2021-06-01T02:02,0.3,1.8,0.04,")
+    file = tmp_path / "record.csv"
+    file.write_text("\n".join(lines) + "\n")
+    record = read_csv_record(file, TWIN)
+    assert record.steps == 400
+    assert record.rain[23:26] == pytest.approx([0.1, 0.4, 0.1])
+    assert record.runoff[23:26] == pytest.approx([0.05, 0.1, 0.05])
+    assert record.level[23:26] == pytest.approx([0.02, 0.03, 0.02])
+    lines[at + 1] = "2021-06-01T02:02,,,,"
+    file.write_text("\n".join(lines) + "\n")
+    record = read_csv_record(file, TWIN)
+    assert np.flatnonzero(np.isnan(record.rain)).tolist() == [24]
+    assert record.level[24] == pytest.approx(0.02)

@@ -1,0 +1,122 @@
+"""Storms of a record, what of it is compared, its months and its halves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greenroof_ros.calibration.record import (
+    Record,
+    Storm,
+    comparable,
+    halve,
+    in_months,
+    month_numbers,
+    storms,
+)
+from greenroof_ros.common.errors import ConfigurationError
+
+HOUR = 12
+DAY = 24 * HOUR
+
+
+def a_record(days: int, rain: dict[int, float]) -> Record:
+    """A record of five-minute steps with rain and without runoff in some of them."""
+    depths, runoff = np.zeros(days * DAY), np.zeros(days * DAY)
+    for step, depth in rain.items():
+        depths[step] = depth
+    return Record(
+        Path("none"), datetime(2021, 5, 1, tzinfo=timezone.utc), 300.0, depths,
+        np.zeros(days * DAY), np.zeros(days * DAY), runoff, None,
+    )
+
+
+def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
+    record = a_record(6, {
+        10: 1.0, 10 + 6 * HOUR: 2.0,  # six hours later: the same storm
+        20 + 13 * HOUR: 4.0,  # more than six hours later: the next
+    })
+    assert storms(record) == [
+        Storm(10, 20 + 13 * HOUR, 3.0), Storm(20 + 13 * HOUR, 21 + 13 * HOUR + DAY, 4.0),
+    ]
+
+
+def test_wet_days_in_a_row_are_one_storm() -> None:
+    """Of daily sums: a dry day parts two, and the day after the last rain is a storm's still."""
+    record = replace(a_record(1, {}), step_s=86400.0, rain=np.array([0, 2.0, 3, 0, 4, 0, 0, 1, 0]))
+    assert storms(record) == [Storm(1, 4, 5.0), Storm(4, 6, 4.0), Storm(7, 9, 1.0)]
+
+
+def test_without_rain_there_is_none() -> None:
+    assert storms(a_record(1, {})) == []
+
+
+def test_the_last_storm_ends_with_the_record() -> None:
+    assert storms(a_record(1, {DAY - 5: 3.0})) == [Storm(DAY - 5, DAY, 3.0)]
+
+
+@pytest.mark.parametrize("what", ["rain", "pumped", "runoff"])
+def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) -> None:
+    """On another day the step and those beside it."""
+    record = a_record(6, {100: 5.0, 4 * DAY: 5.0})
+    series = getattr(record, what).copy()
+    series[[120, 3 * DAY]] = np.nan
+    steps = comparable(replace(record, **{what: series}))
+    assert not steps[100:101 + DAY].any()
+    assert np.flatnonzero(~steps[101 + DAY:]).tolist() == [
+        3 * DAY + near - 101 - DAY for near in (-1, 0, 1)
+    ]
+
+
+def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
+    """Half has come on the second day of the first long storm; the dry day after it parts."""
+    record = a_record(8, {10: 1.0, DAY: 2.0, DAY + HOUR: 3.0, 5 * DAY: 4.0})
+    steps = np.arange(record.steps) != 7
+    earlier, later = halve(record, steps)
+    assert not np.any(earlier & later)
+    assert np.array_equal(earlier | later, steps)
+    assert int(np.argmax(later)) == 2 * DAY + HOUR
+    rainy = a_record(8, dict.fromkeys(range(0, 8 * DAY, HOUR), 1.0))
+    assert not halve(rainy, steps).later.any()
+
+
+YEAR = np.zeros(365 * 24)
+# On a clock of UTC+1, on which months begin; an hour before it is July in UTC.
+SINCE_JULY = Record(
+    Path("roof.csv"), datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1))), 3600.0, YEAR, YEAR,
+    YEAR, YEAR, None,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "days", "first"),
+    [("4-10", 214, "2021-07-01"), ("11-3", 151, "2021-11-01"), ("2-2", 28, "2022-02-01"),
+     ("1-12", 365, "2021-07-01"), ("12-1", 62, "2021-12-01")],
+)
+def test_steps_of_months(text: str, days: int, first: str) -> None:
+    steps = in_months(SINCE_JULY, text)
+    assert steps.sum() == days * 24
+    assert str(SINCE_JULY.times[steps][0]) == f"{first}T00:00:00"
+
+
+@pytest.mark.parametrize("text", ["", "4", "0-3", "4-13", "april-october", "4-10-12"])
+def test_what_is_no_span_of_months_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        month_numbers(text)
+    assert str(error.value) == (
+        f"--months = '{text}': must be the first and the last month that count, such as 4-10, or "
+        "11-3 over new year"
+    )
+
+
+def test_a_record_of_other_months_is_refused() -> None:
+    april = replace(a_record(20, {}), start=datetime(2021, 4, 1, tzinfo=timezone.utc))
+    with pytest.raises(ConfigurationError) as error:
+        in_months(april, "5-10")
+    assert str(error.value) == (
+        "none: has no row in the months 5-10 of --months: it is from 2021-04-01 to 2021-04-20"
+    )

@@ -1,0 +1,167 @@
+"""Evapotranspiration of a record: gaps of its own column, and by the temperatures of its days."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from changes import DAY, LEAST, change, twin
+from twins import TWIN, record_rows, summed, write
+
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.common.errors import ConfigurationError
+
+NAME = "reference evapotranspiration [mm/day]"
+
+
+def read(
+    file: Path, minutes: np.ndarray, values: list[str], month: int = 6
+) -> Record:
+    """A record of rows so long after the month's beginning, and their evapotranspiration."""
+    start = datetime(2021, month, 1)  # noqa: DTZ001 - on the clock of the site
+    rows = [f"{(start + timedelta(minutes=float(after))).isoformat()},0,0.02,{value}"
+            for after, value in zip(minutes, values, strict=True)]
+    file.write_text("\n".join([f"time,rain [mm],level [m],{NAME}", *rows]) + "\n")
+    return read_csv_record(file, TWIN)
+
+
+EMPTY, NO_ROW = "is empty", "there is no row of 2021-06-01T02:30:00"
+
+
+@pytest.mark.parametrize("what", [EMPTY, NO_ROW])
+def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
+    """It grows by 0.01 mm/day from row to row, and so it does through the gap."""
+    file = tmp_path / "record.csv"
+    row = np.arange(120)
+    values = 2 + 0.01 * row
+    for missing in (1, 12, 13):
+        gone = (row >= 30) & (row < 30 + missing)
+        cells = ["" if lost else f"{value:.2f}" for lost, value in zip(gone, values, strict=True)]
+        kept = row if what == EMPTY else row[~gone]
+        if missing <= 12:
+            record = read(file, 5 * kept, [cells[one] for one in kept])
+            assert record.reference == pytest.approx(values / 288)
+            continue
+        with pytest.raises(ConfigurationError) as error:
+            read(file, 5 * kept, [cells[one] for one in kept])
+        assert str(error.value).startswith(
+            f"{file}, line 32: {NAME}: {what}, and none has a value for 65 min: it may be missing "
+            "for an hour at most"
+        )
+
+
+@pytest.mark.parametrize("rows", [slice(0, 12), slice(108, 120)])
+def test_at_the_ends_an_hour_may_be_missing_too(rows: slice, tmp_path: Path) -> None:
+    cells = ["3"] * 120
+    cells[rows] = [""] * 12
+    record = read(tmp_path / "record.csv", 5 * np.arange(120), cells)
+    assert record.reference == pytest.approx(np.full(120, 3 / 288))
+    cells[rows.start - 1 if rows.start else rows.stop] = ""
+    with pytest.raises(ConfigurationError, match="is empty, and none has a value for 65 min"):
+        read(tmp_path / "record.csv", 5 * np.arange(120), cells)
+
+
+@pytest.mark.parametrize(
+    ("step", "rows", "set_on", "missing"),
+    [(5, 600, 1, [300]), (6 * 60, 500, 55, [400])],
+)
+def test_a_clock_that_is_set_leaves_no_gap(
+    step: int, rows: int, set_on: int, missing: list[int], tmp_path: Path
+) -> None:
+    """Set on four times, together by more than half a step: one step has no row then."""
+    minutes = step * np.arange(rows)
+    for row in range(100, 500, 100):
+        minutes[row:] += set_on
+    record = read(tmp_path / "record.csv", minutes, ["3"] * rows, month=4)
+    assert np.flatnonzero(np.isnan(record.level)).tolist() == missing
+    assert record.reference == pytest.approx(np.full(record.steps, 3 * step / 1440))
+
+
+def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "record.csv"
+    with pytest.raises(ConfigurationError) as error:
+        read(file, 5 * np.arange(120), ["0"] * 120)
+    assert str(error.value).startswith(f"{file}: {NAME}: is 0 throughout")
+
+
+def test_temperatures_that_end_are_refused_and_may_be_missing_in_other_months(
+    tmp_path: Path,
+) -> None:
+    """None in the first half of April, as of a logger that was out in winter."""
+    rows = change(LEAST, lambda row, text: text if row < 10 * DAY else "")(twin(30, 1))
+    with pytest.raises(ConfigurationError, match="no temperature within 3 days of 2021-04-14"):
+        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+    rows = [
+        [*row[:4], "", ""] if row[0] < "2021-04-16" else row for row in record_rows(TWIN, 60, 1)
+    ]
+    file = write(rows, tmp_path / "record.csv")
+    with pytest.raises(ConfigurationError, match="has no temperature within 3 days"):
+        read_csv_record(file, TWIN)
+    assert np.all(read_csv_record(file, TWIN, "5-6").reference >= 0)
+
+
+def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
+    """Those of every sixth hour; and a day whose least is above its greatest."""
+    rows = [[*row[:4], "12"] for row in summed(twin(100, 1), 6)]
+    rows[0][4] = "temperature [degC]"
+    with pytest.raises(ConfigurationError, match="temperature: its rows are 6 h apart, and show a"):
+        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+    rows = change(LEAST, lambda row, text: "40" if row == 0 else text)(twin(30, 1))
+    with pytest.raises(
+        ConfigurationError, match="on 2021-04-01 the least temperature, 40 degC, is above the great"
+    ):
+        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+
+
+LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
+# Least and greatest temperature of 13 to 16 July; those of the 15th are FAO-56's Example 20.
+DAYS = {13: (8.0, 40.0), 14: (4.0, 9.0), 15: (14.8, 26.6), 16: (-2.0, 38.0)}
+
+
+def times() -> list[datetime]:
+    """Rows from 8:23 on, whose clock is set on by 2 min at 18:00: then there is one of 0:00.
+
+    The step that 0:00 lies in begins at 23:58, as the steps go on from the first row.
+    """
+    rows = [datetime(1998, 7, 13, 8, 23) + timedelta(minutes=5 * row)  # noqa: DTZ001 - site's clock
+            for row in range(12 * 24 * 3)]
+    return [time + timedelta(minutes=2 * (time.day > 13 or time.hour >= 18)) for time in rows]
+
+
+def reference(file: Path, columns: str, cells: dict[datetime, str], empty: str) -> np.ndarray:
+    rows = [f"{time.isoformat()},0,0,{cells.get(time, empty)}" for time in times()]
+    file.write_text("\n".join([f"time,rain [mm],runoff [mm],{columns}", *rows]) + "\n")
+    record = read_csv_record(file, LYON)
+    assert str(record.times[187]) == "1998-07-13T23:58:00"
+    of_the_15th = record.times.astype("datetime64[D]") == np.datetime64("1998-07-15")
+    assert np.sum(record.reference[of_the_15th]) == pytest.approx(5.0, abs=0.05)
+    return record.reference
+
+
+def test_a_row_has_the_temperatures_of_its_own_day(tmp_path: Path) -> None:
+    """In the first row of each day, in each row, in that of noon, or as the day's course: the same.
+
+    By Example 20 the 15th has 5.0 mm; the days beside it are much colder and much warmer.
+    """
+    extremes = "least temperature [degC],greatest temperature [degC]"
+    every = {time: "{},{}".format(*DAYS[time.day]) for time in times()}
+    noon = {time: cell for time, cell in every.items() if (time.hour, time.minute // 5) == (12, 0)}
+    first = {min(time for time in every if time.day == day): "{},{}".format(*DAYS[day])
+             for day in DAYS}
+    assert datetime(1998, 7, 15) in first  # noqa: DTZ001 - on the site's clock
+    assert len(noon) == 3  # the record ends on the 16th before noon
+    course = {time: str(DAYS[time.day][time in first]) for time in times()}
+    file = tmp_path / "record.csv"
+    in_first = reference(file, extremes, first, ",")
+    assert reference(file, extremes, every, ",") == pytest.approx(in_first)
+    last = times()[-1]
+    with_last = {**noon, last: every[last]}
+    assert reference(file, extremes, with_last, ",") == pytest.approx(in_first)
+    # Of a day's course three quarters must be there: not so of the 13th and the 16th.
+    whole = slice(188, 188 + 2 * 288)
+    of_course = reference(file, "temperature [degC]", course, "")
+    assert of_course[whole] == pytest.approx(in_first[whole])
