@@ -214,6 +214,7 @@ def test_what_nobody_saw_counts_at_worst(
         ledger = Ledger(file, clock)
         PumpControl(site, settings_for(site), ledger, drive_stops_after=15.0)
         ledger.close()
+        assert ledger.record.elapsed == max(0.0, down), attempt
         assert ledger.record.day_run == pytest.approx(run), attempt
         assert ledger.record.day_volume == pytest.approx(run * flow), attempt
 
