@@ -132,6 +132,7 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(
     time.sleep(5 * PERIOD)
     assert RUN not in drive.written
     assert drive.written.count(OFF) > 3  # which keeps the drive's own timeout fed
+    assert sum("0316b7" in each for each in wire.frames) == 1  # 58.16 is not read each time
 
 
 def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
