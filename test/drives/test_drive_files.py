@@ -22,6 +22,8 @@ SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 def test_shipped_files_are_right(path: Path) -> None:
     drive = read_drive_file(path)
     assert drive.path == find_drive_file(path.stem) == path
+    letters = {"even": "E", "odd": "O", "none": "N"}
+    assert drive.serial.parity_letter("/dev/ttyS0") == letters[drive.serial.parity]
     assert drive.sources
     # What has no source is said to be unverified.
     for name, register in drive.registers.items():

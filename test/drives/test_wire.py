@@ -272,8 +272,10 @@ def test_what_it_says(name: str, dialogue: str, says: dict[str, Any]) -> None:
 
 
 def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
-    dialogue = READS[1][1]
-    assert follow("abb_acs880", dialogue, Drive.read, gateway=True).timed_out
+    """By ABB's code, and by Danfoss's bit 4 where no other is set."""
+    (abb, code, _), (danfoss, bits, _) = READS[1], READS[4]
+    for name, dialogue in ((abb, code), (danfoss, bits.replace("4000 0010", "0000 0010"))):
+        assert follow(name, dialogue, Drive.read, gateway=True).timed_out
 
 
 def test_nameplate_in_letters() -> None:
@@ -439,6 +441,7 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
     ("answers", "kind", "says"),
     [
         ([(0, frame("0001 0000 0003 01 83 02"))], "answer", "exception 2, illegal data address"),
+        ([(0, frame("0001 0000 0003 01 83 03"))], "answer", "exception 3, illegal data value"),
         ([(0, frame("0001 0000 0003 01 83 06"))], "answer", "exception 6, server device busy"),
         ([(0, frame("0001 0000 0003 01 83 63"))], "answer", "exception 99, unknown"),
         ([(0, frame("0009 0000 0005 01 03 02 1337"))], "connection", "no valid answer"),

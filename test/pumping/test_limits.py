@@ -12,6 +12,7 @@ from paper import PAPER_SITE, site_with, sites
 from pump_rig import Rig
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger
@@ -39,6 +40,7 @@ def test_defaults_by_hand() -> None:
     assert found.greatest_run_per_day == pytest.approx(3507, abs=1)
     assert found.greatest_run == pytest.approx(1918, abs=1)
     assert found.starts_per_hour == PAPER_SITE.starts_per_hour
+    assert found.drive_ramp == LONGEST_RAMP_S
 
 
 def test_defaults_of_a_measured_roof_near_field_capacity() -> None:

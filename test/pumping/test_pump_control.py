@@ -52,6 +52,17 @@ def test_a_pulse_in_words() -> None:
     }
 
 
+def test_it_stays_on_for_its_least_time() -> None:
+    """Of 60 s, though the command goes back to 0 after five: at the least flow, and then off."""
+    rig = Rig(settings=settings_for(PAPER_SITE, least_on=60.0))
+    started = next(second for second in range(60) if rig.step(0.5).speed is not None)
+    rig.run(5, 0.5)
+    rig.run(100, 0.0)
+    later = rig.decisions[started + 6 :]
+    assert [one.why for one in later[:54]] == ["it stays on for at least 60 s"] * 54
+    assert (later[54].speed, later[54].why) == (None, "the command is 0")
+
+
 def test_a_full_roof() -> None:
     """At its target nothing is wanted, Eq. (3a)."""
     rig = Rig(x2=PAPER_SITE.x2_star)
