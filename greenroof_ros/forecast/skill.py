@@ -28,7 +28,13 @@ Array = NDArray[np.float64]
 REAL = "real"
 
 # Each skill by its name: how many times its own lead a forecast's errors are those of ``real``.
-SKILLS = {"much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0}
+# ``none`` knows nothing but the climate.
+SKILLS = {
+    "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
+    "none": math.inf,
+}
+# The reach of forecasts that know nothing of the next hour (h).
+_NO_REACH = 1e-6
 
 
 @dataclass(frozen=True)
@@ -68,12 +74,18 @@ class Skill:
     errors: Errors = entry("what forecasts of it have wrong")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill whose errors at each lead are this one's at so many times that lead."""
-        errors = replace(
-            self.errors,
-            reach=self.errors.reach / factor,
-            timing=self.errors.timing * factor**self.errors.timing_growth,
-        )
+        """Return a skill whose errors at each lead are this one's at so many times that lead.
+
+        At infinitely many nothing is known from the next hour on but the climate: it rains at
+        random, as often as there.
+        """
+        errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
+        if math.isfinite(factor):
+            errors = replace(
+                self.errors,
+                reach=self.errors.reach / factor,
+                timing=self.errors.timing * factor**self.errors.timing_growth,
+            )
         return replace(self, errors=errors)
 
     def coherence(self, leads: Array, frequencies: Array) -> Array:

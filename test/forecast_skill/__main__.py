@@ -4,7 +4,9 @@ Each skill's forecasts of Toronto's rain, May to October 2015 to 2025, are held 
 r, POD, FAR and bias of sums over 1, 6, 12 and 24 h, one, two, three and five days ahead, beside the
 least and the greatest of the services'. With ``--fit`` the climate and the errors of
 config/forecasts/skill.yaml are fitted first, and printed. With ``--ensembles`` the tables are of
-how alike an ensemble's members are, and what their mean gains, beside those of three services.
+how alike an ensemble's members are, and what their mean gains, beside those of three services, of
+sums over 12, 24, 72 and 120 h. Of the two longest how alike services are needs no gauge; nan is
+what does.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ from forecast_skill.figures import (  # noqa: E402
 from greenroof_ros.forecast.skill import REAL, SKILLS, read_skill  # noqa: E402
 from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors  # noqa: E402
 from greenroof_ros.verification.pairs import Sum  # noqa: E402
+
+# Hours of the sums of which ensembles are compared: half a day, up to what a roof has room for.
+ENSEMBLE_SUMS = (12, 24, 72, 120)
 
 
 def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) -> None:
@@ -104,7 +109,7 @@ def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
     print("| " + " | ".join(heads) + " |")
     print("|---" * len(heads) + "|")
     for day in DAYS:
-        for hours in (12, 24):
+        for hours in ENSEMBLE_SUMS:
             services = of_services(day, hours)
             few, five = (
                 [of_members(each[day], observed, hours, count) for each in issued]

@@ -63,7 +63,8 @@ def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
 def of_services(day: int, hours: int) -> Agreement:
     """Return the agreement of GEM, GFS and KNMI so many days ahead; of GEM and KNMI on the fifth.
 
-    Their r is over the hours that the gauge has, their covariances are over all.
+    Their r is over the hours that the gauge has, their covariances are over all. Of sums over 72
+    and 120 h there are covariances only, and what needs r is NaN.
     """
     found = {
         (row["model"], row["other_model"]): float(row["covariance"])
@@ -78,20 +79,22 @@ def of_services(day: int, hours: int) -> Agreement:
         row["model"]: float(row["r"]) for row in rows("skill.csv")
         if (int(row["days_ahead"]), int(row["sum_hours"])) == (day, hours)
     }
-    return agreement(np.array([alone[name] for name in names]), covariance)
+    return agreement(np.array([alone.get(name, math.nan) for name in names]), covariance)
 
 
 def of_members(forecasts: np.ndarray, observed: np.ndarray, hours: int, count: int) -> Agreement:
     """Return the agreement of ensembles of so many members, the mean over all choices of them.
 
     Args:
-        forecasts: of each hour (mm), whole days, shape (members, hours); NaN where there is none.
+        forecasts: of each hour (mm), shape (members, hours); NaN where there is none. Hours that
+            make no whole sum at the end do not count.
         observed: the records of these hours (mm).
         hours: that are summed.
         count: how many members an ensemble has.
     """
-    sums = forecasts.reshape(len(forecasts), -1, hours).sum(axis=2)
-    seen = observed.reshape(-1, hours).sum(axis=1)
+    whole = len(observed) // hours * hours
+    sums = forecasts[:, :whole].reshape(len(forecasts), -1, hours).sum(axis=2)
+    seen = observed[:whole].reshape(-1, hours).sum(axis=1)
     given = ~np.isnan(sums).any(axis=0)
     sums, seen = sums[:, given], seen[given]
     alone = np.array([np.corrcoef(member, seen)[0, 1] for member in sums])
