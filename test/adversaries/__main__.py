@@ -34,6 +34,7 @@ SITES = ("site.yaml", "site_catchment.yaml")
 CONTROLLERS = ("anticipating_onoff", "lookahead")
 HORIZON_H, TICK_S, STRENGTH = 240, 60.0, 0.05
 BUDGET_H, SHARE = 72.0, 0.05  # the defaults
+TARGET_M = 0.0457  # of both roofs
 
 
 class Case(NamedTuple):
@@ -63,7 +64,7 @@ def run_of(case: Case, records: Path, directory: Path) -> Run:
     strength = "--max-command" if case.controller == "lookahead" else "--fraction"
     look = () if case.controller == "onoff" else ("--horizon", str(HORIZON_H))
     run = paper_run(
-        "--site", str(site_file(directory, base=case.site, tau=TICK_S, M=1)),
+        "--site", str(site_file(directory, base=case.site, z_veg=TARGET_M, tau=TICK_S, M=1)),
         "--controller", case.controller, strength, str(STRENGTH), *look,
         "--weather", f"{records}/{case.year}_*.csv", "--gaps", "fill", "--evapotranspiration",
         "fao56", "--start", f"{case.year}-05-01T00:00", "--hours", "4416", "--initial", "low-low",

@@ -28,7 +28,10 @@ STORM = 0.008 / (2 * HOUR_S)  # m/s, for two hours each third day
 # Ticks of half an hour, and a cistern that is not empty in weeks.
 SITES = {
     "paper": site_with(tau=1800.0, M=1, mains_level=0.85, mains_flow=5e-4),
-    "measured": replace(read_site(CONFIG / "site_catchment.yaml"), tau=1800.0, M=1),
+    "measured": replace(
+        read_site(CONFIG / "site_catchment.yaml"), tau=1800.0, M=1, z_veg=0.0457,
+        x2_star=68.8 * 0.0457,
+    ),
 }
 
 

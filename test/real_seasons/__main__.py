@@ -38,13 +38,13 @@ from real_seasons.runs import (  # noqa: E402
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
+    SOURCES,
     Case,
     write,
 )
 from real_seasons.tables import Results, by_halves, of_owner, of_period, present_hour  # noqa: E402
 from real_seasons.trust_figure import draw  # noqa: E402
 
-SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
 PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
 
@@ -63,9 +63,13 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
         yield Case(roof, period, source)
         if period is YEAR:
             yield Case(roof, period, source, CROSSED)
-        yield Case(roof, period, source, DRESSED)
         if source == SOURCES[0]:
             yield Case(roof, period, PERFECT, trusts=False)
+    for source in SOURCES:
+        yield Case(roof, period, source, DRESSED)
+    if period is SEASON:
+        yield Case(roof, period, "placebo", trusts=False)
+        yield Case(roof, period, "placebo", DRESSED, trusts=False)
 
 
 def main() -> None:

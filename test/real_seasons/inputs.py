@@ -136,23 +136,31 @@ class Inputs:
     def crossed(self, roof: str, source: str, period: Period) -> Archive:
         """Return an archive of which each half of a period is dressed by the other half.
 
-        What lies outside of the period dresses nothing, and is dressed by the wetter half.
+        What is issued outside of the period is dressed by the wetter half.
         """
-        archive = self.issued[source]
-        by: dict[bool, Dressing] = {}
-        for wet in (False, True):
-            there = np.array([
-                self.is_wet(period, self.record.rain_from + hour * HOUR) is wet
-                for hour in range(len(self.record.precipitation))
-            ])
-            rain = np.where(there, self.record.precipitation, np.nan)
-            known = replace(self.record, precipitation=rain)
-            by[wet] = learn(archive, known, ROOFS[roof].hours)
+        archive, by = self.issued[source], self.by_half(roof, source, period)
         issues = tuple(
             dress_issue(issue, by[not self.is_wet(period, issue.issued)])
             for issue in archive.issues
         )
         return replace(archive, issues=issues)
+
+    def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
+        """Return what fell after the issues of the drier half of a period, and of the wetter."""
+        rain = self.record.precipitation
+        half = [
+            self.is_wet(period, self.record.rain_from + hour * HOUR) for hour in range(len(rain))
+        ]
+        return {
+            wet: learn(
+                self.issued[source],
+                replace(self.record, precipitation=np.where(
+                    [one is wet for one in half], rain, np.nan
+                )),
+                ROOFS[roof].hours,
+            )
+            for wet in (False, True)
+        }
 
     def is_wet(self, period: Period, time: datetime) -> bool | None:
         """Whether a time is in the wetter half of a period; None where it is in neither."""

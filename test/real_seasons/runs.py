@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 ONOFF = {"fraction": 0.05}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
+SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Case:
         """As tables have it."""
         words = [self.source]
         words += [] if self.form == ISSUED else [self.form]
+        words += ["trusted in full"] if not self.trusts and self.source in SOURCES else []
         words += [] if self.hour else ["the hour as forecast"]
         return ", ".join(words)
 

@@ -9,7 +9,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from real_seasons.inputs import BLOCK_WEEKS
-from real_seasons.runs import CROSSED, DRESSED, ISSUED, NO_RAIN, ONOFF_NAME, PERFECT, Case
+from real_seasons.runs import (
+    CROSSED,
+    DRESSED,
+    ISSUED,
+    NO_RAIN,
+    ONOFF_NAME,
+    PERFECT,
+    SOURCES,
+    Case,
+)
 
 Array = NDArray[np.float64]
 Results: TypeAlias = dict[Case, dict[str, Any]]
@@ -23,6 +32,7 @@ OWNERS = {
     "water stress (h)": ("{:.0f}", "stress_hours", ""),
     "actual over potential evapotranspiration": ("{:.3f}", "evapotranspiration_m3", "asked"),
     "pumped (m³)": ("{:.1f}", "pumped_m3", ""),
+    "of it drained": ("{:.2f}", "lost", "pumped_m3"),
     "mains water (m³)": ("{:.1f}", "mains_m3", ""),
     "rain kept": ("{:.2f}", "kept", "rain_roof_m3"),
 }
@@ -92,14 +102,14 @@ def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> I
         f"{form}: {what}" for form in columns for what in ("over on/off", "over no rain", "gained")
     ]
     yield from _head(["forecast", *heads])
-    for source in dict.fromkeys(case.source for case in weeks):
-        if source in (ONOFF_NAME, NO_RAIN, PERFECT):
+    for source, trusts in dict.fromkeys((case.source, case.trusts) for case in weeks):
+        if source not in SOURCES:
             continue
-        cells = [source]
+        cells = [source if trusts else f"{source}, trusted in full"]
         for form in columns:
             own = next((
                 found[chosen] for case, found in weeks.items()
-                if (case.source, case.form, case.hour) == (source, form, True)
+                if (case.source, case.form, case.trusts, case.hour) == (source, form, trusts, True)
             ), None)
             cells += [""] * 3 if own is None else [
                 ratio(own, onoff), ratio(own, dry), gained(own, dry, perfect)
@@ -165,5 +175,8 @@ def _weekly_sums(found: dict[str, Any]) -> dict[str, Array]:
         },
         "deviated": added(lambda one: one["total_deviation_m3"] / one["mean_deviation_mm"]),
         "asked": added(lambda one: one["evapotranspiration_m3"] / one["evapotranspiration_ratio"]),
+        "lost": added(lambda one: (
+            one["drainage_m3"] - (1 - one["rain_kept_share"]) * one["rain_roof_m3"]
+        )),
         "kept": added(lambda one: one["rain_kept_share"] * one["rain_roof_m3"]),
     }
