@@ -52,6 +52,7 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
     """Yield the runs of a period on a roof, in the order of their worth."""
     if period is AUTUMN:
         yield Case(roof, period, "three")
+        yield Case(roof, period, "placebo")
         yield Case(roof, period, "three", hour=False)
         return
     yield Case(roof, period, ONOFF_NAME)
