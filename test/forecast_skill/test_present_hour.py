@@ -11,12 +11,12 @@ import pytest
 from forecast_skill.figures import season_weather
 from paper import PAPER_SITE
 
-from greenroof_ros.forecast.archive import read_archive
-from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.own_csv import write_forecasts
 from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import Issue
 from greenroof_ros.model.look_ahead import growing_steps
 
 ISSUED = datetime(2021, 5, 1, 6, tzinfo=timezone.utc)

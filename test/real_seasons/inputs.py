@@ -16,12 +16,11 @@ from dressing.__main__ import together
 from numpy.typing import NDArray
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.archive import Archive, read_archive
-from greenroof_ros.forecast.choice import SERVICE_DELAY_H
 from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import HOUR, SERVICE_DELAY_H, Archive
 from greenroof_ros.model.site import Site, edited, read_site
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.records import HOUR
 
 Array = NDArray[np.float64]
 
@@ -100,10 +99,10 @@ class Inputs:
         return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
 
     def _write_site(self, roof: str) -> Site:
-        text = (shared_directory() / "config" / ROOFS[roof].file).read_text(encoding="utf-8")
-        mains = {} if "mains_flow" in text else MAINS
+        file = shared_directory() / "config" / ROOFS[roof].file
+        mains = {} if read_site(file).mains_level is not None else MAINS
         values = {"tau": TICK_S, "M": 1, "z_veg": ROOFS[roof].target, **mains}
-        self.site_file(roof).write_text(edited(text, values), encoding="utf-8")
+        self.site_file(roof).write_text(edited(file, values), encoding="utf-8")
         return read_site(self.site_file(roof))
 
     @cached_property

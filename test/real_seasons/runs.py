@@ -14,10 +14,10 @@ from real_seasons.inputs import Inputs, Period
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.forecast.archive import Archive
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.resampling import Rain, SteppedForecast
+from greenroof_ros.formats.records import Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
