@@ -141,7 +141,9 @@ def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> N
 
 
 WRONG = {
-    "ending": (("--fit", "mine.csv"), "--fit = 'mine.csv': must be the name of a file that ends in .yaml"),
+    "ending": (
+        ("--fit", "mine.csv"), "--fit = 'mine.csv': must be the name of a file that ends in .yaml"
+    ),
     "there": (("--fit", "there.yaml"), "--fit = 'there.yaml': exists; name another file"),
     "leads": (
         ("--fit", "mine.yaml", "--horizon", "24", "--sums", "1", "--events", "1"),
