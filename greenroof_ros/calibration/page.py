@@ -43,7 +43,7 @@ def render(
         notes: what was found beside the roof's parameters.
         warning: what speaks against the fit; empty where nothing does.
     """
-    sites = {one.symbol: one for one in site_parameters()}
+    sites = {one.name: one for one in site_parameters()}
     parameters = [
         _ParameterRow(
             one.name,
