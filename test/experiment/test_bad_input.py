@@ -13,7 +13,7 @@ from paper import PAPER_SITE
 from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.forecast.own_csv import read_forecasts
+from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.weather.reading import read_weather
 
 SITE = (CHECKOUT / "config" / "site.yaml").read_text()
