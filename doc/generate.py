@@ -175,7 +175,7 @@ def site() -> str:
         ("symbol", "unit", "the paper's site", "if left out", "meaning"),
         (
             (
-                f"`{one.symbol}`", one.unit, number(getattr(paper, one.symbol)),
+                f"`{one.name}`", one.unit, number(getattr(paper, one.name)),
                 "" if one.default is None else number(one.default), one.meaning,
             )
             for one in site_parameters()

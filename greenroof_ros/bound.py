@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
@@ -20,6 +21,7 @@ from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, 
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.plan import CarriedOut, recursion_plan
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.model.site import Site
 
 _LARGEST_COMMAND = 100.0
@@ -63,7 +65,7 @@ def _result(
         "bound_m3": bound.bound_m3,
         "plan_m3": bound.plan_m3,
         "recursion_m3": recursion.total_m3,
-        "gap": attained / bound.bound_m3 - 1 if bound.bound_m3 > 0 else None,
+        "gap": replace(bound, plan_m3=attained).gap,
         "pumped_m3": bound.pumped_m3,
         "recursion_pumped_m3": recursion.pumped_m3,
         "max_command": max_command,
@@ -81,10 +83,6 @@ def _result(
 
 def _table(result: dict[str, Any]) -> Table:
     """Return what a person sees."""
-    grid = Table(title="Clairvoyant optimum", title_justify="left", show_header=False)
-    grid.add_column(style="bold")
-    grid.add_column(justify="right")
-    grid.add_column()
     initial, gap = result["initial"], result["gap"]
     rows = (
         (
@@ -108,8 +106,8 @@ def _table(result: dict[str, Any]) -> Table:
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the better plan: the optimum lies in it, and what is not the "
-            "plan's is lost where the program puts straight lines in place of soil and cistern",
+            "between the bound and the better plan, with the optimum in it; on a measured roof it "
+            "is mostly the bound's, whose program has straight lines in place of the soil",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f} / {result['recursion_pumped_m3']:.4f}",
@@ -118,9 +116,7 @@ def _table(result: dict[str, Any]) -> Table:
         ("block", f"{result['block_s']:g} s", "that share one variable"),
         ("solver", "HiGHS", result["solver"]),
     )
-    for row in rows:
-        grid.add_row(*row)
-    return grid
+    return grid("Clairvoyant optimum", rows)
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -49,7 +49,7 @@ def render(
         spans: from when to when each part is.
         findings: what speaks against the fit, and what was found beside the roof's parameters.
     """
-    known = {one.symbol: (one.unit, one.meaning) for one in site_parameters()}
+    known = {one.name: (one.unit, one.meaning) for one in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
     figures = [
         _figure(quantity, record, halves, getattr(fit.simulated, quantity.name))

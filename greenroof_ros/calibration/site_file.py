@@ -28,7 +28,7 @@ INTERVAL_NOTE = (
 """What the interval of a fitted parameter leaves out."""
 
 _COMMENT = 30
-_UNITS = {one.symbol: one.unit for one in site_parameters()}
+_UNITS = {one.name: one.unit for one in site_parameters()}
 _FROM_SHEET = "fitted to points of the data sheet"
 # Written in this order where the file has none of them.
 _ROOF = (

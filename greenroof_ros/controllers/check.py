@@ -64,6 +64,10 @@ class _Trial:
         """Make one with its defaults, but for these parameters."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
+    def ask(self, controller: Controller, each: int = 1) -> list[float]:
+        """Ask for a command at all levels and forecasts, or at one of so many."""
+        return [_asked(controller, *inputs) for inputs in self.inputs(each)]
+
 
 # Each check by what it finds out, in the order in which a user should repair them.
 _CHECKS: dict[str, Callable[[_Trial], None]] = {}
@@ -149,9 +153,7 @@ def _constructor(trial: _Trial) -> None:
 
 @_finds_out("its commands are finite and not negative, at all levels and forecasts")
 def _commands(trial: _Trial) -> None:
-    controller = trial.made()
-    for inputs in trial.inputs():
-        _asked(controller, *inputs)
+    trial.ask(trial.made())
 
 
 @_finds_out("so they are with each parameter at either end of its range")
@@ -160,19 +162,15 @@ def _whole_range(trial: _Trial) -> None:
         if parameter.name == "horizon":
             continue  # another one needs another forecast
         for value in (parameter.low, parameter.high):
-            controller = trial.made(**{parameter.name: value})
             try:
-                for inputs in trial.inputs(each=7):
-                    _asked(controller, *inputs)
+                trial.ask(trial.made(**{parameter.name: value}), each=7)
             except _ProblemError as error:
                 raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
 @_finds_out("two of it give the same commands to the same inputs")
 def _deterministic(trial: _Trial) -> None:
-    first, second = trial.made(), trial.made()
-    for inputs in trial.inputs():
-        one, other = _asked(first, *inputs), _asked(second, *inputs)
+    for one, other in zip(trial.ask(trial.made()), trial.ask(trial.made()), strict=True):
         if one != other:
             raise _ProblemError(f"two controllers command {one!r} and {other!r} on equal inputs")
 
@@ -231,8 +229,7 @@ def _may_change(trial: _Trial) -> None:
             raise _ProblemError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            for inputs in trial.inputs(each=11):
-                _asked(controller, *inputs)
+            trial.ask(controller, each=11)
 
 
 @_finds_out("each of its outputs is a topic of the interface and has its value after a command")
@@ -247,15 +244,14 @@ def _outputs(trial: _Trial) -> None:
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
         if isinstance(topic.undecided, array):
-            columns = len(topic.undecided)
-            expected = f"numpy array of floats, of shape (n, {columns}),"
+            shape = (len(topic.undecided),)
+            expected = f"numpy array of floats, of shape (n, {shape[0]}),"
             right = isinstance(value, np.ndarray) and (
-                (value.dtype, value.shape[1:]) == (float, (columns,))
+                (value.dtype, value.shape[1:]) == (float, shape)
             )
         if not right:
-            raise _ProblemError(
-                f"{topic.name}: there is no {expected} in the attribute {attribute}"
-            )
+            what = f"{topic.name}: there is no {expected} in the attribute {attribute}"
+            raise _ProblemError(what)
 
 
 @_finds_out("its statistics are None, or the figures of its solver")

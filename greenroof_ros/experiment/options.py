@@ -87,7 +87,15 @@ def add_controller_arguments(
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
-    _add_parameter_arguments(parser, _named_controller(arguments))
+    controller = _named_controller(arguments)
+    own = parser.add_argument_group(
+        f"parameters of {controller.name}", "With another --controller, --help shows the other's."
+    )
+    own.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
+    )
+    _add_parameters(own, controller.kind.parameters, _PARAMETER)
 
 
 def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
@@ -95,21 +103,6 @@ def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--controller", nargs="?", default=DEFAULT)
     return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT)
-
-
-def _add_parameter_arguments(
-    parser: argparse.ArgumentParser, controller: ControllerChoice
-) -> None:
-    """Add the parameters of the controller."""
-    group = parser.add_argument_group(
-        f"parameters of {controller.name}",
-        "With another --controller, --help shows the other's.",
-    )
-    group.add_argument(
-        "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
-    )
-    _add_parameters(group, controller.kind.parameters, _PARAMETER)
 
 
 def _add_parameters(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
 from itertools import count
@@ -27,10 +27,8 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
     Raises:
         ConfigurationError: it holds something already, or cannot be made or written.
     """
-    directory = output
-    try:
-        if directory is None:
-            directory = _make_dated_directory(controller)
+    with _writable(output or _RUNS):
+        directory = output or _make_dated_directory(controller)
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
@@ -38,11 +36,18 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
                 key="--output", value=str(directory),
             )
         (directory / "configuration").mkdir()
+    return directory.resolve()
+
+
+@contextmanager
+def _writable(directory: Path) -> Iterator[None]:
+    """Make what cannot be written a :class:`ConfigurationError`, which names the directory."""
+    try:
+        yield
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory or _RUNS)
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
         ) from error
-    return directory.resolve()
 
 
 def _make_dated_directory(controller: str) -> Path:
@@ -75,12 +80,8 @@ def write_configuration(
     Raises:
         ConfigurationError: the directory cannot be written.
     """
-    try:
+    with _writable(directory):
         return _write_configuration(directory / "configuration", run, nodes, others or {})
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
-        ) from error
 
 
 def _write_configuration(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -43,19 +43,24 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
     return " / ".join(f"{volume:.3f}" for volume in volumes), f"m3 {tanks} ({initial['name']})"
 
 
+def grid(title: str, rows: Iterable[tuple[str, str, str]]) -> Table:
+    """Return a table of rows that are a word, a number, and what it is."""
+    found = Table(title=title, title_justify="left", show_header=False)
+    found.add_column(style="bold")
+    found.add_column(justify="right")
+    found.add_column()
+    for row in rows:
+        found.add_row(*row)
+    return found
+
+
 def table(summary: Mapping[str, Any]) -> Table:
     """Return the table that a person sees at the end of a run."""
-    grid = Table(title="Result", title_justify="left", show_header=False)
-    grid.add_column(style="bold")
-    grid.add_column(justify="right")
-    grid.add_column()
-    for row in _rows(summary):
-        grid.add_row(*row)
-    return grid
+    return grid("Result", _rows(summary))
 
 
 def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of :func:`table`: a word, a number, and what it is."""
+    """Yield the rows of :func:`table`."""
     given = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield "controller", summary["controller"], _listed(given)
     yield "from", *_initial(summary["initial"])

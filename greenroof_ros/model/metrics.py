@@ -251,6 +251,21 @@ def _actual_and_potential(site: Site, one: Samples) -> Values | None:
     return one.duration * np.stack((one.evapotranspiration, one.potential))
 
 
+def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
+    """Return what gives the volume of a flow (m3)."""
+
+    def volume(site: Site, one: Samples) -> Values | None:
+        rate: Values | None = getattr(one, flow)
+        return None if rate is None else one.duration * rate
+
+    return volume
+
+
+def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
+    """Return what gives the ticks in which something is so."""
+    return lambda site, one: one.duration / site.tau * condition(site, one)
+
+
 def _roof_water(site: Site, one: Samples) -> Values | None:
     """Return the hour of the run in which each begins; rain, pumped and drained water (m3)."""
     if one.time is None:
@@ -270,8 +285,9 @@ METRICS = (
     Metric(
         "near_target_hours", "h", "near the target",
         f"at most {NEAR_TARGET:.0%} of x2* off it, over the ticks",
-        lambda site, one: one.duration / site.tau
-        * (np.abs(one.roof - site.x2_star) <= NEAR_TARGET * site.x2_star),
+        _ticks_where(
+            lambda site, one: np.abs(one.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
+        ),
         form=".2f", finish=_hours,
     ),
     Metric(
@@ -283,8 +299,9 @@ METRICS = (
     Metric(
         "stress_hours", "h", "water stress",
         "plants get less water than they ask for: K_s of FAO-56 below 1, or an empty roof",
-        lambda site, one: one.duration / site.tau
-        * ((one.roof < soil_of(site).stress_volume) | (one.roof <= 0)),
+        _ticks_where(
+            lambda site, one: (one.roof < soil_of(site).stress_volume) | (one.roof <= 0)
+        ),
         form=".2f", finish=_hours,
     ),
     Metric(
@@ -307,7 +324,7 @@ METRICS = (
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
-        lambda site, one: None if one.mains is None else one.duration * one.mains,
+        _volume("mains"),
     ),
     Metric(
         "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
@@ -325,18 +342,9 @@ METRICS = (
         "final_layer_m3", "m3", "drainage layer at the end", "of a measured roof",
         lambda site, one: None if site.drainage_storage is None else one.layer, _last, ".6g",
     ),
-    Metric(
-        "pumped_m3", "m3", "pumped", "from the cistern to the roof",
-        lambda site, one: one.duration * one.pump,
-    ),
-    Metric(
-        "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
-        lambda site, one: one.duration * one.outflow,
-    ),
-    Metric(
-        "drainage_m3", "m3", "drainage", "off the roof",
-        lambda site, one: one.duration * one.drainage,
-    ),
+    Metric("pumped_m3", "m3", "pumped", "from the cistern to the roof", _volume("pump")),
+    Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
+    Metric("drainage_m3", "m3", "drainage", "off the roof", _volume("drainage")),
     Metric(
         "rain_m3", "m3", "rain", "into both tanks",
         lambda site, one: one.duration * one.precipitation * (site.effective_catchment + site.a2),
@@ -351,7 +359,7 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_m3", "m3", "evapotranspiration", "off the roof, at most what it held",
-        lambda site, one: one.duration * one.evapotranspiration,
+        _volume("evapotranspiration"),
     ),
     Metric(
         "max_command", "1", "largest command", "share of the maximum flow",
@@ -359,8 +367,7 @@ METRICS = (
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "with a command above 1",
-        lambda site, one: one.duration / site.tau * (one.command > 1), form=".4f", most=0,
-        finish=_hours,
+        _ticks_where(lambda site, one: one.command > 1), form=".4f", most=0, finish=_hours,
     ),
     Metric(
         "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
@@ -381,7 +388,7 @@ METRICS = (
     ),
     Metric(
         "pump_hours", "h", "pump running", "with a flow",
-        lambda site, one: one.duration / site.tau * (one.pump > 0), form=".3f", finish=_hours,
+        _ticks_where(lambda site, one: one.pump > 0), form=".3f", finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.parameter import Parameter
 
 # No parameter of any site is beyond these, and nothing computed from them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
@@ -309,45 +310,32 @@ def unheld(site: Site, cistern: float, roof: float) -> tuple[str, str]:
     Returns:
         Of cistern and roof; empty where the place can hold it.
     """
-    full = site.roof_level(site.z_cap)
-    tanks = (
-        (
-            cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
-            f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
-        ),
-        (
-            roof, site.a2, full + _MOST_PONDED,
-            f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m "
-            "stand on it",
-        ),
-    )
-    of_cistern, of_roof = (
-        "" if volume <= level * area else
-        f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit wrong? "
-        f"It is a volume in m3; a level of {volume:g} mm is {volume / 1000 * area:g} m3"
-        for volume, area, level, why in tanks
-    )
-    return of_cistern, of_roof
-
-
-class SiteParameter(NamedTuple):
-    """A parameter of a site, for people."""
-
-    symbol: str
-    unit: str
-    meaning: str
-    default: float | None
-    """None where there is none"""
-
-
-def site_parameters() -> list[SiteParameter]:
-    """Return every parameter of a site, in the order of Table I, the place last."""
-    return [
-        SiteParameter(
-            each.name, each.metadata["unit"], each.metadata["meaning"],
-            None if each.default is MISSING else each.default,
+    def beyond(volume: float, area: float, level: float, why: str) -> str:
+        if volume <= level * area:
+            return ""
+        return (
+            f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
+            f"wrong? It is a volume in m3; a level of {volume:g} mm is {volume / 1000 * area:g} m3"
         )
-        for each in fields(Site)
+
+    full = site.roof_level(site.z_cap)
+    return beyond(
+        cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
+        f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
+    ), beyond(
+        roof, site.a2, full + _MOST_PONDED,
+        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m stand on it",
+    )
+
+
+def site_parameters() -> list[Parameter]:
+    """Return every parameter of a site, in the order of Table I, the place last.
+
+    The default is None where there is none.
+    """
+    return [
+        Parameter(one.name, None if one.default is MISSING else one.default, **one.metadata)
+        for one in fields(Site)
     ]
 
 
@@ -453,6 +441,7 @@ def read_site(path: Path) -> Site:
     values: dict[str, Any] = {}
     for one in fields(Site):
         name, low, high = one.name, one.metadata["low"], one.metadata["high"]
+        unit, what = one.metadata["unit"], f"from {low:g} to {high:g}"
         if name not in given:
             if one.default is MISSING and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
@@ -463,19 +452,16 @@ def read_site(path: Path) -> Site:
                 type(month) in (int, float) and low <= month <= high for month in value
             ):
                 raise refuse(
-                    name, "must be twelve numbers in brackets, January to December, each from "
-                    f"{low:g} to {high:g} mm/day",
+                    name, f"must be twelve numbers in brackets, January to December, each {what} "
+                    f"{unit}",
                 )
             values[name] = tuple(map(float, value))
             continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
         if not low <= value <= high or (whole and value % 1):
-            unit = "" if one.metadata["unit"] == "1" else f"{one.metadata['unit']}, "
-            raise refuse(
-                name, f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g} "
-                f"({unit}{one.metadata['meaning']})",
-            )
+            kind, of = "a whole number " if whole else "", "" if unit == "1" else f"{unit}, "
+            raise refuse(name, f"must be {kind}{what} ({of}{one.metadata['meaning']})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
@@ -504,20 +490,19 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
         missing = [name for name in (*names, *further) if name not in given]
         if there and missing:
             yield there[0], f"needs {', '.join(missing)} as well"
-    lowest, name = site.lowest_outlet, "z_o"
+    lowest, name, suction = site.lowest_outlet, "z_o", site.suction_level
     if site.low_outlet_level is not None:
         name = "low_outlet_level"
         if lowest >= site.z_o:
             yield name, f"must be below z_o = {site.z_o:g} m, the outlet above it"
-        if lowest <= site.suction_level:
+        if lowest <= suction:
             yield name, (
-                f"must be above z_pump + z_H = {site.suction_level:g} m, or it takes all that the "
-                "pumps could"
+                f"must be above z_pump + z_H = {suction:g} m, or it takes all that the pumps could"
             )
-    if site.mains_level is not None and not site.suction_level < site.mains_level < lowest:
+    if site.mains_level is not None and not suction < site.mains_level < lowest:
         yield "mains_level", (
-            f"must be above z_pump + z_H = {site.suction_level:g} m, below which the pumps do not "
-            f"work, and below {name} = {lowest:g} m, or it flows to the sewer"
+            f"must be above z_pump + z_H = {suction:g} m, below which the pumps do not work, and "
+            f"below {name} = {lowest:g} m, or it flows to the sewer"
         )
     if site.initial_layer > site.layer_storage:
         yield "initial_layer", (

@@ -128,8 +128,8 @@ def _sites(report: Report) -> dict[str, list[_SiteRow]]:
     sites = {entry.site_name: entry.site for entry in report.entries}
     return {
         name: [
-            _SiteRow(each.symbol, str(getattr(site, each.symbol)), each.unit, each.meaning)
-            for each in site_parameters() if getattr(site, each.symbol) is not None
+            _SiteRow(each.name, str(getattr(site, each.name)), each.unit, each.meaning)
+            for each in site_parameters() if getattr(site, each.name) is not None
         ]
         for name, site in sites.items()
     }

@@ -259,7 +259,7 @@ class _Grid:
                     "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, "
                     "or a list of such",
                 )
-            symbols = [parameter.symbol for parameter in site_parameters()]
+            symbols = [parameter.name for parameter in site_parameters()]
             self._keys(each, ("file", *symbols))
             values = {key: self._list(each, key, float) for key in each if key != "file"}
             for name in self._list(each, "file", str):

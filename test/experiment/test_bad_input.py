@@ -9,7 +9,12 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import environment
+from paper import PAPER_SITE
 from places import CHECKOUT
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.weather.reading import read_weather
 
 SITE = (CHECKOUT / "config" / "site.yaml").read_text()
 WEATHER = (CHECKOUT / "config" / "weather" / "toronto_2021-07.csv").read_text()
@@ -24,58 +29,49 @@ def weather(*lines: str, header: str = HEADER) -> bytes:
 
 HOURS = [HOUR.format(number, 0.0) for number in range(8)]
 
-# name: options (FILE is the file), the file's bytes (None: there is none), words of the message
+# name: options, words of the message. Of each rule there is one case; what files are refused,
+# test_site.py, test_weather.py and FORECASTS have.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown-controller": ("--controller pid", ("controller", "pid")),
     "unknown-initial": ("--initial low", ("--initial", "low-low")),
-    "unknown-option": ("--horizon 30", ("--horizon",)),
-    "weight-zero": ("--weight 0", ("--weight", "greater than 0")),
-    "speed": ("--speed fast", ("--speed", "must be max, or a number greater than 0, is fast")),
-    "weight-nan": ("--weight nan", ("--weight",)),
-    "fraction-huge": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
-    "speed-huge": ("--speed 1e10", ("--speed", "1e+09")),
+    "another-controllers": ("--controller onoff --weight 0.1", ("--weight", "onoff", "--fraction")),
+    "number-zero": ("--weight 0", ("--weight", "greater than 0")),
+    "number-none": ("--weight nan", ("--weight",)),
+    "number-beyond": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
+    "number-broken": ("--noise-seed 0.5", ("must be a whole number from 0 to 2147483647",)),
+    "number-or-word": ("--speed fast", ("must be max, or a number greater than 0, is fast",)),
     "cistern-deep": (
         "--cistern 401 --roof 2.4",
         ("--cistern = 401.0: must be at most 400 m3, a level of 16 m (", "401 mm is 10.025 m3"),
     ),
-    "roof-deep": (
-        "--cistern 60 --roof 250",
-        ("--roof = 250.0: must be at most 159.96 m3", "the soil holds 34.4 m3, 0.5 m",
-         "is a unit wrong? It is a volume in m3; a level of 250 mm is 17.2 m3"),
-    ),
-    "endless-file": ("--weather /dev/zero", ("/dev/zero", "regular file")),
-    "weight-for-onoff": ("--controller onoff --weight 0.1", ("--weight", "onoff", "--fraction")),
-    "fraction-for-mpc": ("--fraction 0.5", ("--fraction", "mpc", "--weight")),
-    "hours-zero": ("--hours 0", ("--hours",)),
+    "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
+    "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
     "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
     "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
-    "hours-beyond-time": ("--hours 1e300", ("--hours", "1e+09")),
     "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
     "start-no-time": ("--start yesterday", ("start", "yesterday")),
     "start-beyond-time": ("--start 9999-12-31T23:00", ("start", "2037")),
-    "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
-    "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
-    "no-such-site": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
-    "no-such-weather": ("--weather nowhere.csv", ("nowhere.csv", "No such file")),
+    "site-absent": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
+    "site-wrong": ("--site wrong.yaml", ("wrong.yaml", "a3", "not a parameter")),
+    "weather-endless": ("--weather /dev/zero", ("/dev/zero", "regular file")),
+    "weather-wrong": ("--weather mark.csv", ("mark.csv", "byte order mark")),
     "output-not-empty": ("--output full", ("--output", "full", "never written over")),
     "output-unwritable": ("--output /proc/greenroof", ("--output", "/proc/greenroof")),
     "forecast-unknown": (
         "--forecast perfekt", ("--forecast = 'perfekt'", "perfect, persistence, errors, ensemble")
     ),
     "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "a file (.csv, ")),
-    "forecast-no-such-file": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
-    "forecast-seed-for-perfect": (
+    "forecast-absent": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
+    "forecast-wrong": ("--forecast wrong.csv", ("wrong.csv", "line 1", "'issued'")),
+    "forecast-late": (
+        "--forecast late.csv", ("from 2021-07-07T03:00-05:00 on", "2021-07-07T02:00-05:00")
+    ),
+    "forecast-at-half-past": (
+        "--forecast half.csv",
+        ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
+    ),
+    "forecast-without-a-seed": (
         "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")
-    ),
-    "forecast-skill-for-persistence": (
-        "--forecast persistence --forecast-skill real", ("--forecast-skill", "is persistence")
-    ),
-    "forecast-members-for-errors": (
-        "--forecast errors --forecast-members 3", ("--forecast-members", "of ensemble", "is errors")
-    ),
-    "forecast-skill-for-file": (
-        "--forecast a.csv --forecast-skill real",
-        ("--forecast-skill", "errors and ensemble", "a.csv"),
     ),
     "forecast-skill-unknown": (
         "--forecast errors --forecast-skill large", ("--forecast-skill", "real, worse", "large")
@@ -83,33 +79,14 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "forecast-skill-absent": (
         "--forecast errors --forecast-skill absent.yaml", ("absent.yaml", "cannot be read")
     ),
-    "forecast-seed-broken": (
-        "--forecast errors --forecast-seed 1.5", ("--forecast-seed", "whole number from 0")
-    ),
-    "forecast-members-none": (
-        "--forecast ensemble --forecast-members 0", ("--forecast-members", "1 to 100")
-    ),
-    "roof-noise": ("--roof-noise -0.001", ("--roof-noise: must be a number from 0 to 1",)),
-    "noise-seed": (
-        "--noise-seed 0.5", ("--noise-seed: must be a whole number from 0 to 2147483647",)
-    ),
-    "minimum-off": ("--minimum-off 1e9", ("--minimum-off: must be a number from 0 to 86400",)),
-    "output-is-a-file": ("--output file.txt", ("--output", "file.txt")),
-}
-# What else is refused of them, test_site.py and test_weather.py have.
-SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "unknown-key": ((SITE + "\na3: 1.0\n").encode(), ("a3", "not a parameter")),
-    "binary": (bytes(range(256)), ("UTF-8",)),
 }
 WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "byte-order-mark": (b"\xef\xbb\xbf" + WEATHER.encode(), ("byte order mark",)),
     "no-evapotranspiration": (
         weather(*(line.rpartition(",")[0] for line in HOURS), header="time,precipitation [mm/h]"),
         ("evapotranspiration [mm/day]", "temperature, dew point"),
     ),
     "quote-open": (weather(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2.7'), ("line 3", "CSV")),
     "far-future": (weather("9999-12-31T23:00-05:00,0.0,2.0"), ("line 2", "9999", "2037")),
-    "shorter-than-the-run": (weather(*HOURS), ("2021-07-07T08:00-05:00", "12 hours")),
 }
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"
@@ -156,10 +133,6 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
         forecasts(HOURS[0]) + forecasts(HOURS[0], issued="2021-07-06T23:00-05:00", header="#"),
         ("line 4", "issued = '2021-07-06T23:00-05:00'", "order of time"),
     ),
-    "half-hour": (
-        forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
-        ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
-    ),
     "member-negative": (
         forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),
         ("line 2", "member = '-1'", "whole number from 0 to 99"),
@@ -189,35 +162,25 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
         ),
         ("line 2", "member 1 has 1, member 0 has 2"),
     ),
-    "run-before-the-first-issue": (
-        forecasts("2021-07-07T03:00-05:00,0.0,2.0", issued="2021-07-07T03:00-05:00"),
-        ("from 2021-07-07T03:00-05:00 on", "2021-07-07T02:00-05:00"),
-    ),
 }
-CASES = [
-    *((f"option-{name}", case[0], None, case[1]) for name, case in OPTIONS.items()),
-    *((f"site-{name}", "--site FILE", *case) for name, case in SITES.items()),
-    *((f"weather-{name}", "--weather FILE", *case) for name, case in WEATHERS.items()),
-    *((f"forecast-{name}", "--forecast FILE.csv", *case) for name, case in FORECASTS.items()),
-]
 
 
-@pytest.mark.parametrize(
-    ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
-)
+@pytest.mark.parametrize(("options", "words"), OPTIONS.values(), ids=OPTIONS)
 def test_refused(
-    unused_domain: int,
-    tmp_path: Path,
-    options: str,
-    content: bytes | None,
-    words: tuple[str, ...],
+    unused_domain: int, tmp_path: Path, options: str, words: tuple[str, ...]
 ) -> None:
-    """Both commands say what is wrong, where, and what would be right."""
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "something").touch()
-    (tmp_path / "file.txt").touch()
-    if content is not None:
-        (tmp_path / options.split()[-1]).write_bytes(content)
+    """Both commands say what is wrong, where, and what would be right; and leave nothing."""
+    (tmp_path / "full" / "something").mkdir(parents=True)
+    for name, content in (
+        ("wrong.yaml", (SITE + "\na3: 1.0\n").encode()), ("wrong.csv", weather(*HOURS)),
+        ("mark.csv", b"\xef\xbb\xbf" + WEATHER.encode()),
+        (
+            "half.csv",
+            forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
+        ),
+        ("late.csv", forecasts(HOURS[3], issued="2021-07-07T03:00-05:00")),
+    ):
+        (tmp_path / name).write_bytes(content)
     before = sorted(tmp_path.rglob("*"))
     for command in ("simulate", "bringup"):
         done = run_command(command, *options.split(), cwd=tmp_path, env=environment(unused_domain))
@@ -228,9 +191,27 @@ def test_refused(
         message = done.stderr.partition("error:")[2]
         for word in words:
             assert word in message
-        if content is not None:
-            assert "FILE" in message
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("content", "words"), WEATHERS.values(), ids=WEATHERS)
+def test_refused_weather(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
+    """Named with the file."""
+    (tmp_path / "FILE.csv").write_bytes(content)
+    with pytest.raises(ConfigurationError) as refused:
+        read_weather([tmp_path / "FILE.csv"], PAPER_SITE)
+    for word in ("FILE.csv", *words):
+        assert word in str(refused.value)
+
+
+@pytest.mark.parametrize(("content", "words"), FORECASTS.values(), ids=FORECASTS)
+def test_refused_forecasts(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
+    """Likewise."""
+    (tmp_path / "FILE.csv").write_bytes(content)
+    with pytest.raises(ConfigurationError) as refused:
+        read_forecasts(tmp_path / "FILE.csv")
+    for word in ("FILE.csv", *words):
+        assert word in str(refused.value)
 
 
 @pytest.mark.parametrize("wrong", ["abc", "300", "-1"])

@@ -121,35 +121,6 @@ def test_known_windows(options: tuple[str, ...], expected: float) -> None:
     assert bound.pumped_m3 == pytest.approx(bound.plan.sum(), rel=1e-9)
 
 
-@pytest.mark.parametrize("initial", ["low-low", "high-low", "high-high"])
-@pytest.mark.parametrize("method", ["published", "fao56"])
-def test_the_papers_other_windows(initial: str, method: str) -> None:
-    """Three hours of each; from high-high nothing can be pumped, and the bound is the run."""
-    bound = clairvoyant_bound(
-        paper_run("--initial", initial, "--evapotranspiration", method, "--hours", "3"), block=10
-    )
-    assert bound.gap is not None
-    assert -1e-8 < bound.gap < 5e-4
-    if initial == "high-high":
-        assert bound.gap < 1e-7
-        assert bound.pumped_m3 == 0
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        ("mpc", "--weight", "0.001"), ("mpc", "--weight", "1e-5"),
-        ("onoff", "--fraction", "1"), ("onoff", "--fraction", "2"),
-    ],
-)
-def test_the_papers_controllers_are_above(options: tuple[str, ...]) -> None:
-    """Up to the command that they give; the paper's controllers know no limit of it."""
-    run = paper_run("--controller", *options, "--hours", "1")
-    metrics = metrics_of(run, run.make_controller())
-    bound = clairvoyant_bound(run, max(1.0, metrics["max_command"]))
-    assert 0 < bound.bound_m3 <= metrics["total_deviation_m3"]
-
-
 HOURS = st.lists(
     st.tuples(
         st.floats(0, 500) | st.just(0.0), st.floats(0, 50) | st.just(0.0), st.booleans()
@@ -167,7 +138,7 @@ DROUGHT = [(0.0, 50.0, False)] * 2
     hours=HOURS,
     cistern=st.floats(0, 5) | st.floats(0, 1).map(lambda share: 0.75 * share),
     roof=st.floats(0, 1.5) | st.just(0.0),
-    max_command=st.sampled_from([1.0, 1.0, 0.5, 0.001]),
+    max_command=st.sampled_from([1.0, 1.0, 2.0, 0.5, 0.001]),
     shares=st.lists(st.floats(0, 1) | st.sampled_from([0.0, 1.0]), min_size=1, max_size=40),
 )
 @example(PAPER_SITE, DROUGHT, 0.0, 0.01, 1.0, [0.0])

@@ -272,5 +272,5 @@ def test_each_has_its_words() -> None:
     assert len({metric.name for metric in METRICS}) == len(METRICS)
     assert len({metric.label for metric in METRICS}) == len(METRICS)
     assert all(metric.unit and metric.meaning for metric in METRICS)
-    assert [one.symbol for one in site_parameters()] == [one.name for one in fields(PAPER_SITE)]
+    assert [one.name for one in site_parameters()] == [one.name for one in fields(PAPER_SITE)]
     assert all(one.unit and one.meaning for one in site_parameters())
