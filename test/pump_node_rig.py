@@ -187,9 +187,7 @@ class PumpRig:
         """Publish ticks until the state has some words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
-    def until_it_stands(
-        self, drive: SimulatedDrive, seconds: float, command: float = 0.5
-    ) -> float:
+    def until_it_stands(self, drive: SimulatedDrive, seconds: float, command: float = 0.5) -> float:
         """Publish ticks until the motor stands and no flow is said; return how long that took."""
         return self.tick_until(
             command, lambda: drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"

@@ -21,6 +21,7 @@ from places import CONFIG
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.messages import message_class, qos_profile
 
@@ -30,6 +31,11 @@ TAU = 0.2
 # its own, and so does the campaign of faults.
 LATE = 60.0
 FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+# What evaporates off the paper's bed, 68.8 m2, in each month (m3/s).
+USUAL_EVAPOTRANSPIRATION = {
+    month / 1000 / 86400 * 68.8
+    for month in read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
+}
 _TOPICS = {**read_topics(), **read_live_topics()}
 
 
@@ -220,15 +226,11 @@ def newest(values: list[tuple[float, Any]]) -> Any:
     return values[-1][1] if values else None
 
 
-def start_live(
-    domain: int, cwd: Path, command: str, **parameters: object
-) -> subprocess.Popen[Any]:
+def start_live(domain: int, cwd: Path, command: str, **parameters: object) -> subprocess.Popen[Any]:
     """Start a node with a tick of 0.2 s in a live graph."""
     file = cwd / "site.yaml"
     file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
-    return start_node(
-        domain, cwd, command, **{"live": "true", "site_file": file, **parameters}
-    )
+    return start_node(domain, cwd, command, **{"live": "true", "site_file": file, **parameters})
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What bringup refuses of a command line, and with what words; and what it says of a drive."""
+"""What bringup refuses of a command line, and says of a drive, and of a mistake in itself."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from commands import run_command
@@ -13,12 +15,14 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
+from greenroof_ros.bringup import live
 from greenroof_ros.bringup.__main__ import make_parser, simulated_run
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import live_site
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
+from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
@@ -149,16 +153,12 @@ NO_EFFECT = {
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
         f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
-    "/*/pump:\n  ros__parameters:\n    device_id: 17\n":
-        f"line 3: /*/pump: device_id = 17: {_ONLY_BRINGUP}",
     "/site1/pump:\n  ros__parameters:\n    state_file: mine.json\n":
         f"line 3: /site1/pump: state_file = 'mine.json': {_ONLY_BRINGUP}",
     # A real drive would run on levels of another time than --speed, which is refused, says.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
         "bringup --speed says it",
-    "/**:\n  ros__parameters: {speed: 0.0}\n":
-        "line 2: /**: speed = 0.0: must not be given to the node plant",
     "/site1/*:\n  ros__parameters:\n    pump: external\n":
         "line 3: /site1/*: pump = 'external': must not be given to the node plant",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
@@ -169,9 +169,6 @@ NO_EFFECT = {
         "recovery_time;",
     "/**/onoff:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 3: /**/onoff: least_off = 1.0: there is no such parameter",
-    "/**/weather:\n  ros__parameters:\n    issue_limt: 1.0\n":
-        "line 3: /**/weather: issue_limt = 1.0: there is no such parameter; the closest is "
-        "issue_limit;",
     "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
     "site1:\n  onof:\n    ros__parameters:\n      recovery_time: 1.0\n":
@@ -292,3 +289,18 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     assert done.stderr == (
         "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
     )
+
+
+def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    """As all else, by the thread: the interpreter would wait for who reads standard error."""
+    kept: list[tuple[str, ...]] = []
+    record: Any = SimpleNamespace(write=lambda *what: kept.append(what), wait=lambda: None)
+    supervisor: Any = SimpleNamespace(may_run="")
+    with pytest.raises(ValueError, match="a mistake") as caught:
+        raise ValueError("a mistake")
+    assert live._end(record, supervisor, caught.value) == 1
+    assert LINES.wait(60)
+    assert kept == [("failed", "ValueError: a mistake")]
+    first, second, *_, last = capfd.readouterr().err.splitlines()
+    assert (first, last) == ("error: ValueError: a mistake", "ValueError: a mistake")
+    assert second.startswith("Traceback")

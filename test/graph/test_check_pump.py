@@ -121,9 +121,7 @@ def verdicts(domain: int, directory: Path, names: list[str]) -> dict[str, str]:
     """Check drivers side by side, and return what was wrong with which verdict."""
     directory.mkdir()
     sources = {name: changed(EXAMPLE, old, new) for name, (old, new, _, _) in BROKEN.items()}
-    drivers = {
-        name: start(domain, directory, name, sources.get(name, EXAMPLE)) for name in names
-    }
+    drivers = {name: start(domain, directory, name, sources.get(name, EXAMPLE)) for name in names}
     try:
         checks = {name: check(domain, directory, name) for name in drivers}
         codes = {name: process.wait(180) for name, process in checks.items()}
@@ -153,9 +151,7 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
     assert not wrong
 
 
-def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
-    domain: int, tmp_path: Path
-) -> None:
+def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_path: Path) -> None:
     absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
     other = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
     driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))

@@ -88,9 +88,7 @@ def test_messages_come_with_their_numbers(place: int) -> None:
                     say()
                 unheard, so_far, before = said, len(heard.messages[LEVEL]), time.time_ns()
                 heard.looker.listen([LEVEL])
-                wait_for(
-                    lambda: publisher.get_subscription_count() == 1, 20, "the subscription"
-                )
+                wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
                 wait_for(heard_one, 20, "what was to be heard")
                 for _ in range(60):
                     say()

@@ -24,6 +24,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
+from greenroof_ros.graph.supervision import PERMIT_PIPE, PermitReader
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, Supervisor
 
 TOO_LONG_S = 60
@@ -158,9 +159,7 @@ def test_a_node_that_died_or_hangs_is_started_again(here: Site) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
-    here: Site, how: signal.Signals
-) -> None:
+def test_the_drive_is_stopped_for_a_pump_node_that_cannot(here: Site, how: signal.Signals) -> None:
     """Once, and before the node is started again; also where it is dead when the site is ended."""
     here.add("weather", "pump")
     here.until_ready()
@@ -386,3 +385,44 @@ def test_what_a_node_of_another_version_says(here: Site) -> None:
     here.until_ready()
     here.end()
     assert not here.failures and not shown
+
+
+# --- the permit that bringup gives the pump node: what comes for one, and is none -----------------
+
+LATE = "bringup has given no permit for 2 s"
+
+
+@pytest.fixture
+def pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PermitReader, int]]:
+    """Return the pump node's end, and the one to write to."""
+    ours, theirs = os.pipe()
+    monkeypatch.setenv(PERMIT_PIPE, str(ours))
+    yield PermitReader(), theirs
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_a_permit_lapses(pipe: tuple[PermitReader, int]) -> None:
+    """After two seconds, or with its reason; before the first there is none."""
+    reader, end = pipe
+    assert reader.missing(100.0) == "bringup has given no permit yet"
+    os.write(end, b'{"inhibit": "", "at": 100.0}\n')
+    assert [reader.missing(at) for at in (100.0, 101.9, 102.1)] == ["", "", LATE]
+    os.write(end, b'{"inhibit": "weather is silent", "at": 103.0}\n')
+    assert reader.missing(103.1) == "weather is silent"
+
+
+@pytest.mark.parametrize("at", ["1e9", "NaN", "Infinity", "-Infinity", "-1.0"])
+def test_what_is_of_no_time_is_no_permit(pipe: tuple[PermitReader, int], at: str) -> None:
+    """As of a bringup with another clock, which then hangs: its permit would never lapse."""
+    reader, end = pipe
+    os.write(end, f'{{"inhibit": "", "at": {at}}}\n'.encode())
+    assert [reader.missing(now) for now in (100.0, 3700.0)] == [LATE, LATE]
+
+
+@pytest.mark.parametrize("line", ["", "{}", "[]", "null", '{"at": 100.0}', '{"inhibit": ""}', "x"])
+def test_what_says_something_else_is_no_permit(pipe: tuple[PermitReader, int], line: str) -> None:
+    """As of a bringup of another version."""
+    reader, end = pipe
+    os.write(end, f"{line}\n".encode())
+    assert reader.missing(100.0) == "bringup has given no permit yet"

@@ -32,18 +32,17 @@ from ros_rig import (
     OK,
     SUSPENDED,
     TAU,
+    USUAL_EVAPOTRANSPIRATION,
     WARN,
     Site,
     live_node,
     newest,
     policies,
-    start_live,
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from test_diagnostics import check, listen
 
-from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
@@ -356,53 +355,6 @@ def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site:
         site.until(lambda: newest(commands) > 0, LATE, "a command")
 
 
-def test_a_node_that_is_killed_may_come_again_but_not_twice(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
-    """The dead one counts until its lease ends; one beside a node that lives always does."""
-    file = tmp_path / "forecast.csv"
-    write_forecast(file, timedelta(0), 0.0, 15.0)
-    commands = site.be_dry()
-    site.values = {name: site.values[name] for name in ("/cistern/level", "/roof/level")}
-    given = {"forecast": file, "recovery_time": 0.5}
-    good = site.says("/onoff: inputs", OK)
-
-    def publishers() -> list[Any]:
-        return site.node.get_publishers_info_by_topic("/weather/frost")
-
-    started = [start_live(domain, tmp_path, "weather", **given)]
-    try:
-        with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.5):
-            site.until(lambda: newest(commands) and len(publishers()) == 1, LATE, "a command")
-            started[0].kill()
-            started.append(start_live(domain, tmp_path, "weather", **given))
-            site.until(lambda: len(publishers()) == 2, LATE, "the second beside the dead one")
-            site.during(1)
-            site.until(lambda: good() and newest(commands) > 0, LATE, "recovery")
-
-            started.append(start_live(domain, tmp_path, "weather", **given))
-            site.until(
-                site.says("/onoff: inputs", ERROR, "/weather/frost has ", "publishers (weather)"),
-                LATE, "two of one name",
-            )
-            site.until(lambda: newest(commands) == 0.0, LATE, "command 0")
-            site.during(2)
-            assert newest(commands) == 0.0
-            started[-1].terminate()
-            site.until(lambda: good() and newest(commands) > 0, LATE, "one alone")
-    finally:
-        for process in started:
-            process.terminate()
-        for process in started:
-            process.wait(300)
-
-
-def usual_evapotranspiration() -> set[float]:
-    """Return what evaporates off the paper's bed, 68.8 m2, in each month (m3/s)."""
-    months = read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
-    return {month / 1000 / 86400 * 68.8 for month in months}
-
-
 def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
     """A file that is replaced, broken and removed, gauges that come and go, an issue too old."""
     file = tmp_path / "forecast.csv"
@@ -456,37 +408,9 @@ def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
         known, unknown = (len(forecast), len(rain)), len(frost)
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
         assert (len(forecast), len(rain)) == known
-        assert newest(evapotranspiration) in usual_evapotranspiration()
+        assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION
         write_forecast(file, timedelta(0), 3.6, 15.0)
         expect(1e-6, 0.0, ("forecast", OK))
-
-
-def test_live_weather_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """A thermometer says whether there is frost, and the site what evaporates in a month."""
-    heard = {
-        name: site.listen(f"/weather/{name}")
-        for name in ("frost", "precipitation", "evapotranspiration")
-    }
-    forecasts = [site.listen(name) for name in FORECASTS]
-    with live_node(
-        domain, tmp_path, "weather", forecast="''", gauge_limit=1.0, recovery_time=0.3,
-    ):
-        site.until(lambda: heard["evapotranspiration"], LATE, "evapotranspiration")
-        assert newest(heard["evapotranspiration"]) in usual_evapotranspiration()
-        site.until(lambda: heard["frost"], LATE, "frost")
-        assert math.isnan(newest(heard["frost"]))
-        assert not heard["precipitation"]
-        site.values = {"/gauge/temperature": 4.0, "/gauge/precipitation": 5e-6}
-        site.until(lambda: newest(heard["frost"]) == 0.0, LATE, "no frost")
-        site.until(lambda: newest(heard["precipitation"]) == 5e-6, LATE, "rain")
-        site.values["/gauge/temperature"] = -0.5
-        site.until(lambda: newest(heard["frost"]) == 1.0, LATE, "frost")
-        site.values = {}
-        site.until(lambda: math.isnan(newest(heard["frost"])), LATE, "unknown frost")
-        silent = site.says("/weather: thermometer", WARN, "the present temperature is unknown")
-        site.until(silent, LATE, "why")
-        assert "/weather: forecast" not in site.diagnoses
-        assert not any(forecasts)
 
 
 def test_live_weather_that_is_dressed(domain: int, tmp_path: Path, site: Site) -> None:
@@ -495,9 +419,7 @@ def test_live_weather_that_is_dressed(domain: int, tmp_path: Path, site: Site) -
     write_forecast(file, timedelta(0), 5.0, 15.0)
     issued = hours_since_1970(datetime.now(UTC)) - 24 * 200 + 24 * np.arange(100)
     fell = np.arange(100.0)[:, None] / 10 * np.ones(12)
-    record.write_text(dressing_text(
-        Dressing("given", (0, 6, 12), issued, fell[:, :2] * 6, fell)
-    ))
+    record.write_text(dressing_text(Dressing("given", (0, 6, 12), issued, fell[:, :2] * 6, fell)))
     steps = len(growing_steps(3.0)) - 1
     forecast = site.listen("/forecast/precipitation")
     with live_node(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import signal
@@ -24,7 +25,7 @@ from places import CHECKOUT, CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_rig import Site, write_forecast
+from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
 from test_recorder import flows
 
@@ -164,9 +165,7 @@ class Hardware(SimulatedDrive):
             cwd=self.cwd,
         ))
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
-        (self.cwd / "nodes.yaml").write_text(
-            f"{QUICK}    least_off: 1.0\n{parameters}"
-        )
+        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    least_off: 1.0\n{parameters}")
         return (
             "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
             "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",
@@ -362,9 +361,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
     # A fault is the drive's: it holds the pump in the next run, and bringup says so, and where.
     state = state_of_drive()
-    subprocess.run(
-        [sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True
-    )
+    subprocess.run([sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True)
     held = Process(domain, "bringup", "--output", "held", *run, "--speed", "20", cwd=tmp_path)
     assert held.wait(300) == 1, held.stderr()
     assert f"off, by {state}: the drive reports: overload" in held.stderr()
@@ -373,9 +370,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     (incident,) = kept["incidents"]
     assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
     assert incident["cause"].startswith("fault: the drive reports: overload")
-    done = bring_up(
-        domain, tmp_path, *run, "--speed", "20", "--state", "another's", output="other"
-    )
+    done = bring_up(domain, tmp_path, *run, "--speed", "20", "--state", "another's", output="other")
     assert done["pumped_m3"] > 0
     assert hardware.speed() == 0
 
@@ -416,9 +411,7 @@ bringup.main()
 """
 
 
-def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
-    domain: int, tmp_path: Path
-) -> None:
+def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(domain: int, tmp_path: Path) -> None:
     """Which names the address, and what to look at; no log."""
     (port,) = free_ports(1)
     run = subprocess.run(
@@ -473,23 +466,33 @@ WITHOUT_FORECAST = (
 
 
 def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost."""
-    commands = site.listen("/pump/command")
-    (tmp_path / "nodes.yaml").write_text(QUICK)
+    """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost.
+
+    The site says what evaporates in a month, and a gauge what falls.
+    """
+    commands, frost_said = site.listen("/pump/command"), site.listen("/weather/frost")
+    rain = site.listen("/weather/precipitation")
+    evapotranspiration = site.listen("/weather/evapotranspiration")
+    forecasts = [site.listen(name) for name in FORECASTS]
+    (tmp_path / "nodes.yaml").write_text(f"{QUICK}    gauge_limit: 1.0\n")
     with live(domain, tmp_path, *WITHOUT_FORECAST) as process:
         site.values = {**LEVELS, "/pump/flow": 0.0}
         frost = "  weather: frost: the temperature is unknown, and so whether there is frost"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
         assert "or a node publish /gauge/temperature" in process.stderr()
         site.until(lambda: len(commands) > 4, 60, "commands")
-        assert not any(value for _, value in commands)
-        site.values["/gauge/temperature"] = 8.0
+        assert not any(value for _, value in commands) and math.isnan(newest(frost_said))
+        assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION and not rain
+        site.values |= {"/gauge/temperature": 8.0, "/gauge/precipitation": 5e-6}
+        site.until(lambda: newest(rain) == 5e-6, 60, "rain")
         site.until(lambda: commands[-1][1] == 1.0, 60, "a command")
         site.until(lambda: "running: cistern 2.400 m" in process.stderr(), 60, "the end of it")
         site.values["/gauge/temperature"] = -1.0
         site.until(lambda: commands[-1][1] == 0.0, 60, "the stop in frost")
+        assert newest(frost_said) == 1.0
         site.values["/gauge/temperature"] = 8.0
         site.until(lambda: commands[-1][1] == 1.0, 60, "a command again")
+        assert "/weather: forecast" not in site.diagnoses and not any(forecasts)
     summary = summary_of(tmp_path / "run")
     assert (summary["status"], summary["incidents"]) == ("done", [])
     assert summary["forecast"] is None
@@ -536,9 +539,7 @@ def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
     given = ("--drive-at", place, "--hours", "0.1", "--speed", "15")
     done = bring_up(domain, tmp_path, *run, *given)
     # As without a drive, but for a least pulse of this pump at its least speed: 0.0167 m3.
-    simulated = Process(
-        domain, "simulate", "--hours", "0.1", "--output", "simulated", cwd=tmp_path
-    )
+    simulated = Process(domain, "simulate", "--hours", "0.1", "--output", "simulated", cwd=tmp_path)
     assert simulated.wait(300) == 0
     expected = summary_of(tmp_path / "simulated")["pumped_m3"]
     assert done["pumped_m3"] == pytest.approx(expected, abs=0.0167)

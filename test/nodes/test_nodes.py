@@ -84,9 +84,7 @@ def test_bad_command_acts_as_zero_and_is_counted(
     assert "refused" in started[0].communicate()[1]
 
 
-def test_bad_level_or_frost_stops_the_pump(
-    domain: int, tmp_path: Path, observer: Observer
-) -> None:
+def test_bad_level_or_frost_stops_the_pump(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A level that no sensor can have measured is not a dry roof; frost and bad frost pump not."""
     commands = observer.hear("/pump/command")
     publish = {
@@ -125,9 +123,7 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
         "import ctypes; from rclpy.node import Node; from greenroof_ros.nodes.weather import main; "
         f"hang = lambda: ctypes.PyDLL(None).sleep(60); {when}; main()"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain)
-    )
+    process = subprocess.Popen([sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain))
     wait_for(lambda: udp_addresses_of(process.pid), 60, "the start of the node")
     process.send_signal(signal.SIGINT)
     assert process.wait(300) == -signal.SIGALRM
@@ -147,9 +143,7 @@ def test_who_looks_on_sets_and_commands(domain: int, tmp_path: Path, observer: O
         before = clock[-1]
         assert before <= first_seen(observer, as_printed)
     # The history is there for nodes that join late: of 64 ticks, 6 s, which joining may take.
-    observer.until(
-        lambda: clock[-1] > first_seen(observer, qos("/clock")), 60, "an older tick"
-    )
+    observer.until(lambda: clock[-1] > first_seen(observer, qos("/clock")), 60, "an older tick")
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
         refused = set_weight(observer, bad)
         assert not refused.successful and "weight" in refused.reason
@@ -260,9 +254,7 @@ WRONG_PARAMETERS = {
         ("controller --controller pid --help", ("pid", "mpc", "package.module:Class")),
     ],
 )
-def test_what_is_refused(
-    domain: int, tmp_path: Path, command: str, words: tuple[str, ...]
-) -> None:
+def test_what_is_refused(domain: int, tmp_path: Path, command: str, words: tuple[str, ...]) -> None:
     """Exit code 2 and one clear line: who supervises it need not start it again."""
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),

@@ -34,9 +34,7 @@ class Nodes:
         which = f"controller --controller {name}" if name in ("mpc", "onoff") else name
         with (self.cwd / f"{name}.log").open("w") as log:
             popen = {"stdin": subprocess.PIPE, "stdout": log, "stderr": log, "text": True}
-            self.started[name] = start_node(
-                self.domain, self.cwd, which, popen=popen, **parameters
-            )
+            self.started[name] = start_node(self.domain, self.cwd, which, popen=popen, **parameters)
 
     def log(self, name: str) -> str:
         return (self.cwd / f"{name}.log").read_text()

@@ -102,9 +102,7 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         stderr=subprocess.DEVNULL,
     )
     try:
-        process = Process(
-            domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path
-        )
+        process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
         warning = (
             "/pump/flow has a publisher that cannot be heard (pump): it is volatile and has no "
