@@ -202,6 +202,10 @@ class Process:
 
         wait_for(grown, 120, "a growing bag")
 
+    def until_said(self, words: str, seconds: float = 60) -> None:
+        """Wait until it has said something on its standard error."""
+        wait_for(lambda: words in self.stderr(), seconds, f"{words!r} of {self.process.args}")
+
     def wait(self, seconds: float) -> int:
         """Wait for the end and return the exit code."""
         try:

@@ -13,7 +13,7 @@ from typing import Any
 from graphs import Process, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
-from ros_rig import LATE, Observer, start_node
+from ros_rig import LATE, Observer
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S, Workbench
 from std_msgs.msg import Float64
@@ -74,9 +74,9 @@ def addresses(simulator: Process) -> list[str]:
 class PumpRig:
     """The node's peers: clock, levels, frost and commands, and what the node says to them."""
 
-    def __init__(self, domain: int, cwd: Path, observer: Observer) -> None:
-        self.cwd, self.observer = cwd, observer
-        self.domain = domain
+    def __init__(self, observer: Observer) -> None:
+        self.domain, self.cwd, self.observer = observer.domain, observer.cwd, observer
+        self._drive: SimulatedDrive | None = None
         self.node = observer.node
         self.flows: list[float] = observer.hear("/pump/flow")
         self.states: list[str] = observer.hear("/pump/state")
@@ -96,24 +96,34 @@ class PumpRig:
                          "/pump/command", "/pump/meter")
         }
 
+    @property
+    def drive(self) -> SimulatedDrive:
+        """Return the drive, ABB's unless :meth:`simulate` made another."""
+        return self._drive or self.simulate()
+
+    def simulate(self, *options: str, make: str = "abb_acs880") -> SimulatedDrive:
+        """Start the drive."""
+        self._drive = SimulatedDrive(self.domain, self.cwd, *options, make=make)
+        return self._drive
+
     def code(self, part: str) -> str:
         """Return the condition code of a part; empty where it is well."""
         return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
-        self, address: str, *, drive: str = "abb_acs880", popen: dict[str, Any] | None = None,
-        **parameters: object,
+        self, address: str = "", *, drive: str = "abb_acs880",
+        popen: dict[str, Any] | None = None, **parameters: object,
     ) -> subprocess.Popen[Any]:
-        """Start the node; its state file is the same each time."""
+        """Start the node, for the simulated drive unless told; its state file stays the same."""
         given = {
             "drive": guarding(drive, self.cwd) if drive in MAKES else drive,
-            "address": address, "autostart": "true", "exchange_period": 0.05,
+            "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
         if self._processes:
             self._open()
-        process = start_node(self.domain, self.cwd, "pump", popen=popen, **given)
+        process = self.observer.start("pump", popen=popen, **given)
         self._processes.append(process)
         return process
 
@@ -187,10 +197,10 @@ class PumpRig:
         """Publish ticks until the state has some words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
-    def until_it_stands(self, drive: SimulatedDrive, seconds: float, command: float = 0.5) -> float:
+    def until_it_stands(self, seconds: float, command: float = 0.5) -> float:
         """Publish ticks until the motor stands and no flow is said; return how long that took."""
         return self.tick_until(
-            command, lambda: drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
+            command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
         )
 
     def play(
@@ -206,11 +216,12 @@ class PumpRig:
 
         wait_for(played, seconds, f"{what} ({self.states[-3:]})")
 
-    def run(self, drive: SimulatedDrive, command: float = 0.5) -> None:
+    def run(self, command: float = 0.5) -> None:
         """Command until the pump runs."""
         self.join()
         self.tick_until(
-            command, lambda: self.state.startswith("running") and drive.speed() > 0.5, 60, "running"
+            command, lambda: self.state.startswith("running") and self.drive.speed() > 0.5, 60,
+            "running",
         )
 
     def join(self) -> None:
@@ -237,9 +248,8 @@ class PumpRig:
     def lifecycle_state(self) -> str:
         return str(self.call(GetState, "get_state").current_state.label)
 
-
-def stands_within(drive: SimulatedDrive, seconds: float) -> float:
-    """Wait until the motor stands, and return how long that took (s)."""
-    began = time.monotonic()
-    wait_for(lambda: drive.speed() == 0.0, seconds, "the motor's standstill")
-    return time.monotonic() - began
+    def stands_within(self, seconds: float) -> float:
+        """Wait without a tick until the motor stands, and return how long that took (s)."""
+        began = time.monotonic()
+        wait_for(lambda: self.drive.speed() == 0.0, seconds, "the motor's standstill")
+        return time.monotonic() - began

@@ -80,11 +80,14 @@ class Observer:
     """A node of the test's own.
 
     Attributes:
+        domain: that it is in.
+        cwd: where nodes beside it are started.
         diagnoses: of each name on /diagnostics what was said last.
         said: all sentences that came there.
     """
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, cwd: Path) -> None:
+        self.domain, self.cwd = domain, cwd
         self.context = rclpy.Context()
         rclpy.init(args=[], context=self.context, domain_id=domain)
         self.node = Node("observer", context=self.context, start_parameter_services=False)
@@ -100,6 +103,12 @@ class Observer:
         for status in message.status:
             self.diagnoses[status.name] = status
             self.said.append(status.message)
+
+    def start(
+        self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
+    ) -> subprocess.Popen[Any]:
+        """Start a node beside it."""
+        return start_node(self.domain, self.cwd, command, popen=popen, **parameters)
 
     def until(self, condition: Callable[[], Any], seconds: float, what: str) -> Any:
         """Spin until a condition holds."""
@@ -167,12 +176,27 @@ class Site:
 
     def __init__(self, watcher: Observer) -> None:
         """Publish nothing yet."""
-        self.watcher = watcher
+        self.watcher, self.cwd = watcher, watcher.cwd
         self.node, self.says, self.call = watcher.node, watcher.says, watcher.call
         self.said, self.diagnoses = watcher.said, watcher.diagnoses
         self.values: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
         self._next = time.monotonic()
+
+    @contextmanager
+    def live(self, command: str, **parameters: object) -> Iterator[subprocess.Popen[Any]]:
+        """Start a node with a tick of 0.2 s in a live graph, and end it; it must end well."""
+        file = self.cwd / "site.yaml"
+        file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
+        process = self.watcher.start(command, **{"live": "true", "site_file": file, **parameters})
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGINT)
+            # The kernel ends a node whose middleware takes long to go, as on a busy machine.
+            code = process.wait(300)
+            assert code in (0, -signal.SIGALRM), code
 
     def listen(self, topic: str) -> list[tuple[float, Any]]:
         """Note when each value of a topic comes."""
@@ -224,29 +248,6 @@ class Site:
 def newest(values: list[tuple[float, Any]]) -> Any:
     """Return the value that came last; None before there is one."""
     return values[-1][1] if values else None
-
-
-def start_live(domain: int, cwd: Path, command: str, **parameters: object) -> subprocess.Popen[Any]:
-    """Start a node with a tick of 0.2 s in a live graph."""
-    file = cwd / "site.yaml"
-    file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
-    return start_node(domain, cwd, command, **{"live": "true", "site_file": file, **parameters})
-
-
-@contextmanager
-def live_node(
-    domain: int, cwd: Path, command: str, **parameters: object
-) -> Iterator[subprocess.Popen[Any]]:
-    """Start such a node, and end it; it must end well."""
-    process = start_live(domain, cwd, command, **parameters)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGCONT)
-        process.send_signal(signal.SIGINT)
-        # The kernel ends a node whose middleware takes long to go, as on a busy machine.
-        code = process.wait(300)
-        assert code in (0, -signal.SIGALRM), code
 
 
 def policies(process: int) -> set[int]:

@@ -41,9 +41,6 @@ def main() -> None:
         if (marks / f"{kind}-stands").exists():
             said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
-        if (marks / f"{kind}-raw").exists():
-            lines = (marks / f"{kind}-raw").read_bytes()
-            os.write(int(os.environ["GREENROOF_ROS_REPORT_PIPE"]), lines)
         if permits is not None:
             os.set_blocking(int(permits), False)
             try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,10 +18,10 @@ if find_spec("pymodbus") is None:  # drives and sensors are on Modbus
 
 
 @pytest.fixture
-def observer(domain: int) -> Iterator[Observer]:
+def observer(domain: int, tmp_path: Path) -> Iterator[Observer]:
     from ros_rig import Observer
 
-    it = Observer(domain)
+    it = Observer(domain, tmp_path)
     yield it
     it.close()
 

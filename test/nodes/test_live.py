@@ -14,7 +14,6 @@ import time
 from array import array
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -35,7 +34,6 @@ from ros_rig import (
     USUAL_EVAPOTRANSPIRATION,
     WARN,
     Site,
-    live_node,
     newest,
     policies,
     write_forecast,
@@ -48,7 +46,7 @@ from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
 
 
-def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> None:
+def test_a_bad_input_stops_the_pump(site: Site) -> None:
     """Command 0 within the bound, the input and the rule on /diagnostics, and good again.
 
     That it has no forecast is nothing to on/off, nor is one that is refused.
@@ -69,14 +67,14 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
         site.until(lambda: newest(commands) == 0.5, LATE, "recovery")
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
 
-    with live_node(
-        domain, tmp_path, "controller --controller onoff", fraction=0.5, level_limit=1.5,
+    with site.live(
+        "controller --controller onoff", fraction=0.5, level_limit=1.5,
         recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
     ) as process:
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
         # A live node must be in time, beside whatever computes; one of a simulation need not.
         assert policies(process.pid) == {os.SCHED_OTHER}
-        assert site.watcher.values("/onoff")["site"] == str(tmp_path / "site.yaml")
+        assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
             ({"/roof/level": math.nan}, ERROR, "/roof/level was refused", "0 to 100 m"),
             ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s (level_limit)"),
@@ -132,13 +130,13 @@ BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
 }
 
 
-def test_onoff_commands_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
+def test_onoff_commands_without_a_forecast(site: Site) -> None:
     """And says so, with reason and time; a level or frost that is not known stops it as ever."""
     commands = site.be_dry()
     good = dict(site.values)
     rain = "/forecast/precipitation"
-    with live_node(
-        domain, tmp_path, "controller --controller mpc", max_command=0.4, recovery_time=0.2,
+    with site.live(
+        "controller --controller mpc", max_command=0.4, recovery_time=0.2,
         forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
     ):
         for what, (bad, why) in BAD_FORECASTS.items():
@@ -223,14 +221,14 @@ class Own(Waiting):
 """
 
 
-def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None:
+def test_classes_of_a_users_own(site: Site) -> None:
     """One that says nothing leaves it to on/off and begins anew; one with a rule is asked."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
-    (tmp_path / "mine.py").write_text(MINE)
+    (site.cwd / "mine.py").write_text(MINE)
     given = {"recovery_time": 0.2, "forecast_limit": 1.0}
-    with live_node(domain, tmp_path, "controller --controller mine:Counting", **given):
+    with site.live("controller --controller mine:Counting", **given):
         site.until(lambda: (newest(commands) or 0) > 0.105, LATE, "its commands")
         site.values = without
         site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
@@ -242,7 +240,7 @@ def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None
         first = next(value for _, value in commands[before:] if value != 1.0)
         assert first == pytest.approx(0.501)
     commands.clear()
-    with live_node(domain, tmp_path, "controller --controller mine:Own", **given):
+    with site.live("controller --controller mine:Own", **given):
         site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast")
         site.values = without
         site.until(lambda: newest(commands) == 0.2, LATE, "without")
@@ -251,7 +249,7 @@ def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None
         assert {value for _, value in commands} <= {0.0, 0.2, 0.3}
     # Of a roof that waits for rain: a moment without a forecast has on/off start no pump.
     commands.clear()
-    with live_node(domain, tmp_path, "controller --controller mine:Waiting", recovery_time=2.0):
+    with site.live("controller --controller mine:Waiting", recovery_time=2.0):
         site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
         site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
         site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
@@ -267,24 +265,22 @@ def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None
         assert site.says("/waiting: forecast", OK)()
 
 
-def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
+def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
     """Its commands grow by a thousandth each time: here on/off takes over, there it is ended.
 
     From a file that says nothing of it it begins anew.
     """
     commands = site.be_dry()
     good = dict(site.values)
-    (tmp_path / "mine.py").write_text(MINE)
-    file = tmp_path / "state" / "learner.json"
+    (site.cwd / "mine.py").write_text(MINE)
+    file = site.cwd / "state" / "learner.json"
     given = {"recovery_time": 0.2, "forecast_limit": 1.0, "state_file": str(file)}
     last = 0.0
 
     def its_own() -> list[float]:
         return [value for _, value in commands if 0 < value < 1]
 
-    with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+    with site.live("controller --controller mine:Learner", **given):
         site.until(lambda: len(its_own()) > 5, LATE, "its commands")
         site.values = {name: value for name, value in good.items() if name not in FORECASTS}
         site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
@@ -296,42 +292,42 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(
     site.during(0.5)  # what it said last is heard
     last = max(its_own())
     commands.clear()
-    with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+    with site.live("controller --controller mine:Learner", **given):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
         assert its_own()[0] > last  # by the commands, too, that came while it ended
     for content in ("not JSON", '{"another": 3.0}'):
         file.write_text(content)
         site.during(0.5)  # what the node before said last is heard
         commands.clear()
-        with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+        with site.live("controller --controller mine:Learner", **given):
             site.until(lambda: len(its_own()) > 0, LATE, "its first command")
             assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may not be heard
 
 
 @pytest.mark.parametrize("when", ["suspended", "suspended_in_a_decision"])
 def test_no_command_of_what_was_before_a_suspend(
-    when: str, domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
+    when: str, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In which the clock stands still by which a process otherwise tells how old a value is."""
-    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (site.cwd / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(site.cwd))
     commands = site.be_dry()
-    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=1.0):
+    with site.live("controller --controller onoff", recovery_time=1.0):
         site.until(lambda: newest(commands), 60, "a command")
-        (tmp_path / when).touch()
+        (site.cwd / when).touch()
         site.until(lambda: newest(commands) == 0.0, LATE, "no command")
         site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
         site.until(lambda: newest(commands), LATE, "a command of what is new")
 
 
-def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site: Site) -> None:
+def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
     """The node is stopped for 7 s while the roof gets wet; a dry roof's command never follows.
 
     The limits are far longer, and there is no time to recover: its own pause is what it must see.
     """
     commands = site.be_dry()
-    with live_node(
-        domain, tmp_path, "controller --controller onoff", level_limit=60.0, recovery_time=0.0,
+    with site.live(
+        "controller --controller onoff", level_limit=60.0, recovery_time=0.0,
         jump_tolerance=1.0,
     ) as process:
         site.until(lambda: newest(commands), LATE, "a command")
@@ -355,9 +351,9 @@ def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site:
         site.until(lambda: newest(commands) > 0, LATE, "a command")
 
 
-def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
+def test_live_weather(site: Site) -> None:
     """A file that is replaced, broken and removed, gauges that come and go, an issue too old."""
-    file = tmp_path / "forecast.csv"
+    file = site.cwd / "forecast.csv"
     write_forecast(file, timedelta(minutes=1), 3.6, 15.0)
     rain = site.listen("/weather/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
@@ -374,8 +370,8 @@ def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
         for part, *what in said:
             site.until(site.says(f"/weather: {part}", *what), LATE, f"{part}: {what}")
 
-    with live_node(
-        domain, tmp_path, "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
+    with site.live(
+        "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
     ):
         site.until(lambda: rain and forecast and evapotranspiration, LATE, "the weather")
         expect(1e-6, 0.0, ("forecast", OK, "issued"))  # 3.6 mm/h
@@ -413,17 +409,17 @@ def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
         expect(1e-6, 0.0, ("forecast", OK))
 
 
-def test_live_weather_that_is_dressed(domain: int, tmp_path: Path, site: Site) -> None:
+def test_live_weather_that_is_dressed(site: Site) -> None:
     """An ensemble of what fell after such forecasts; without one, of the record, and it is said."""
-    file, record = tmp_path / "forecast.csv", tmp_path / "dressed.csv"
+    file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
     write_forecast(file, timedelta(0), 5.0, 15.0)
     issued = hours_since_1970(datetime.now(UTC)) - 24 * 200 + 24 * np.arange(100)
     fell = np.arange(100.0)[:, None] / 10 * np.ones(12)
     record.write_text(dressing_text(Dressing("given", (0, 6, 12), issued, fell[:, :2] * 6, fell)))
     steps = len(growing_steps(3.0)) - 1
     forecast = site.listen("/forecast/precipitation")
-    with live_node(
-        domain, tmp_path, "weather", forecast=file, dressed=record, all_members="true",
+    with site.live(
+        "weather", forecast=file, dressed=record, all_members="true",
         horizon=3.0, gauge_limit=1.0, recovery_time=0.3, issue_limit=5.0,
     ):
         site.until(lambda: forecast, LATE, "the forecast")
@@ -437,24 +433,24 @@ def test_live_weather_that_is_dressed(domain: int, tmp_path: Path, site: Site) -
         assert len(np.unique(members)) > 5
 
 
-def test_live_weather_that_lacks_something(domain: int, tmp_path: Path, site: Site) -> None:
+def test_live_weather_that_lacks_something(site: Site) -> None:
     """Without a file at the start the node waits for one; unknown_frost_may_pump makes frost 0.
 
     What evaporates is not said of a site without a climate. With a record of forecasts that is no
     use they are used as they are issued, and it is said.
     """
-    file, record = tmp_path / "forecast.csv", tmp_path / "dressed.csv"
+    file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
     record.write_text("issued\n")
     lines = (CONFIG / "site.yaml").read_text().splitlines()
-    (tmp_path / "mine.yaml").write_text(
+    (site.cwd / "mine.yaml").write_text(
         "\n".join(line for line in lines if not line.startswith("monthly_"))
     )
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
     arrays = listen(site.watcher)
-    with live_node(
-        domain, tmp_path, "weather", forecast=file, unknown_frost_may_pump="true", dressed=record,
-        site_file=tmp_path / "mine.yaml",
+    with site.live(
+        "weather", forecast=file, unknown_frost_may_pump="true", dressed=record,
+        site_file=site.cwd / "mine.yaml",
     ):
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
         site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")

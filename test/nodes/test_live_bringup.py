@@ -144,6 +144,9 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert abs(stamps[-1] - time.time()) < 60
 
 
+PUMPING = ("--initial", "high-low", "--controller", "onoff")
+
+
 class Hardware(SimulatedDrive):
     """A drive, and where they are wanted tanks and level sensors, simulated by programs."""
 
@@ -152,29 +155,55 @@ class Hardware(SimulatedDrive):
         self.file = guarding("abb_acs880", cwd)
 
     def be_a_site(self, parameters: str = "") -> tuple[str, ...]:
-        """Fill the tanks, start sensors, write a forecast; return the options of bringup."""
+        """Return the options of bringup at a site whose sensors and forecast are yet to come."""
         cistern, roof = free_ports(2)
         text = (CONFIG / "sensors.yaml").read_text()
         (self.cwd / "sensors.yaml").write_text(
             text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
             .replace("period: 1.0", "period: 0.5")
         )
-        addresses(Process(
-            self.domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
-            self.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
-            cwd=self.cwd,
-        ))
-        write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+        write_forecast(self.cwd / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
         (self.cwd / "nodes.yaml").write_text(f"{QUICK}    least_off: 1.0\n{parameters}")
         return (
             "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
             "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",
         )
 
+    def begin(self) -> None:
+        """Fill the tanks, start the sensors, and write a forecast."""
+        addresses(Process(
+            self.domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
+            self.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
+            cwd=self.cwd,
+        ))
+        write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+
+    def in_the_loop(self, *options: str, output: str = "run", stderr: int | None = None) -> Process:
+        """Start a simulated run with the drive."""
+        return Process(
+            self.domain, "bringup", "--output", output, "--drive", self.file, "--drive-at",
+            self.address, *options, cwd=self.cwd, stderr=stderr,
+        )
+
     def speed(self) -> float:
         """Return the pump's true speed, share of the rated one; each call takes 0.1 s."""
         time.sleep(0.1)
         return super().speed()
+
+    def until_it_pumps(self, seconds: float = 90) -> None:
+        wait_for(lambda: self.speed() > 0.9, seconds, "the pump")
+
+    def speeds_for(self, seconds: float) -> list[float]:
+        """Return the pump's speeds from now on."""
+        until, speeds = time.monotonic() + seconds, []
+        while time.monotonic() < until:
+            speeds.append(self.speed())
+        return speeds
+
+
+def last_list(process: Process) -> str:
+    """Return what is missing."""
+    return process.stderr().rpartition("missing:\n")[2]
 
 
 # Makes a pump node deaf to its permit while there is a file of that name.
@@ -193,7 +222,8 @@ def test_a_live_site_with_drive_and_sensors(
 ) -> None:
     """The controller pumps and the roof rises; whatever fails, the pump stops, and goes on.
 
-    In a namespace; and the drive's own timeout is off, so that it stops nothing here.
+    What is missing at the start has a line each, with what to do, and the list shrinks as things
+    arrive. In a namespace; and the drive's own timeout is off, so that it stops nothing here.
     """
     hardware = Hardware(domain, tmp_path)
     hardware.inject("timeout_off")
@@ -207,6 +237,18 @@ def test_a_live_site_with_drive_and_sensors(
     )
     options += ("--namespace", "site1", "--peer-limit", "60")
     with live(domain, tmp_path, *options, code=1) as process:
+        for reason in (
+            "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The level",
+            "is older than 2 h. There is no forecast for now, so plain on/off waters by the level",
+        ):
+            process.until_said(reason)
+        # What only follows from these is not in it, nor a drive that is there.
+        found = {line.partition(":")[0] for line in last_list(process).splitlines()}
+        assert found <= {"  cistern_sensor", "  roof_sensor", "  weather"}
+        write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
+        wait_for(lambda: "  weather: " not in last_list(process), 60, "the forecast")
+        assert "  roof_sensor: " in last_list(process)
+        hardware.begin()
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
         killed = time.monotonic()
@@ -261,16 +303,15 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     """
     hardware = Hardware(domain, tmp_path)
     options = hardware.be_a_site()
+    hardware.begin()
     run = tmp_path / "run"
     with disk_that_hangs(run) as hang, full_pipe() as (_, full):
         with live(domain, tmp_path, *options, code=1, stderr=full) as process:
-            wait_for(lambda: hardware.speed() > 0.9, 90, "the pump")
+            hardware.until_it_pumps()
             nodes = process.nodes()
             hung = time.time()
             hang(True)
-            speeds = []
-            while time.time() < hung + 30:
-                speeds.append(hardware.speed())
+            assert min(hardware.speeds_for(30)) > 0.9
             assert process.nodes() == nodes
             hang(False)
             wait_for(
@@ -282,7 +323,6 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
         assert time.monotonic() - asked < 30
         summary = summary_of(run)
         stamps = [stamp for stamp, _ in flows(run / "bag")]
-    assert min(speeds) > 0.9
     # The site's tick is 1 s; a busy machine leaves out a few.
     assert stamps == sorted(set(stamps)) and max(b - a for a, b in pairwise(stamps)) < 5
     assert 20 <= sum(hung < stamp < hung + 30 for stamp in stamps) <= 32
@@ -297,16 +337,9 @@ def test_a_standard_error_that_takes_nothing_stops_no_pump_in_the_loop(
     """The permit of a real drive is given by who draws the bar."""
     hardware = Hardware(domain, tmp_path)
     with full_pipe() as (_, full):
-        run = Process(
-            domain, "bringup", "--output", "run", "--initial", "high-low", "--controller", "onoff",
-            "--hours", "1", "--drive", hardware.file, "--drive-at", hardware.address,
-            cwd=tmp_path, stderr=full,
-        )
-        wait_for(lambda: hardware.speed() > 0.9, 120, "the pump")
-        began, speeds = time.monotonic(), []
-        while time.monotonic() < began + 5:
-            speeds.append(hardware.speed())
-        assert min(speeds) > 0.9
+        run = hardware.in_the_loop(*PUMPING, "--hours", "1", stderr=full)
+        hardware.until_it_pumps(120)
+        assert min(hardware.speeds_for(5)) > 0.9
         run.process.send_signal(signal.SIGTERM)
         assert run.wait(60) == 130
     assert hardware.speed() == 0
@@ -328,8 +361,8 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
                 stream.write(bytes(4096))
         with live(domain, tmp_path, *NOBODY, code=1) as process:
             alarm = "incident 1: recorder: nothing is recorded: "
-            wait_for(lambda: alarm in process.stderr(), 60, "the alarm")
-            wait_for(lambda: "/roof/level has not come" in process.stderr(), 50, "the controller")
+            process.until_said(alarm, 60)
+            process.until_said("/roof/level has not come", 50)
             assert process.nodes().keys() == {"controller", "live_recorder"}
         assert old.read_text() == "of before"
         said = process.stderr()
@@ -349,46 +382,43 @@ assert ledger.close() == ""
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     """At real time unless told otherwise; the drive stands at the end, be that early."""
     hardware = Hardware(domain, tmp_path, "20")
-    run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.02", "--drive",
-           hardware.file, "--drive-at", hardware.address)
-    early = Process(domain, "bringup", "--output", "early", *run, cwd=tmp_path)
-    wait_for(lambda: hardware.speed() > 0.9, 120, "the pump")
+    early = hardware.in_the_loop(*PUMPING, "--hours", "0.02", output="early")
+    hardware.until_it_pumps(120)
     os.kill(early.nodes()["pump"], signal.SIGKILL)
     assert early.wait(300) == 1
     assert "node pump ended (SIGKILL)" in early.stderr()
     assert "bringup told the drive to stop" in early.stderr()
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
-    # A fault is the drive's: it holds the pump in the next run, and bringup says so, and where.
+    # A fault is the drive's: it stops the pump in the next run, and bringup says so, and where.
     state = state_of_drive()
     subprocess.run([sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True)
-    held = Process(domain, "bringup", "--output", "held", *run, "--speed", "20", cwd=tmp_path)
-    assert held.wait(300) == 1, held.stderr()
-    assert f"off, by {state}: the drive reports: overload" in held.stderr()
-    kept = summary_of(tmp_path / "held")
+    fast = (*PUMPING, "--hours", "0.02", "--speed", "20")
+    stopped = hardware.in_the_loop(*fast, output="stopped")
+    assert stopped.wait(300) == 1, stopped.stderr()
+    assert f"off, by {state}: the drive reports: overload" in stopped.stderr()
+    kept = summary_of(tmp_path / "stopped")
     assert kept["pumped_m3"] == 0
     (incident,) = kept["incidents"]
     assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
     assert incident["cause"].startswith("fault: the drive reports: overload")
-    done = bring_up(domain, tmp_path, *run, "--speed", "20", "--state", "another's", output="other")
-    assert done["pumped_m3"] > 0
+    done = hardware.in_the_loop(*fast, "--state", "another's", output="other")
+    assert done.wait(300) == 0, done.stderr()
+    assert summary_of(tmp_path / "other")["pumped_m3"] > 0
     assert hardware.speed() == 0
 
 
 def test_a_drive_that_is_lost_in_the_loop_leaves_a_trace(domain: int, tmp_path: Path) -> None:
     """On the console, beside the bag and in the summary; the bag is as always."""
     hardware = Hardware(domain, tmp_path, "20")
-    run = Process(
-        domain, "bringup", "--output", "run", "--hours", "0.1", "--speed", "15", "--state", "state",
-        "--drive", hardware.file, "--drive-at", hardware.address, cwd=tmp_path,
-    )
+    run = hardware.in_the_loop("--hours", "0.1", "--speed", "15", "--state", "state")
     run.wait_for_ticks(size=0)
     hardware.process.process.kill()
     hardware.process.wait(300)
-    wait_for(lambda: "incident 1 at tick" in run.stderr(), 60, "the loss on the console")
+    run.until_said("incident 1 at tick", 60)
     port = hardware.address.rpartition(":")[2]
     hardware.start("--port", port, "--workbench", "0")
-    wait_for(lambda: "incident 1 is over at tick" in run.stderr(), 60, "the return on the console")
+    run.until_said("incident 1 is over at tick", 60)
     assert run.wait(120) == 1, run.stderr()
     summary = summary_of(tmp_path / "run")
     assert (summary["status"], summary["last_tick"]) == ("done", 360)
@@ -425,37 +455,6 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(domain: int, tmp_
     assert "cannot connect; check its power and cable, and the address of --drive-at" in error
     assert "last lines of" not in run.stderr
     assert len(run.stderr.splitlines()) < 8
-
-
-def test_a_start_at_which_everything_is_missing(domain: int, tmp_path: Path) -> None:
-    """A line each within seconds, with what to do; the list shrinks as things arrive."""
-    hardware = Hardware(domain, tmp_path)
-    cistern, roof = free_ports(2)
-    (tmp_path / "sensors.yaml").write_text(
-        (CONFIG / "sensors.yaml").read_text()
-        .replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
-    )
-    write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
-    with live(
-        domain, tmp_path, "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
-        "--drive", hardware.file, "--drive-at", hardware.address,
-    ) as process:
-        wait_for(lambda: "missing:\n" in process.stderr(), 60, "the list")
-        reasons = (
-            f"  roof_sensor: sensor: tcp://127.0.0.1:{roof}, device 1: cannot connect. The level",
-            "is older than 2 h. There is no forecast for now, so plain on/off waters by the level",
-        )
-        wait_for(lambda: all(one in process.stderr() for one in reasons), 60, "the reasons")
-        # What only follows from these is not in it, nor a drive that is there.
-        found = {line.partition(":")[0] for line in _last_list(process).splitlines()}
-        assert found <= {"  cistern_sensor", "  roof_sensor", "  weather"}
-        write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
-        wait_for(lambda: "  weather: " not in _last_list(process), 60, "the forecast")
-        assert "  roof_sensor: " in _last_list(process)
-
-
-def _last_list(process: Process) -> str:
-    return process.stderr().rpartition("missing:\n")[2]
 
 
 LEVELS = {name: DRY[name] for name in ("/cistern/level", "/roof/level")}

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
 from datetime import datetime
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,12 +23,12 @@ import pytest
 from graphs import Process, environment, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
-from pump_node_rig import PumpRig, SimulatedDrive, stands_within
+from pump_node_rig import PumpRig
 from rclpy.node import Node
 from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, impostor, policies
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
-from test_node_help import check_topics, help_of, parameters_of, section
+from test_nodes import check_topics, help_of, parameters_of, section
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import boot_time
@@ -41,18 +40,13 @@ from greenroof_ros.watch.advice import advise
 
 
 @pytest.fixture
-def rig(domain: int, tmp_path: Path, observer: Observer) -> Iterator[PumpRig]:
-    it = PumpRig(domain, tmp_path, observer)
+def rig(observer: Observer) -> Iterator[PumpRig]:
+    it = PumpRig(observer)
     yield it
     it.end()
 
 
-@pytest.fixture
-def drive(domain: int, tmp_path: Path) -> SimulatedDrive:
-    return SimulatedDrive(domain, tmp_path)
-
-
-def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
+def test_lifecycle(rig: PumpRig) -> None:
     """Every transition, possible or not; a command is answered in every state."""
     (port,) = free_ports(1)
     node = rig.start(f"gateway://127.0.0.1:{port}", autostart="false")
@@ -70,32 +64,32 @@ def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
     assert "the node is not active; no connection to the drive: " in rig.state
     assert rig.state.count("no connection to the drive") == 1
     silent.close()
-    drive = SimulatedDrive(domain, tmp_path)
+    drive = rig.simulate()
     drive.end()
     drive.start("--port", str(port), "--workbench", "0")
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     assert not rig.change("configure")
     assert rig.lifecycle_state() == "inactive"
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
-    assert drive.speed() == 0.0
+    assert rig.drive.speed() == 0.0
     assert rig.change("activate")
     assert not rig.change("activate")
     assert not rig.change("no such transition")
     assert rig.lifecycle_state() == "active"
-    rig.run(drive)
+    rig.run()
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
     assert rig.change("deactivate")
-    rig.until_it_stands(drive, 5)
+    rig.until_it_stands(5)
     wait_for(lambda: rig.change("cleanup"), 20, "the end of the ramp")
-    assert drive.speed() == 0.0  # it lets go of a drive that stands
+    assert rig.drive.speed() == 0.0  # it lets go of a drive that stands
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     # A cleanup that fails is refused, soon: ask again; at last the node is unconfigured and lives.
     assert rig.change("activate")
-    rig.run(drive)
+    rig.run()
     assert rig.change("deactivate")
-    drive.inject("stuck_running", 5000)
+    rig.drive.inject("stuck_running", 5000)
     began = time.monotonic()
     assert not rig.change("cleanup")
     assert time.monotonic() - began < 4.5
@@ -107,7 +101,7 @@ def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
         lambda: not rig.change("cleanup") and rig.lifecycle_state() == "unconfigured", 40,
         "the end of the attempt",
     )
-    drive.inject("none")
+    rig.drive.inject("none")
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     assert rig.change("shutdown")
     assert rig.lifecycle_state() == "finalized"
@@ -149,78 +143,77 @@ def test_a_timeout_that_does_not_guard(
         assert words is None or advice == INTERLOCKS["drive_timeout"].advice
 
 
-def test_without_the_drives_own_timeout_it_does_not_activate(
-    domain: int, tmp_path: Path, rig: PumpRig
-) -> None:
+def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> None:
     """Refused with the reason; the parameter of the long name overrules that.
 
     Then, with no supervisor either, nothing but the node's own watchdog stops the pump.
     """
-    drive = SimulatedDrive(domain, tmp_path, "--fault", "timeout_off")
-    node = rig.start(drive.address)
+    rig.simulate("--fault", "timeout_off")
+    node = rig.start()
     rig.join()
     rig.until_said("drive timeout", ERROR, "is off", "58.")
     rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", LATE, "configuring")
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
     assert "not activated" in rig.state
-    assert drive.speed() == 0.0
+    assert rig.drive.speed() == 0.0
     node.terminate()
     assert node.wait(120) == 0
-    rig.start(drive.address, activate_without_drive_timeout="true")
-    rig.run(drive)
+    rig.start(activate_without_drive_timeout="true")
+    rig.run()
     assert rig.says("drive timeout", WARN, "is off")
     # It counts steady time; the clock topic stands with the commands.
     began = time.monotonic()
-    rig.observer.until(lambda: drive.speed() == 0.0, 6, "the watchdog")
+    rig.observer.until(lambda: rig.drive.speed() == 0.0, 6, "the watchdog")
     assert 2.5 < time.monotonic() - began < 4.5
     rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
-    rig.run(drive)
+    rig.run()
 
 
-def test_what_the_drive_file_says(tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) -> None:
+def test_what_the_drive_file_says(rig: PumpRig) -> None:
     """That it guards some time after power-up, and its least speed.
 
     0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
     """
     text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
     text = text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 ")
-    file = tmp_path / "mine.yaml"
+    file = rig.cwd / "mine.yaml"
     file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
+    rig.simulate()
     began = time.monotonic()
-    rig.start(drive.address, drive=str(file))
+    rig.start(drive=str(file))
     rig.join()
     rig.tick_until(0.4, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
     rig.until_code("drive timeout", "drive_guards_later", 0.4)
     assert rig.lifecycle_state() == "active"
     while time.monotonic() - began < 4:  # it connected later than that began
         assert rig.tick(0.4) == 0.0
-    rig.tick_until(0.4, lambda: drive.speed() > 0.89, 60, "a pulse at the least speed")
+    rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the least speed")
     assert "a pulse" in rig.state
     assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
 
-def test_the_motor_stands_when_the_node_goes(rig: PumpRig, drive: SimulatedDrive) -> None:
+def test_the_motor_stands_when_the_node_goes(rig: PumpRig) -> None:
     """SIGTERM: off and read back; kill -9 and SIGSTOP: the drive's own timeout of 1.5 s."""
-    node = rig.start(drive.address)
-    rig.run(drive)
+    node = rig.start()
+    rig.run()
     assert policies(node.pid) == {os.SCHED_OTHER}  # it must be in time, also in the loop
     began = time.monotonic()
     node.terminate()
     assert node.wait(120) == 0
-    assert drive.speed() == 0.0  # when it ends, not some time after
+    assert rig.drive.speed() == 0.0  # when it ends, not some time after
     assert time.monotonic() - began < 4
     for number in (signal.SIGKILL, signal.SIGSTOP):
-        node = rig.start(drive.address)
-        rig.run(drive)
+        node = rig.start()
+        rig.run()
         node.send_signal(number)
-        assert stands_within(drive, 4) > 0.5
+        assert rig.stands_within(4) > 0.5
     node.send_signal(signal.SIGCONT)
-    rig.run(drive)  # nobody has to do anything
+    rig.run()  # nobody has to do anything
     rig.send_nonsense()  # an error that nobody foresaw
     assert node.wait(120) == 1
-    assert drive.speed() == 0.0
+    assert rig.drive.speed() == 0.0
 
 
 @pytest.mark.parametrize(
@@ -231,21 +224,19 @@ def test_the_motor_stands_when_the_node_goes(rig: PumpRig, drive: SimulatedDrive
     ],
 )
 def test_a_stop_that_fails_at_the_end_is_said(
-    fault: str, words: tuple[str, str], rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
+    fault: str, words: tuple[str, str], rig: PumpRig
 ) -> None:
     """Exit code 1, and an error in words of what is left to stop it."""
-    with (tmp_path / "errors").open("wb") as errors:
+    with (rig.cwd / "errors").open("wb") as errors:
         if fault == "timeout_off":
-            drive.inject("timeout_off")
-        node = rig.start(
-            drive.address, activate_without_drive_timeout="true", popen={"stderr": errors}
-        )
-        rig.run(drive)
-    drive.inject("silence" if fault == "timeout_off" else fault)
+            rig.drive.inject("timeout_off")
+        node = rig.start(activate_without_drive_timeout="true", popen={"stderr": errors})
+        rig.run()
+    rig.drive.inject("silence" if fault == "timeout_off" else fault)
     node.terminate()
     # The kernel ends it where the middleware takes its time to go, as on a busy machine.
     assert node.wait(120) in (1, -signal.SIGALRM)
-    said = (tmp_path / "errors").read_text()
+    said = (rig.cwd / "errors").read_text()
     assert "FATAL" in said
     for word in words:
         assert word in said
@@ -265,14 +256,12 @@ ledger.close()
 """
 
 
-def test_a_state_that_another_program_keeps(
-    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """It does not activate, a stop says that it would be forgotten, and it heals.
 
     What the other program found meanwhile counts, and so does the stop.
     """
-    file = tmp_path / "pump.json"
+    file = rig.cwd / "pump.json"
     with subprocess.Popen(
         [sys.executable, "-c", _HOLDER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     ) as holder:
@@ -280,7 +269,7 @@ def test_a_state_that_another_program_keeps(
         assert holder.stdout.readline() == b"has it\n"
         words = f"process {holder.pid} has it already"
         before = file.read_bytes()
-        node = rig.start(drive.address, state_file=file)
+        node = rig.start(state_file=file)
         rig.join()
         rig.tick_until(
             0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
@@ -293,24 +282,22 @@ def test_a_state_that_another_program_keeps(
         holder.communicate(b"\n", timeout=120)
     rig.until_state("fault: burst pipe; an operator stopped it", 20)
     assert rig.call(Trigger, "reset").success
-    assert drive.speed() == 0.0
+    assert rig.drive.speed() == 0.0
     assert rig.call(SetBool, "stop", data=True).success
     assert file.is_file() and node.poll() is None
     assert rig.call(SetBool, "stop", data=False).success
-    rig.run(drive)
+    rig.run()
     assert rig.says("state file", OK)
 
 
-def test_a_disk_that_hangs_undoes_no_stop(
-    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     """A pipe that nobody reads: answered before bringup kills the node, kept when the disk is back.
 
     Its reports go on meanwhile.
     """
-    file, pipe = tmp_path / "state.json", tmp_path / "state.json.new"
-    rig.start(drive.address)
-    rig.run(drive)
+    file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
+    rig.start()
+    rig.run()
     file.unlink()  # it is made anew, beside
     os.mkfifo(pipe)
     began = time.monotonic()
@@ -318,7 +305,7 @@ def test_a_disk_that_hangs_undoes_no_stop(
     assert time.monotonic() - began < 1.9
     assert not answer.success and answer.message.startswith(STOPPED)
     assert answer.message.endswith(f"but {file} is not yet on the disk; it is written on")
-    rig.until_it_stands(drive, 6)
+    rig.until_it_stands(6)
     rig.until_said("state file", ERROR, "within 2 s")
     assert rig.state.startswith(STOPPED)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -328,35 +315,33 @@ def test_a_disk_that_hangs_undoes_no_stop(
     assert b"an operator stopped it" in file.read_bytes()
 
 
-def test_commands_that_must_not_pump(
-    domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive
-) -> None:
+def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     """Not a number, negative, of two, of one that is not heard: off, by name, and it heals."""
-    rig.start(drive.address)
-    rig.run(drive)
+    rig.start()
+    rig.run()
     for bad in (math.nan, math.inf, -1.0):
-        rig.until_it_stands(drive, 4, bad)
+        rig.until_it_stands(4, bad)
         rig.until_said("command", ERROR, "refused", command=bad)
         rig.until_code("pump", "command_unknown", bad)
         assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
-    rig.run(drive)
-    rig.tick_until(5.0, lambda: drive.speed() > 0.99, LATE, "full speed, and no more")
+    rig.run()
+    rig.tick_until(5.0, lambda: rig.drive.speed() > 0.99, LATE, "full speed, and no more")
     rig.until_said("limits", WARN, "taken as 1", command=5.0)
     # The second calls itself as the first, and reports nothing: endpoints count, not names.
     name = rig.node.get_name()
-    with impostor(domain, tmp_path, name, "/pump/command", 0.5):
+    with impostor(rig.domain, rig.cwd, name, "/pump/command", 0.5):
         rig.until_state(f"/pump/command has 2 publishers ({name})")
-        rig.until_it_stands(drive, 4)
+        rig.until_it_stands(4)
         rig.until_said("command", ERROR, name)
         rig.until_code("pump", "two_controllers")
-    rig.run(drive)
+    rig.run()
     # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
-    rig.until_it_stands(drive, 6)
+    rig.until_it_stands(6)
     rig.until_said("command", ERROR, "cannot be heard (unheard)")
     unheard.destroy_node()
-    rig.run(drive)
+    rig.run()
     assert rig.says("command", OK)
     rig.until_code("pump", "")
 
@@ -381,13 +366,13 @@ def _at_speed(numbers: dict[str, float], flow: float) -> bool:
     )
 
 
-def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: SimulatedDrive) -> None:
+def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     """Connection refused, half-open, power cycle: off, said, and running again by itself."""
-    rig.start(drive.address)
+    rig.start()
     for fault in ("refused", "half_open", "power_cycle"):
-        rig.run(drive)
+        rig.run()
         rig.tick_until(0.5, lambda: _at_speed(_numbers(rig), rig.flows[-1]), LATE, "numbers")
-        drive.inject(fault)
+        rig.drive.inject(fault)
         rig.until_state("unknown: no connection to the drive", 6)
         assert rig.tick(0.5) == 0.0
         assert rig.state.endswith("whether the pump stands is not known")  # it may slow down yet
@@ -396,26 +381,24 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
         since = rig.observer.values("/pump: drive")["since"]
         assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
         if fault != "power_cycle":
-            stands_within(drive, 3)
-            drive.inject("none")
-    rig.run(drive)
-    drive.ask(lambda bench: bench.take_over(True))
+            rig.stands_within(3)
+            rig.drive.inject("none")
+    rig.run()
+    rig.drive.ask(lambda bench: bench.take_over(True))
     rig.until_state("local control")
-    drive.ask(lambda bench: bench.take_over(False))
-    rig.run(drive)
+    rig.drive.ask(lambda bench: bench.take_over(False))
+    rig.run()
     # Whoever worked at it meanwhile may have turned its own timeout off.
-    drive.inject("timeout_off")
-    drive.inject("refused")
+    rig.drive.inject("timeout_off")
+    rig.drive.inject("refused")
     rig.until_state("unknown: no connection")
-    drive.inject("none")
+    rig.drive.inject("none")
     rig.until_state("timeout is off")
     rig.until_said("drive timeout", ERROR, "is off")
-    stands_within(drive, 3)
+    rig.stands_within(3)
 
 
-def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
-    rig: PumpRig, drive: SimulatedDrive
-) -> None:
+def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: PumpRig) -> None:
     """Over restarts of the node, too."""
 
     def stays_off(state: str) -> None:
@@ -423,33 +406,33 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
         assert [rig.tick(0.5) for _ in range(20)] == [0.0] * 20
         assert rig.state.startswith(state)
 
-    node = rig.start(drive.address)
-    rig.run(drive)
-    drive.inject("drive_fault", 0x2310)
+    node = rig.start()
+    rig.run()
+    rig.drive.inject("drive_fault", 0x2310)
     rig.until_state("fault: the drive reports")
     rig.until_said("pump", ERROR, "the drive reports")
-    stands_within(drive, 3)
-    drive.inject("none")
+    rig.stands_within(3)
+    rig.drive.inject("none")
     node.kill()
     node.wait()
-    node = rig.start(drive.address)
+    node = rig.start()
     stays_off("fault: the drive reports")
     answer = rig.call(Trigger, "reset")
     assert answer.success and "the drive reports" in answer.message
-    rig.run(drive)
+    rig.run()
     late = rig.observer.hear("/pump/state")  # as by ros2 topic echo --once
     rig.observer.until(lambda: late, LATE, "a state")
     assert late == [rig.state]
 
     assert rig.call(SetBool, "stop", data=True).success
-    rig.until_it_stands(drive, 4)
+    rig.until_it_stands(4)
     assert rig.state.startswith(STOPPED)
     node.terminate()
     assert node.wait(120) == 0
-    rig.start(drive.address)
+    rig.start()
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
-    rig.run(drive)
+    rig.run()
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
@@ -466,9 +449,7 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
     rig.observer.node.destroy_publisher(run)
 
 
-def test_it_runs_only_with_a_fresh_permit_of_bringup(
-    domain: int, rig: PumpRig, drive: SimulatedDrive
-) -> None:
+def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
     """Held with a reason, without news for 2 s, and after bringup's end the motor stands."""
     reading, writing = os.pipe()
     with os.fdopen(writing, "w") as permits:
@@ -477,47 +458,46 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
             permits.write(json.dumps({"inhibit": hold, "at": boot_time()}) + "\n")
             permits.flush()
 
-        env = {**environment(domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
-        rig.start(drive.address, popen={"env": env, "pass_fds": [reading]})
+        env = {**environment(rig.domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
+        rig.start(popen={"env": env, "pass_fds": [reading]})
         os.close(reading)
         rig.join()
         rig.until_state("no permit yet")
-        assert drive.speed() == 0.0
+        assert rig.drive.speed() == 0.0
 
         def runs() -> None:
             rig.every_tick = lambda: give("")
-            rig.run(drive)
+            rig.run()
             rig.every_tick = lambda: None
 
         runs()
         rig.every_tick = lambda: give("the weather node is missing")
-        assert rig.until_it_stands(drive, 60) < 2
+        assert rig.until_it_stands(60) < 2
         rig.until_said("supervisor", WARN, "weather node is missing")
         runs()
-        assert 1.5 < rig.until_it_stands(drive, 6) < 4
+        assert 1.5 < rig.until_it_stands(6) < 4
         assert "no permit for 2 s" in rig.state
         runs()
-    assert rig.until_it_stands(drive, 60) < 2
+    assert rig.until_it_stands(60) < 2
     assert "bringup has ended" in rig.state
 
 
-def test_a_suspend_lasts_as_long_as_it_does(
-    tmp_path: Path, rig: PumpRig, drive: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the node had is of before; that nobody watched over the pump meanwhile is said.
 
     In an hour a low outlet takes 0.5 m: no fault; and the drive may have run until its timeout.
     That is 55 s at most: 15 s for a drive that is not read, 10 s its timeout, and 30 s its ramp.
     """
-    site, state = tmp_path / "site.yaml", tmp_path / "state.json"
+    site, state = rig.cwd / "site.yaml", rig.cwd / "state.json"
     site.write_text(
         (CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 ")
         + "\nlow_outlet_level: 1.0\nlow_outlet_radius: 0.025\n"
     )
-    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (rig.cwd / "sitecustomize.py").write_text(SUSPENDED)
+    rig.simulate()  # which is not suspended
+    monkeypatch.setenv("PYTHONPATH", str(rig.cwd))
     rig.start(
-        drive.address, live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
+        live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
         command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
         popen={"env": environment(rig.domain)},
     )
@@ -527,9 +507,9 @@ def test_a_suspend_lasts_as_long_as_it_does(
         rig.play({**given, "/pump/command": command}, until, what, LATE)
 
     rig.join()
-    play(lambda: drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
+    play(lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
     pumped = sum(rig.flows) * 0.2
-    (tmp_path / "suspended").touch()
+    (rig.cwd / "suspended").touch()
     given["/cistern/level"] = 2.0
     play(lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)
     play(lambda: rig.says("delivery", OK) and rig.says("inputs", OK), "what is new", 0.0)
@@ -546,31 +526,31 @@ def test_a_suspend_lasts_as_long_as_it_does(
     assert kept["day_volume"] > pumped + 50 * max(rig.flows)
 
 
-def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) -> None:
+def test_check_pump_finds_it_right(rig: PumpRig) -> None:
     """The check plays all peers itself, so those of the test's own must not be there."""
     rig.leave()
-    drive = SimulatedDrive(domain, tmp_path, "--speed", "20")
-    node = rig.start(drive.address)
-    check = Process(domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=tmp_path)
+    rig.simulate("--speed", "20")
+    node = rig.start()
+    check = Process(rig.domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=rig.cwd)
     assert check.wait(120) == 0, check.stdout() + check.stderr()
     assert "22 of 22 checks passed" in check.stdout()
-    assert drive.speed() == 0.0
+    assert rig.drive.speed() == 0.0
     assert node.poll() is None
 
 
-def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) -> None:
+def test_live(rig: PumpRig) -> None:
     """A flow every tick of its own; what is too old, unknown, or of two, stops it and heals."""
-    site = tmp_path / "site.yaml"
+    site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
-        drive.address, live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
-        command_limit=1.0, flow_limit=1.0, recovery_time=0.3,
+        live="true", site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
+        flow_limit=1.0, recovery_time=0.3,
     )
     levels = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
     good = {**levels, "/pump/command": 0.5}
 
     def runs() -> None:
-        rig.play(good, lambda: rig.state.startswith("running") and drive.speed() > 0.5, "running")
+        rig.play(good, lambda: "running" in rig.state and rig.drive.speed() > 0.5, "running")
 
     rig.join()
     runs()
@@ -583,11 +563,11 @@ def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) 
     ):
         fewer = {name: value for name, value in good.items() if name != missing}
         rig.play(
-            fewer, lambda words=words: drive.speed() == 0.0 and words in rig.state,
+            fewer, lambda words=words: rig.drive.speed() == 0.0 and words in rig.state,
             f"a stop without {missing}",
         )
         runs()
-    rig.play({**good, "/weather/frost": math.nan}, lambda: drive.speed() == 0.0, "a stop")
+    rig.play({**good, "/weather/frost": math.nan}, lambda: rig.drive.speed() == 0.0, "a stop")
     runs()
     # A flow meter knows better than the speed.
     rig.play(good, lambda: rig.says("flow", OK, "computed from the speed"), "the flow's source")
@@ -596,10 +576,8 @@ def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) 
     rig.play(measured, lambda: rig.says("flow", OK, "flow meter"), "its source")
 
 
-def test_what_its_help_says_is_what_it_has(
-    tmp_path: Path, rig: PumpRig, observer: Observer
-) -> None:
-    text = help_of(tmp_path, "pump")
+def test_what_its_help_says_is_what_it_has(rig: PumpRig, observer: Observer) -> None:
+    text = help_of(rig.cwd, "pump")
     rig.start(f"tcp://127.0.0.1:{free_ports(1)[0]}")
     assert section(text, "parameters") == parameters_of(observer, "pump")
     check_topics(observer, "pump", text)
