@@ -78,40 +78,31 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
         assert commands == [f"  greenroof {name} {run}" for name in ("recover", "report")]
 
 
-@pytest.mark.parametrize(
-    ("number", "ignored"),
-    [(signal.SIGINT, ()), (signal.SIGTERM, (signal.SIGHUP, signal.SIGINT))],
-    ids=["ctrl-c", "sigterm under nohup"],
-)
-def test_interrupted(
-    domain: int, tmp_path: Path, number: signal.Signals, ignored: tuple[signal.Signals, ...]
-) -> None:
-    """It ends within seconds with exit code 130, no traceback, and a bag that is closed.
+@pytest.mark.parametrize("how", ["ctrl-c", "sigterm under nohup", *NODES])
+def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
+    """A signal, or kill -9 of any node: at once, with its name, no traceback, and nothing left.
 
-    What is ignored, as under nohup and in a shell's background, ends nothing.
+    By a signal the exit code is 130, and the bag is closed. What is ignored, as under nohup and in
+    a shell's background, ends nothing.
     """
+    ignored = (signal.SIGHUP, signal.SIGINT) if how == "sigterm under nohup" else ()
     process, nodes = started(domain, tmp_path, ignored=ignored)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    for each in ignored:
-        process.process.send_signal(each)
-    process.wait_for_ticks(size=60_000)
-    process.process.send_signal(number)
-    assert process.wait(300) == 130
+    if how in NODES:
+        os.kill(nodes[how], signal.SIGKILL)
+        code, status, reason = 1, "failed", f"node {NODES[how]} ended (SIGKILL)"
+    else:
+        for each in ignored:
+            process.process.send_signal(each)
+        process.wait_for_ticks(size=60_000)
+        number = signal.SIGTERM if ignored else signal.SIGINT
+        process.process.send_signal(number)
+        code, status, reason = 130, "interrupted", f"interrupted by {number.name}"
+    assert process.wait(300) == code
     assert "Traceback" not in process.stderr()
     assert_gone(nodes)
-    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
-    assert_ended_early(process, "interrupted", f"interrupted by {number.name}")
-
-
-@pytest.mark.parametrize("victim", NODES)
-def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
-    """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
-    process, nodes = started(domain, tmp_path)
-    os.kill(nodes[victim], signal.SIGKILL)
-    assert process.wait(300) == 1
-    assert "Traceback" not in process.stderr()
-    assert_gone(nodes)
-    assert_ended_early(process, "failed", f"node {NODES[victim]} ended (SIGKILL)")
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists() or how in NODES
+    assert_ended_early(process, status, reason)
 
 
 @pytest.mark.parametrize(
