@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -83,7 +82,6 @@ class PumpRig:
         self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
-        self._processes: list[subprocess.Popen[Any]] = []
         self._publishers: dict[str, Any] = {}
         self._open()
 
@@ -121,23 +119,14 @@ class PumpRig:
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
-        if self._processes:
+        if self.observer.started:
             self._open()
-        process = self.observer.start("pump", popen=popen, **given)
-        self._processes.append(process)
-        return process
+        return self.observer.start("pump", popen=popen, **given)
 
     def leave(self) -> None:
         """Have no publishers any more."""
         for publisher in self._publishers.values():
             self.node.destroy_publisher(publisher)
-
-    def end(self) -> None:
-        for process in self._processes:
-            if process.poll() is None:
-                process.send_signal(signal.SIGCONT)
-                process.terminate()
-                process.wait(120)
 
     @property
     def state(self) -> str:

@@ -82,12 +82,14 @@ class Observer:
     Attributes:
         domain: that it is in.
         cwd: where nodes beside it are started.
+        started: these, which end with it.
         diagnoses: of each name on /diagnostics what was said last.
         said: all sentences that came there.
     """
 
     def __init__(self, domain: int, cwd: Path) -> None:
         self.domain, self.cwd = domain, cwd
+        self.started: list[subprocess.Popen[Any]] = []
         self.context = rclpy.Context()
         rclpy.init(args=[], context=self.context, domain_id=domain)
         self.node = Node("observer", context=self.context, start_parameter_services=False)
@@ -108,7 +110,9 @@ class Observer:
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
     ) -> subprocess.Popen[Any]:
         """Start a node beside it."""
-        return start_node(self.domain, self.cwd, command, popen=popen, **parameters)
+        process = start_node(self.domain, self.cwd, command, popen=popen, **parameters)
+        self.started.append(process)
+        return process
 
     def until(self, condition: Callable[[], Any], seconds: float, what: str) -> Any:
         """Spin until a condition holds."""
@@ -163,6 +167,11 @@ class Observer:
         return pairs if ": " in name else {key: json.loads(text) for key, text in pairs.items()}
 
     def close(self) -> None:
+        for number in (signal.SIGCONT, signal.SIGTERM):
+            for process in self.started:
+                process.send_signal(number)
+        for process in self.started:
+            process.wait(300)
         self.node.destroy_node()
         self.context.try_shutdown()
 

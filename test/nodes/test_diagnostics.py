@@ -12,7 +12,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
-from ros_rig import ERROR, OK, STALE, WARN, Observer, nodes, qos, start_node
+from ros_rig import ERROR, OK, STALE, WARN, Observer, qos
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
 
@@ -120,7 +120,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
         assert 0 <= moved[0] < moved[-1] <= ticks, name
 
 
-def test_failure_of_a_node(domain: int, tmp_path: Path, observer: Observer) -> None:
+def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
     """The last word of a plant whose controller was never started is an error that names it.
 
     Its process and site are in its values. The weather ends with it.
@@ -134,12 +134,12 @@ def test_failure_of_a_node(domain: int, tmp_path: Path, observer: Observer) -> N
         ]
 
     (tmp_path / "my_site.yaml").write_text((CONFIG / "site.yaml").read_text())
-    with nodes(domain, tmp_path, "weather") as (weather,):
-        plant = start_node(domain, tmp_path, "plant", start_limit=10.0, site_file="my_site.yaml")
-        observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
-        observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
-        for process in (plant, weather):
-            assert process.wait(300) in (1, -signal.SIGALRM)  # the latter on a busy machine
+    weather = observer.start("weather")
+    plant = observer.start("plant", start_limit=10.0, site_file="my_site.yaml")
+    observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
+    observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
+    for process in (plant, weather):
+        assert process.wait(300) in (1, -signal.SIGALRM)  # the latter on a busy machine
     check(arrays)
     assert {level for level, _ in said()[:-1]} == {OK}
     values = observer.values("/plant")

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 import yaml
-from graphs import environment, free_ports
+from graphs import Process, free_ports, wait_for
 from places import CONFIG
-from ros_rig import ERROR, OK, Observer, start_node
+from ros_rig import ERROR, OK, Observer
 from simulators import PATIENCE_S, Workbench
 
 from greenroof_ros.drives.modbus_line import parse_address
@@ -33,44 +31,32 @@ def test_levels_of_a_simulated_site(domain: int, tmp_path: Path, observer: Obser
     file = tmp_path / "sensors.yaml"
     file.write_text(yaml.safe_dump(sensors))
     levels = {tank: observer.hear(f"/{tank}/level") for tank in ("cistern", "roof")}
-    site = subprocess.Popen(
-        [
-            sys.executable, "-m", "greenroof_ros.site_simulator", "--sensors", str(file),
-            "--workbench", "0", "--cistern", "50", "--roof", "2",
-        ],
-        cwd=tmp_path, env=environment(domain), stdout=subprocess.PIPE, text=True,
+    site = Process(
+        domain, "site_simulator", "--sensors", str(file), "--workbench", "0", "--cistern", "50",
+        "--roof", "2", cwd=tmp_path,
     )
-    nodes = [
-        start_node(domain, tmp_path, f"level_sensor --tank {tank}", sensors_file=file)
-        for tank in levels
-    ]
-    try:
-        assert site.stdout is not None
-        found = re.search(r"workbench (\S+),", site.stdout.readline())
-        assert found
-        observer.until(lambda: levels["cistern"] and levels["roof"], 60, "levels")
-        # 50 m3 on 25 m2, 2 m3 on 68.8 m2, of which a dry night takes next to nothing.
-        assert levels["cistern"][-1] == pytest.approx(2.0, abs=2e-3)
-        assert levels["roof"][-1] == pytest.approx(2 / 68.8, abs=1e-3)
-        began = time.monotonic()
-        observer.until(lambda: time.monotonic() > began + 0.5, 60, "what was published before")
-        began, before = time.monotonic(), len(levels["roof"])
-        observer.until(lambda: len(levels["roof"]) >= before + 30, 60, "30 levels")
-        assert time.monotonic() - began > 2.5  # 6 s, but for what may have waited
-        part = "/roof_sensor: sensor"
-        for fault in ("roof_silent", "roof_absurd"):
-            inject(found[1], fault)
-            observer.until(observer.says(part, ERROR), 60, fault)
-            before, other = len(levels["roof"]), len(levels["cistern"])
-            observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
-            assert len(levels["roof"]) == before
-            assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
-            inject(found[1], "none")
-            observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")  # noqa: B023
-        observer.until(observer.says(part, OK), 60, "all is well")
-    finally:
-        for process in (*nodes, site):
-            process.terminate()
-        codes = [process.wait(300) for process in nodes]
-        site.wait(300)
-    assert codes == [0, 0]
+    found = wait_for(lambda: re.search(r"workbench (\S+),", site.stdout()), 60, "the workbench")
+    nodes = [observer.start(f"level_sensor --tank {tank}", sensors_file=file) for tank in levels]
+    observer.until(lambda: levels["cistern"] and levels["roof"], 60, "levels")
+    # 50 m3 on 25 m2, 2 m3 on 68.8 m2, of which a dry night takes next to nothing.
+    assert levels["cistern"][-1] == pytest.approx(2.0, abs=2e-3)
+    assert levels["roof"][-1] == pytest.approx(2 / 68.8, abs=1e-3)
+    began = time.monotonic()
+    observer.until(lambda: time.monotonic() > began + 0.5, 60, "what was published before")
+    began, before = time.monotonic(), len(levels["roof"])
+    observer.until(lambda: len(levels["roof"]) >= before + 30, 60, "30 levels")
+    assert time.monotonic() - began > 2.5  # 6 s, but for what may have waited
+    part = "/roof_sensor: sensor"
+    for fault in ("roof_silent", "roof_absurd"):
+        inject(found[1], fault)
+        observer.until(observer.says(part, ERROR), 60, fault)
+        before, other = len(levels["roof"]), len(levels["cistern"])
+        observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
+        assert len(levels["roof"]) == before
+        assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
+        inject(found[1], "none")
+        observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")  # noqa: B023
+    observer.until(observer.says(part, OK), 60, "all is well")
+    for node in nodes:
+        node.terminate()
+        assert node.wait(300) == 0

@@ -27,7 +27,6 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
-from test_recorder import flows
 
 from greenroof_ros.experiment.incidents import read_incidents
 
@@ -41,6 +40,15 @@ DRY = {
     "/forecast/evapotranspiration": [1e-6] * 10,
     "/weather/frost": 0.0,
 }
+
+
+def flows(bag: Path) -> list[tuple[float, float]]:
+    """Return the flows of a bag, each with its time (s since 1970)."""
+    with AnyReader([bag]) as reader:
+        return [
+            (stamp / 1e9, reader.deserialize(raw, connection.msgtype).data)
+            for connection, stamp, raw in reader.messages() if connection.topic == "/pump/flow"
+        ]
 
 
 class Systemd:

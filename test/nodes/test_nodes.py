@@ -351,30 +351,24 @@ def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Obse
             "mpc": "controller --controller mpc",
         }.items()
     }
-    started = {}
 
     def start(node: str) -> None:
         line = helps[node].splitlines()[-1].split()
         assert line[0] == "python"
-        started[node] = subprocess.Popen(
-            [sys.executable, *line[1:]], cwd=tmp_path, env=environment(domain)
+        observer.started.append(
+            subprocess.Popen([sys.executable, *line[1:]], cwd=tmp_path, env=environment(domain))
         )
 
-    try:
-        for node in ("plant", "weather", "recorder"):  # they wait for the controller
-            start(node)
-        for node in started:
-            assert section(helps[node], "parameters") == parameters_of(observer, node)
-            check_topics(observer, node, helps[node])
-        start("mpc")
-        check_topics(observer, "mpc", helps["mpc"])
-        bag = tmp_path / "my_bag"
-        wait_for(lambda: (bag / "metadata.yaml").exists(), 120, "the bag")
-    finally:
-        for process in started.values():
-            process.terminate()
-        for process in started.values():
-            process.wait(300)
+    waiting = ("plant", "weather", "recorder")  # for the controller
+    for node in waiting:
+        start(node)
+    for node in waiting:
+        assert section(helps[node], "parameters") == parameters_of(observer, node)
+        check_topics(observer, node, helps[node])
+    start("mpc")
+    check_topics(observer, "mpc", helps["mpc"])
+    bag = tmp_path / "my_bag"
+    wait_for(lambda: (bag / "metadata.yaml").exists(), 120, "the bag")
     with (bag / "my_bag_0.mcap").open("rb") as stream:
         index = make_reader(stream).get_summary()
     assert index is not None and index.statistics is not None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from graphs import bag_file, bring_up, wait_for
 from mcap.reader import make_reader
 from places import Once
 from rclpy.duration import Duration
-from ros_rig import FORECASTS, Observer, start_node
+from ros_rig import FORECASTS, Observer
 from rosgraph_msgs.msg import Clock
 
 from greenroof_ros.common.interface import read_topics
@@ -25,8 +24,8 @@ from greenroof_ros.graph.messages import message_class
 class Nodes:
     """Nodes started by hand, each with what it prints in a file."""
 
-    def __init__(self, domain: int, cwd: Path) -> None:
-        self.domain, self.cwd = domain, cwd
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.cwd = observer, observer.cwd
         self.started: dict[str, subprocess.Popen[str]] = {}
 
     def node(self, name: str, **parameters: object) -> None:
@@ -34,7 +33,7 @@ class Nodes:
         which = f"controller --controller {name}" if name in ("mpc", "onoff") else name
         with (self.cwd / f"{name}.log").open("w") as log:
             popen = {"stdin": subprocess.PIPE, "stdout": log, "stderr": log, "text": True}
-            self.started[name] = start_node(self.domain, self.cwd, which, popen=popen, **parameters)
+            self.started[name] = self.observer.start(which, popen=popen, **parameters)
 
     def log(self, name: str) -> str:
         return (self.cwd / f"{name}.log").read_text()
@@ -52,15 +51,8 @@ class Nodes:
 
 
 @pytest.fixture
-def nodes(domain: int, tmp_path: Path) -> Iterator[Nodes]:
-    it = Nodes(domain, tmp_path)
-    yield it
-    for process in it.started.values():
-        if process.poll() is None:
-            process.send_signal(signal.SIGCONT)
-            process.send_signal(signal.SIGINT)
-    for process in it.started.values():
-        process.wait(300)
+def nodes(observer: Observer) -> Nodes:
+    return Nodes(observer)
 
 
 def test_started_by_hand_gives_the_bag_of_bringup(

@@ -13,7 +13,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing, nullcontext
 from datetime import datetime
 from types import SimpleNamespace
@@ -40,10 +40,8 @@ from greenroof_ros.watch.advice import advise
 
 
 @pytest.fixture
-def rig(observer: Observer) -> Iterator[PumpRig]:
-    it = PumpRig(observer)
-    yield it
-    it.end()
+def rig(observer: Observer) -> PumpRig:
+    return PumpRig(observer)
 
 
 def test_lifecycle(rig: PumpRig) -> None:
