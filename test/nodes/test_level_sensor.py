@@ -50,8 +50,9 @@ def test_levels_of_a_simulated_site(domain: int, tmp_path: Path, observer: Obser
     for fault in ("roof_silent", "roof_absurd"):
         inject(found[1], fault)
         observer.until(observer.says(part, ERROR), 60, fault)
-        before, other = len(levels["roof"]), len(levels["cistern"])
-        observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
+        for _ in range(2):  # at first what was published before may come
+            before, other = len(levels["roof"]), len(levels["cistern"])
+            observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
         assert len(levels["roof"]) == before
         assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
         inject(found[1], "none")

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from bag_topics import MPC_TOPICS
 from commands import run_command
-from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
+from graphs import Process, environment, free_ports, summary_of, udp_addresses_of, wait_for
 from mcap.reader import make_reader
 from places import CHECKOUT, CONFIG
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -340,6 +340,14 @@ def check_topics(watcher: Observer, node: str, text: str) -> None:
         lambda: needed <= found(own.get_subscriber_names_and_types_by_node) <= subscribes.keys(),
         60, f"{needed} of {node}",
     )
+
+
+def test_help_is_what_the_pump_node_has(tmp_path: Path, observer: Observer) -> None:
+    text = help_of(tmp_path, "pump")
+    drive = {"drive": "abb_acs880", "address": f"tcp://127.0.0.1:{free_ports(1)[0]}"}
+    observer.start("pump", **drive)
+    assert section(text, "parameters") == parameters_of(observer, "pump")
+    check_topics(observer, "pump", text)
 
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
