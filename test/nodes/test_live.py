@@ -412,7 +412,6 @@ def test_live_weather(site: Site) -> None:
 def test_live_weather_that_is_dressed(site: Site) -> None:
     """An ensemble of what fell after such forecasts; without one, of the record, and it is said."""
     file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
-    write_forecast(file, timedelta(0), 5.0, 15.0)
     issued = hours_since_1970(datetime.now(UTC)) - 24 * 200 + 24 * np.arange(100)
     fell = np.arange(100.0)[:, None] / 10 * np.ones(12)
     record.write_text(dressing_text(Dressing("given", (0, 6, 12), issued, fell[:, :2] * 6, fell)))
@@ -422,15 +421,16 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
         "weather", forecast=file, dressed=record, all_members="true",
         horizon=3.0, gauge_limit=1.0, recovery_time=0.3, issue_limit=5.0,
     ):
-        site.until(lambda: forecast, LATE, "the forecast")
-        assert np.array(newest(forecast)).reshape(10, steps) == pytest.approx(5e-3 / 3600)
+        by_record = "/weather: forecast", WARN, "the record of past weather"
+        site.until(site.says(*by_record), LATE, "the record")
+        write_forecast(file, timedelta(0), 5.0, 15.0)
+        dressed = 5e-3 / 3600
+        site.until(lambda: forecast and np.allclose(newest(forecast), dressed, 1e-6, 0), LATE, "it")
+        assert len(newest(forecast)) == 10 * steps
         site.until(site.says("/weather: record of forecasts", OK), LATE, "that it is kept")
-        site.until(
-            site.says("/weather: forecast", WARN, "the record of past weather", "is older than"),
-            LATE, "the record in its place",
-        )
-        members = np.array(newest(forecast)).reshape(10, steps)
-        assert len(np.unique(members)) > 5
+        site.until(site.says(*by_record, "is older than"), LATE, "the record in its place")
+        site.during(2 * TAU)
+        assert len(np.unique(newest(forecast))) > 5 and len(newest(forecast)) == 10 * steps
 
 
 def test_live_weather_that_lacks_something(site: Site) -> None:
