@@ -121,7 +121,9 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         # A single mark in each panel would say what the table does.
         if len({row["controller"] for row in rows}) < len(rows):
             for quantity in QUANTITIES:
-                makers.append(partial(by_setting, report, rows, number, quantity))
+                known = [row for row in rows if row[quantity.column] is not None]
+                if known:
+                    makers.append(partial(by_setting, report, known, number, quantity))
     for number, rows in recorded:
         for initial in report.initials:
             of_state = [row for row in rows if row["from"] == initial]
@@ -155,12 +157,12 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
 
     Args:
         report: all results.
-        rows: runs of a window.
+        rows: runs of a window, of which the quantity is known.
         number: of the window.
         quantity: what is drawn.
     """
     published, bounds = _beside(report, rows) if quantity.column == TOTAL else ([], [])
-    values = [quantity.times * (row[quantity.column] or 0.0) for row in rows]
+    values = [quantity.times * row[quantity.column] for row in rows]
     # Where all are 0 any axis does.
     top = max([*values, *(row["v"] for row in (*published, *bounds))]) or 1.0
     y = alt.Y("v:Q", title=quantity.axis, scale=alt.Scale(domain=[0, 1.08 * top], nice=False))
