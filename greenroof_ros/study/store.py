@@ -218,7 +218,7 @@ def _numbers() -> dict[str, str]:
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    for folder in ("model", "weather", "forecast", "controllers", "experiment"):
+    for folder in ("model", "formats", "weather", "forecast", "controllers", "experiment"):
         for file in sorted((package / folder).rglob("*.py")):
             code = ast.dump(ast.parse(file.read_bytes()))
             digest.update(file.relative_to(package).as_posix().encode() + code.encode())

@@ -13,7 +13,7 @@ from places import CONFIG
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, edited
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.about import Row, Run
@@ -123,7 +123,7 @@ def own_tally(options: tuple[str, ...]) -> dict[str, float]:
 
 def test_own_tally_of_further_parts(tmp_path: Path) -> None:
     """A layer that is not empty at first, a low outlet and a catchment, water from the mains."""
-    measured_roof = (CONFIG / "site_neubrandenburg.yaml").read_text(encoding="utf-8")
+    measured_roof = edited(CONFIG / "site_neubrandenburg.yaml", {})
     layer, mains = tmp_path / "layer.yaml", tmp_path / "mains.yaml"
     layer.write_text(
         f"{measured_roof}initial_cistern: 61.0\ninitial_roof: 2.7\ninitial_layer: 0.3\n"
