@@ -229,9 +229,10 @@ def test_pip_install_simulates(pip_installed, pip_environment, tmp_path):
 
 def test_pip_install_runs_copies_of_its_grids(pip_installed, pip_environment, tmp_path):
     """Copied into an empty directory, they find the files that they name in the installed share."""
-    counts = {"study.yaml": 3 * 10, "study_useless_forecasts.yaml": 3 * 3 * 8}
+    counts = {"paper.yaml": 3 * 10, "useless_forecasts.yaml": 3 * 3 * 8}
+    share = pip_installed / "share" / "greenroof_ros"
     for name in counts:
-        shutil.copy(pip_installed / "share" / "greenroof_ros" / "config" / name, tmp_path)
+        shutil.copy(share / "config" / "studies" / name, tmp_path)
     printed = run(
         pip_installed / "bin" / "python", "-c",
         "import sys, pathlib, greenroof_ros.study.grid as grid\n"

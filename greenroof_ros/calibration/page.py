@@ -25,8 +25,7 @@ from greenroof_ros.report.drawing import (
     pointed,
     short,
 )
-from greenroof_ros.report.page import library, payload
-from greenroof_ros.report.templates import environment
+from greenroof_ros.report.page import environment, library, payload
 
 MEASURED, SIMULATED = "measured", "simulated"
 # Points of which neither value is this share of the largest are left out of a scatter: there are

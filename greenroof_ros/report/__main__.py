@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -12,15 +14,12 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.report.assessment import Assumptions
-from greenroof_ros.report.entries import FailedRun
-from greenroof_ros.report.results import Report, best_runs, result
-from greenroof_ros.report.runs import find_runs, nothing_to_show
-from greenroof_ros.report.seasons import split_by_years
-from greenroof_ros.report.seeds import split_by_seeds
-from greenroof_ros.report.settings import controller_name
+from greenroof_ros.model.metrics import NEAR_TARGET
+from greenroof_ros.report.about import controller_name
 
-_DEFAULTS = Assumptions()
+if TYPE_CHECKING:
+    from greenroof_ros.report.groups import Report
+
 # On the terminal; the report has them all.
 _MOST_TABLES = 3
 # Besides it, a report's directory holds figures/.
@@ -75,19 +74,19 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
-        "--energy-price", type=within(0, 1e9), default=_DEFAULTS.energy_price, metavar="PRICE",
+        "--energy-price", type=within(0, 1e9), default=0.115, metavar="PRICE",
         help="of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
-        "--water-price", type=within(0, 1e9), default=_DEFAULTS.water_price, metavar="PRICE",
+        "--water-price", type=within(0, 1e9), default=4.1346, metavar="PRICE",
         help="of a m3 from the mains (default: %(default)s, Toronto 2021)",
     )
     group.add_argument(
-        "--currency", default=_DEFAULTS.currency, metavar="NAME",
+        "--currency", default="CAD", metavar="NAME",
         help="of the prices (default: %(default)s)",
     )
     group.add_argument(
-        "--band", type=within(0, 1), default=_DEFAULTS.band, metavar="SHARE",
+        "--band", type=within(0, 1), default=NEAR_TARGET, metavar="SHARE",
         help="a roof this share of the target off it counts as near it (default: %(default)s)",
     )
     return parser
@@ -137,35 +136,20 @@ def main() -> int:
     """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
-        from greenroof_ros.report import figures, page
+        from greenroof_ros.report import figures, groups, page, runs
     output: Path = arguments.output or arguments.paths[0] / "report"
-    assumptions = Assumptions(
-        energy_price=arguments.energy_price,
-        water_price=arguments.water_price,
-        currency=arguments.currency,
-        band=arguments.band,
-    )
     former = _former_report(output, figures.is_figure, force=arguments.force)
-    sources = find_runs(arguments.paths, arguments.site)
+    sources = runs.find_runs(arguments.paths, arguments.site)
+    assumptions = groups.Assumptions(
+        arguments.energy_price, arguments.water_price, arguments.currency, arguments.band
+    )
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
     ) as progress:
-        others, seasons = split_by_years(sources.runs)
-        single, seeded = split_by_seeds(others)
-        results = []
-        for entry in progress.track(single, description="reading runs"):
-            try:
-                results.append(result(entry, assumptions))
-            except ConfigurationError as error:
-                if entry.ending is None:
-                    raise
-                sources.failed.append(
-                    FailedRun(entry.name, entry.controller, f"{entry.ending.sentence}; {error}")
-                )
-        if not (results or seeded or seasons):
-            raise nothing_to_show(sources)
-        report = Report(results, seeded, seasons)
+        report = groups.Report(
+            sources, assumptions, partial(progress.track, description="reading runs")
+        )
         makers = figures.make_figures(report, arguments.pump_data)
         try:
             (output / "figures").mkdir(parents=True, exist_ok=True)
@@ -178,63 +162,57 @@ def main() -> int:
             figure = make()
             figure.save(output / "figures")
             drawn.append(figure)
-    html = page.render(report, drawn, sources, assumptions)
-    (output / _PAGE).write_text(html, encoding="utf-8")
+    (output / _PAGE).write_text(page.render(report, drawn), encoding="utf-8")
     names = {figure.name for figure in drawn}
     for file in former:
         if file.parent.name == "figures" and file.stem not in names:
             file.unlink()
-    console = Console()
-    for entry in report.entries:
-        if entry.incidents:
-            console.print(
-                f"{entry.name}: {entry.ended}; the report lists them", style="bold", soft_wrap=True,
-                markup=False,
-            )
-        if entry.ending is not None:
-            console.print(
-                f"{entry.name} {entry.ending.sentence}; what follows is of the part that was "
-                "recorded", style="bold", soft_wrap=True, markup=False,
-            )
-    for table in _tables(report):
-        console.print(table)
-    if len(report.windows) > _MOST_TABLES:
-        console.print(f"and {len(report.windows) - _MOST_TABLES} more windows in the report")
-    if report.seeded:
-        console.print(
-            f"runs with many seeds of their forecasts' errors: {len(report.seeded)}; the report "
-            "has their mean and their worst tenth"
-        )
-    if report.seasons:
-        console.print(
-            f"runs of the same season in several years: {len(report.seasons)}; the report has "
-            "their means and how sure their differences are"
-        )
-    if sources.failed:
-        console.print(
-            f"runs that failed or did not run: {len(sources.failed)}; the report lists them",
-            style="bold",
-        )
-    console.print(f"written to {output.resolve() / _PAGE}", soft_wrap=True, highlight=False)
+    _show(report)
+    Console().print(f"written to {output.resolve() / _PAGE}", soft_wrap=True, highlight=False)
     return EXIT_DONE
 
 
-def _tables(report: Report) -> Iterator[Table]:
-    """Make a table of the best run of each controller for each of the first windows."""
-    best = best_runs(report)
-    for window in report.windows[:_MOST_TABLES]:
+def _show(report: Report) -> None:
+    """Print what is not as it should be, and the best runs of the first windows."""
+    from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL
+
+    console = Console()
+    for name, run in report.runs.items():
+        said = []
+        if run.incidents:
+            said.append(f"{name}: {run.ended}; the report lists them")
+        if run.ending is not None:
+            said.append(
+                f"{name} {run.ending.sentence}; what follows is of the part that was recorded"
+            )
+        for text in said:
+            console.print(text, style="bold", soft_wrap=True, markup=False)
+    windows, best = report.windows(), report.best()
+    for window in windows[:_MOST_TABLES]:
         title = f"Least total deviation: {report.heading(window)}"
         table = Table(title=title, title_justify="left")
-        for name in ("from", "controller", "best setting"):
-            table.add_column(name)
+        for column in ("from", "controller", "best setting"):
+            table.add_column(column)
         table.add_column("m3", justify="right")
-        for one in best:
-            if one.window == window:
+        for row in best:
+            if row["window"] == window["window"]:
                 table.add_row(
-                    one.initial, controller_name(one.run.entry.controller), one.setting,
-                    f"{one.run.assessment.metrics['total_deviation_m3']:.2f}",
+                    row["from"], controller_name(row["controller"]), row["setting"],
+                    f"{row[TOTAL]:.2f}",
                 )
-        yield table
+        console.print(table)
+    if len(windows) > _MOST_TABLES:
+        console.print(f"and {len(windows) - _MOST_TABLES} more windows in the report")
+    kinds = report.table["kind"].to_list()
+    for count, what in (
+        (kinds.count(SEEDS), "runs with many seeds of their forecasts' errors: {}; the report has "
+         "their mean and their worst tenth"),
+        (kinds.count(SEASONS), "runs of the same season in several years: {}; the report has "
+         "their means and how sure their differences are"),
+        (len(report.failed), "[bold]runs that failed or did not run: {}; the report lists them[/]"),
+    ):
+        if count:
+            console.print(what.format(count))
 
 
 if __name__ == "__main__":

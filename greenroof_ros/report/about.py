@@ -1,33 +1,40 @@
-"""What a run wrote about itself beside its bag: labels and notes, no numbers."""
+"""A run of a report: its row of the table, and what a run directory says of itself."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
-from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.common.times import hours_minutes, hours_minutes_seconds, to_people
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents
+from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents, with_incidents
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import INITIAL_STATES
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.model.site import Site
+from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.entries import Change, Ending, Note, Parameters, parameter_text
 from greenroof_ros.weather.filling import REFUSE
 
-LABELLED = (*OPTIONS, "dressed")
-"""What names forecasts beside their model or file, in this order."""
+NO_ERRORS = "none"
+"""of a level sensor and pumps that do not err"""
 
+PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
+
+# What names forecasts beside their model or file, in this order.
+_LABELLED = (*OPTIONS, "dressed")
 _PARAMETERS = "configuration/parameters.yaml"
-
 # What a run did that is not done, as a sentence and in short, by the status of its summary.
 _NOT_DONE = {
     "failed": ("failed", "failed"),
@@ -35,21 +42,232 @@ _NOT_DONE = {
     "running": ("has not ended, or bringup was killed", "not ended"),
 }
 
+Row = dict[str, Any]
+"""A run's row of the table"""
+
+Parameters = dict[str, "float | str"]
+
+
+@dataclass(frozen=True)
+class Note:
+    """What a reader should know of a run.
+
+    Attributes:
+        text: of the note, with ``{count}`` where it counts something.
+        count: how many; None where nothing is counted.
+        listed: what it is about, one by one; the page folds it away.
+    """
+
+    text: str
+    count: float | None = None
+    listed: str = ""
+
+    def __str__(self) -> str:
+        """As it is of one run."""
+        return self.text.replace("{count}", "" if self.count is None else f"{self.count:g}")
+
+    def of_many(self) -> str:
+        """As it is of many runs, each with a count of its own."""
+        return self.text.replace("{count}", "some")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter that was set while the run was under way.
+
+    Attributes:
+        parameter: its name.
+        value: from then on; None where there is no bound.
+        tick: the first with this value.
+        time: of that tick since the start (s).
+    """
+
+    parameter: str
+    value: float | None
+    tick: int
+    time: float
+
+    def __str__(self) -> str:
+        """As it stands behind the value before."""
+        return f" -> {parameter_text(self.value)} at {hours_minutes(self.time)}"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended, or not yet, that was not done.
+
+    Attributes:
+        sentence: about the run, without its name and full stop.
+        short: the same in a few words.
+    """
+
+    sentence: str
+    short: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that left something to show.
+
+    Attributes:
+        row: of the table, in the columns of a study's ``results.csv`` and those of
+            :func:`labels`; of a bag without its results.
+        site: Table I.
+        parameters: the controller's at the start; no entry where there is no bound.
+        load: reads what happened, with further notes; None where no trajectory was kept.
+        bound: of what happened, the least total deviation (m3) that a controller with commands
+            up to 1 could reach, None where that is unknown; None of a run whose row has it.
+        notes: what a reader should know of it.
+        changes: of parameters, in the run.
+        ending: how it ended; None if it is done, or nothing says that it is not.
+        incidents: what was lost in it while it went on, the newest where there were very many.
+        source: the study or run directory that it is from, by a name that no other one has.
+        meant: what stands behind names of the row, by column: where two sources use a name for
+            different things, they are told apart.
+    """
+
+    row: Row
+    site: Site
+    parameters: Parameters
+    load: Callable[[], Recorded] | None
+    bound: Callable[[Recorded], float | None] | None = None
+    notes: tuple[Note, ...] = ()
+    changes: tuple[Change, ...] = ()
+    ending: Ending | None = None
+    incidents: tuple[Incident, ...] = ()
+    source: str = ""
+    meant: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the run, unique in the report."""
+        return str(self.row["run"])
+
+    @property
+    def incident_count(self) -> int:
+        """How many incidents there were: they are numbered from 1 on."""
+        return max((incident.number for incident in self.incidents), default=0)
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in a few words, with how many incidents there were."""
+        short = summary.DONE if self.ending is None else self.ending.short
+        return with_incidents(short, self.incident_count)
+
+
+def controller_name(name: str) -> str:
+    """Return a controller's name for people."""
+    return " ".join(PAPERS_CONTROLLERS.get(word, word) for word in name.split("_"))
+
+
+def parameter_text(value: float | str | None) -> str:
+    """Return a parameter's value as people write it: 0.00001, not 1e-05."""
+    if not isinstance(value, float):
+        return value or "none"
+    plain = 1e-7 < abs(value) < 1e7
+    return np.format_float_positional(value, trim="-") if plain else shortest(value)
+
+
+def parameters(cells: Mapping[str, object]) -> Parameters:
+    """Return the parameters that are there and mean something: no blank, no infinite bound."""
+    found: Parameters = {}
+    for key, cell in cells.items():
+        if cell is None or cell == "":
+            continue
+        try:
+            value = float(str(cell))
+        except ValueError:
+            found[key] = str(cell)
+            continue
+        if math.isfinite(value):
+            found[key] = value
+    return found
+
+
+def labels(row: Row) -> Row:
+    """Return the columns that name a run for people, from those of ``results.csv``.
+
+    They are ``from`` (the initial state), ``length``, ``forecast``, ``model`` (the forecast without
+    skill and seed of its errors), ``kind of forecast`` (without the seed), ``skill``, ``seed`` and
+    ``sensor and pump errors``.
+    """
+    options = {option: row.get(f"forecast_{option}") for option in _LABELLED}
+    errors = {name: float(row.get(name) or 0) for name in PARAMETERS}
+    seed = errors.pop("noise_seed")
+    texts = [
+        f"{name.replace('_', ' ')} {shortest(value)} {'m' if name.startswith('roof') else 's'}"
+        for name, value in errors.items() if value
+    ]
+    if errors["roof_noise"]:
+        texts.append(f"seed {shortest(seed)}")
+    forecast = row.get("forecast")
+    return {
+        "from": _initial(row),
+        "length": f"{shortest(round(row['hours'], 5))} h" if "hours" in row else "",
+        "forecast": _forecast(forecast, options),
+        "model": _forecast(forecast, {"members": options["members"]}),
+        "kind of forecast": _forecast(forecast, {**options, "seed": None}),
+        "skill": str(options["skill"] or ""),
+        "seed": "" if options["seed"] is None else str(options["seed"]),
+        "sensor and pump errors": ", ".join(texts) or NO_ERRORS,
+    }
+
+
+def _initial(row: Row) -> str:
+    """Return the name of an initial state, its volumes where it has none."""
+    if row.get("initial") is None:
+        return "as recorded"
+    named = row["initial"] not in ("", "custom")
+    return row["initial"] if named else f"{row['cistern_m3']:.4g} / {row['roof_m3']:.4g} m3"
+
+
+def meaning_of_initial(row: Row) -> object:
+    """Return what an initial state's name means: Table II's states differ with the site."""
+    name = row.get("initial")
+    return name if name in INITIAL_STATES else (row.get("cistern_m3"), row.get("roof_m3"))
+
+
+def _forecast(name: str | None, options: Mapping[str, object]) -> str:
+    """Return a name for forecasts with those of their options that are there."""
+    texts = [
+        f"{option} {Path(str(value)).name if option == 'dressed' else value}"
+        for option, value in options.items() if value not in (None, "")
+    ]
+    return PERFECT if not name or name == PERFECT else " ".join([Path(name).name, *texts])
+
+
+def notes_of(row: Row) -> list[Note]:
+    """Return what a row says of its run that no number of a result shows."""
+    notes = []
+    if row.get("filled_hours"):
+        notes.append(Note(
+            f"{row['filled_hours']:g} hours of the weather from {row.get('start') or 'its start'} "
+            "were missing and filled in", listed=row.get("filled") or "",
+        ))
+    if row.get("weather_notes"):
+        notes.append(Note(row["weather_notes"]))
+    if row.get("suspicious"):
+        notes.append(Note(f"suspicious, and not changed: {row['suspicious']}"))
+    for column, text in (
+        ("fallbacks", "the controller's solver found no answer in {count} ticks"),
+        ("limited_steps", "a tank ran empty in {count} ticks, and what left it was limited"),
+    ):
+        if row.get(column):
+            notes.append(Note(text, row[column]))
+    if row.get("forecast_repeats_from"):
+        notes.append(Note(
+            f"a forecast ends at {row['forecast_repeats_from']}, and what follows is assumed"
+        ))
+    return notes
+
 
 @dataclass(frozen=True)
 class About:
-    """What a run wrote about itself; as it is here where it wrote nothing.
+    """What a run directory says of its run; as it is here where it says nothing.
 
     Attributes:
-        controller: its name.
-        parameters: the controller's at the start; no entry where there is no bound.
-        initial: name of the initial state, or its volumes.
-        what_initial: what that name means; None where it is unknown.
-        weather: name of the weather.
-        method: of the evapotranspiration.
-        gaps: what was done about gaps in the weather files.
-        forecast: what the controller was given of the weather to come; empty if that was what came.
-        sensor_pump_errors: of level sensor and pumps; empty if there were none.
+        row: columns of ``results.csv``, with the results of a run that is done.
+        parameters: the controller's at the start.
         exact_sensor: whether the roof's level is the true one.
         zone: offset from UTC; None where it is unknown.
         own: whether this package wrote it.
@@ -60,15 +278,11 @@ class About:
         notes: what a reader should know of the run.
     """
 
-    controller: str = "unknown"
+    row: Row = field(default_factory=lambda: {
+        "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
+        "gaps": REFUSE,
+    })
     parameters: Parameters = field(default_factory=dict)
-    initial: str = "as recorded"
-    what_initial: object = None
-    weather: str = "as recorded"
-    method: str = "unknown"
-    gaps: str = REFUSE
-    forecast: str = ""
-    sensor_pump_errors: str = ""
     exact_sensor: bool = True
     zone: tzinfo | None = None
     own: bool = False
@@ -78,12 +292,17 @@ class About:
     incidents: tuple[Incident, ...] = ()
     notes: tuple[Note, ...] = ()
 
+    @property
+    def method(self) -> str:
+        """Of the evapotranspiration."""
+        return str(self.row["evapotranspiration"])
+
 
 def read_about(run: Path) -> About:
     """Read a run's summary, or if there is none that is whole, the parameters of its nodes.
 
-    Labels hang on these files, no numbers: one that is damaged or foreign leaves a note. Incidents
-    have a file of their own, which is there before a summary has them; it counts where it is there.
+    What is beside a bag is no reason to refuse it: a file that is damaged or foreign leaves a note.
+    Incidents have a file of their own, which is there before a summary has them.
     """
     notes: list[Note] = []
     incidents: tuple[Incident, ...] = ()
@@ -179,22 +398,15 @@ def _understand(content: dict[str, Any]) -> About:
     """
     if not isinstance(content["controller"], str):
         raise TypeError
-    initial, forecast = content.get("initial"), content.get("forecast") or {}
     live = "drive_at" in content
-    if live:
-        forecast = {"file": forecast}
-    notes = [Note(text) for text in content.get("weather_notes") or []]
-    notes += [
-        Note(f"{quantity} was missing and filled in", listed=", ".join(hours))
-        for quantity, hours in (content.get("filled") or {}).items()
-    ]
-    notes += [suspicion(text) for text in content.get("suspicious") or []]
-    notes += run_notes(
-        float((content.get("solver") or {}).get("fallbacks") or 0),
-        content.get("forecast_repeats_last_record_from"),
-        float(content.get("limited_steps") or 0),
-    )
+    done = content.get("status", summary.DONE) == summary.DONE
     given = parameters(content.get("parameters") or {})
+    errors = content.get("sensor_pump_errors") or {}
+    row = {**About().row, "controller": content["controller"], **_inputs(content, live), **errors}
+    if done:
+        results = (*(metric.name for metric in METRICS), "frost_hours")
+        row |= {name: float(content[name]) for name in results if content.get(name) is not None}
+    start = datetime.fromisoformat(content["start"]) if "start" in content else None
     changes = [
         Change(
             parameter=str(change["parameter"]),
@@ -204,6 +416,7 @@ def _understand(content: dict[str, Any]) -> About:
         )
         for change in content.get("parameter_changes") or []
     ]
+    notes = notes_of({**row, "start": None if start is None else to_people(start)})
     for name in dict.fromkeys(change.parameter for change in changes):
         found = [change for change in changes if change.parameter == name]
         ticks = ", ".join(f"{change.tick}" for change in found)
@@ -211,39 +424,54 @@ def _understand(content: dict[str, Any]) -> About:
             f"the controller's {name} was changed in the run: {parameter_text(given.get(name))}"
             f"{''.join(map(str, found))} (tick {ticks})"
         ))
-    lost = content.get("incidents") or []
-    site = content.get("sensor_pump_errors") or {}
-    sensor_pump_errors = sensor_pump_errors_label(site)
-    exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
+    exact_sensor = not (errors.get("roof_noise") or errors.get("roof_offset"))
     if not exact_sensor:
-        notes.append(Note(
-            f"the roof's level is what a sensor reads ({sensor_pump_errors}); the summary's "
-            "deviation is of the true one"
-        ))
+        of = "the results are of the true one" if "total_deviation_m3" in row else (
+            "and so is what is worked out from it"
+        )
+        named = labels(row)["sensor and pump errors"]
+        notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))
     return About(
-        controller=content["controller"],
+        row=row,
         parameters=given,
-        initial=(
-            initial_label(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
-            if initial else About.initial
-        ),
-        what_initial=(
-            what_initial(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
-            if initial else None
-        ),
-        weather=Path(content.get("weather") or About.weather).name,
-        method=str(content.get("evapotranspiration_method") or About.method),
-        gaps=str(content.get("gaps") or About.gaps),
-        forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
-        sensor_pump_errors=sensor_pump_errors,
         exact_sensor=exact_sensor,
-        zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
+        zone=None if start is None else start.tzinfo,
         own=not live,  # what sensors said may be anything
         changes=tuple(changes),
-        ending=_ending(content) if content.get("status", summary.DONE) != summary.DONE else None,
-        incidents=tuple(Incident(**incident) for incident in lost),
+        ending=None if done else _ending(content),
+        incidents=tuple(Incident(**incident) for incident in content.get("incidents") or []),
         notes=tuple(notes),
     )
+
+
+def _inputs(content: Mapping[str, Any], live: bool) -> Row:
+    """Return what a summary says was asked for, and was done to its weather."""
+    initial, solver = content.get("initial") or {}, content.get("solver") or {}
+    forecast = content.get("forecast") or {}
+    if live:
+        forecast = {"file": forecast}
+    filled = content.get("filled") or {}
+    named = {
+        "weather": Path(content.get("weather") or "").name,
+        "evapotranspiration": content.get("evapotranspiration_method"),
+        "gaps": content.get("gaps"),
+    }
+    state = {
+        "initial": str(initial.get("name", "")),
+        **{key: float(initial[key]) for key in ("cistern_m3", "roof_m3")},
+    } if initial else {}
+    return {
+        **{column: str(value) for column, value in named.items() if value},
+        **state,
+        "forecast": forecast.get("file") or forecast.get("model"),
+        **{f"forecast_{option}": forecast.get(option) for option in _LABELLED},
+        "filled_hours": float(content.get("filled_hours") or len(filled)),
+        "filled": "; ".join(f"{key}: {', '.join(hours)}" for key, hours in filled.items()),
+        "weather_notes": "; ".join(content.get("weather_notes") or []),
+        "suspicious": "; ".join(content.get("suspicious") or []),
+        "fallbacks": float(solver.get("fallbacks") or 0),
+        "forecast_repeats_from": content.get("forecast_repeats_last_record_from"),
+    }
 
 
 def _ending(content: Mapping[str, Any]) -> Ending:
@@ -258,79 +486,3 @@ def _ending(content: Mapping[str, Any]) -> Ending:
         # The last lines of a log may be among it.
         sentence += f": {' '.join(content['reason'].split())}"
     return Ending(sentence, short)
-
-
-def suspicion(rain: str) -> Note:
-    """Say that an hour of rain, as named, is hard to believe."""
-    return Note(f"suspicious, and taken as it is: {rain}")
-
-
-def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[Note]:
-    """Say what happened in a run that its trajectory does not show.
-
-    Args:
-        fallbacks: ticks in which the controller's solver found no answer.
-        repeats_from: time from which on the forecast knows nothing, and what it says is assumed.
-        limited: ticks in which a tank held less than was asked of it.
-    """
-    notes: list[Note] = []
-    if fallbacks:
-        notes.append(Note("the controller's solver found no answer in {count} ticks", fallbacks))
-    if repeats_from:
-        notes.append(Note(f"a forecast ends at {repeats_from}, and what follows is assumed"))
-    if limited:
-        notes.append(
-            Note("a tank ran empty in {count} ticks, and what left it was limited", limited)
-        )
-    return notes
-
-
-def parameters(cells: Mapping[str, object]) -> Parameters:
-    """Return the parameters that are there and mean something: no blank, no infinite bound."""
-    found: Parameters = {}
-    for key, cell in cells.items():
-        if cell is None or cell == "":
-            continue
-        try:
-            value = float(str(cell))
-        except ValueError:
-            found[key] = str(cell)
-            continue
-        if math.isfinite(value):
-            found[key] = value
-    return found
-
-
-def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
-    """Return a name for forecasts with those of their options that are there; none if perfect."""
-    if not name or name == PERFECT:
-        return ""
-    given = {option: options.get(option) for option in LABELLED}
-    texts = [
-        f"{option} {Path(str(value)).name if option == 'dressed' else value}"
-        for option, value in given.items() if value not in (None, "")
-    ]
-    return " ".join([Path(name).name, *texts])
-
-
-def sensor_pump_errors_label(values: Mapping[str, object]) -> str:
-    """Return a name for those sensor_pump_errors of level sensor and pumps that are there."""
-    given = {name: float(str(values.get(name) or 0)) for name in PARAMETERS}
-    seed = given.pop("noise_seed")
-    texts = [
-        f"{name.replace('_', ' ')} {shortest(value)} {'m' if name.startswith('roof') else 's'}"
-        for name, value in given.items() if value
-    ]
-    if given["roof_noise"]:
-        texts.append(f"seed {shortest(seed)}")
-    return ", ".join(texts)
-
-
-def initial_label(name: str, cistern: float, roof: float) -> str:
-    """Return a name for an initial state, its volumes (m3) where it has none."""
-    return f"{cistern:.4g} / {roof:.4g} m3" if name in ("", "custom") else name
-
-
-def what_initial(name: str, cistern: float, roof: float) -> object:
-    """Return what an initial state's name means: Table II's states differ with the site."""
-    return name if name in INITIAL_STATES else (cistern, roof)

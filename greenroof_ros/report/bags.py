@@ -1,27 +1,36 @@
-"""A run directory or a bag as a run of a report."""
+"""A run directory or a bag as a run of a report; what happened: its results, and what is drawn."""
 
 from __future__ import annotations
 
-from datetime import timedelta, timezone
+import itertools
+from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, shared_directory
+from greenroof_ros.common.times import to_people
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.run import build_run
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.model.metrics import Samples, totals_of
+from greenroof_ros.model.plant import mains_flows
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.model.soil import soil_of
+from greenroof_ros.recording.bag_reader import Recorded, load_bag
 from greenroof_ros.recording.bag_writer import recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.about import read_about
-from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Sources, known_bound
+from greenroof_ros.report.about import Note, Row, Run, labels, meaning_of_initial, read_about
 from greenroof_ros.weather.reading import read_weather
+
+MOST_POINTS = 500
+"""of a drawn line"""
 
 _WEATHER = Path("configuration") / "weather"
 
@@ -34,10 +43,8 @@ def run_directory(path: Path) -> Path:
                  if (place / "configuration").is_dir()), path)
 
 
-def read_run(
-    path: Path, name: str, site_file: Path | None, given: Site | None, sources: Sources
-) -> None:
-    """Add the run of a run directory or a bag, under a name."""
+def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) -> Run | Row:
+    """Return the run of a run directory or a bag, under a name; of one without a bag its row."""
     bag = path / "bag" if (path / "bag").is_dir() else path
     if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
         bag = recovered_bag(bag)
@@ -50,9 +57,10 @@ def read_run(
                 f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
             )
         if about.ending is not None:
-            error = f"{about.ending.sentence}; no bag"
-            sources.failed.append(FailedRun(name, about.controller, error))
-            return
+            return {
+                "run": name, "what": about.row["controller"],
+                "error": f"{about.ending.sentence}; no bag",
+            }
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
@@ -74,41 +82,33 @@ def read_run(
         zone = timezone(timedelta(hours=site.utc_offset))
     if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
-    sources.runs.append(RunEntry(
-        name=name,
-        site_name=site_name,
+    row = {**about.row, "run": name, "site": site_name, "status": "done"}
+    return Run(
+        row={**row, **labels(row), "seed": ""},  # it is shown alone
         site=site,
-        weather=about.weather,
-        method=about.method,
-        controller=about.controller,
         parameters=about.parameters,
-        initial=about.initial,
-        notes=(*notes, *about.notes),
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
         ),
-        forecast=about.forecast,
         # What a sensor reads is neither the roof's initial volume nor its deviation.
-        bound=(
-            partial(_own_bound, run / _WEATHER, own_site, site,
-                    about.method, about.gaps)
-            if about.exact_sensor else known_bound(None)
-        ),
-        sensor_pump_errors=about.sensor_pump_errors,
+        bound=partial(
+            _own_bound, run / _WEATHER, own_site, site, about.method, row["gaps"]
+        ) if about.exact_sensor else lambda _: None,
+        notes=(*notes, *about.notes),
         changes=about.changes,
         ending=about.ending,
         incidents=about.incidents,
         source=name,
         meant={
-            "site_name": site,
+            "site": site,
             "weather": "".join(map(file_digest, sorted((run / _WEATHER).glob("*")))),
             "forecast": "".join(
                 map(file_digest, sorted((run / "configuration" / "forecast").rglob("*")))
             ),
-            "initial": about.what_initial,
+            "from": meaning_of_initial(row),
         },
-    ))
+    )
 
 
 def _is_closed(bag: Path) -> bool:
@@ -116,12 +116,13 @@ def _is_closed(bag: Path) -> bool:
 
 
 def _own_bound(
-    weather: Path, site_file: Path, site: Site, method: str, gaps: str, trajectory: Trajectory
+    weather: Path, site_file: Path, site: Site, method: str, gaps: str, recorded: Recorded
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
     None where that is unknown: there are no weather files, or they are not what the bag has.
     """
+    trajectory = recorded.trajectory
     steps = len(trajectory.time) - 1
     weather_files = sorted(weather.glob("*"))
     if not weather_files or not np.allclose(
@@ -143,3 +144,122 @@ def _own_bound(
         return clairvoyant_bound(run).bound_m3
     except (ConfigurationError, NoBoundError):
         return None
+
+
+def measured(run: Run, recorded: Recorded) -> Row:
+    """Return the row of a bag's run with its results.
+
+    Those that the summary of a run that is done has are its own. All else is worked out from the
+    bag. All sums are Euler's: a value holds from its sample to the next, over the difference of
+    their times. The flows of the last sample count in no sum, because the run ends in its state.
+    """
+    trajectory, site = recorded.trajectory, run.site
+    dt = np.diff(trajectory.time)
+    frost = trajectory.frost[:-1] > 0
+    row = {
+        "start": to_people(trajectory.start),
+        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
+        "cistern_m3": float(trajectory.cistern[0]),
+        "roof_m3": float(trajectory.roof[0]),
+        **totals_of(site, samples_of(site, trajectory)),
+        "frost_hours": float(dt[frost].sum()) / 3600,
+        **run.row,
+        "frost_pumped_m3": float(np.sum((trajectory.pump_flow[:-1] * dt)[frost])),
+        "bound_m3": run.bound(recorded) if run.bound is not None else None,
+    }
+    return {**row, "length": labels(row)["length"]}
+
+
+def near_hours(site: Site, trajectory: Trajectory, band: float) -> float:
+    """Return for how long the roof is near its target (h).
+
+    Args:
+        site: where it is, Table I.
+        trajectory: what happened; the last sample counts for a tick.
+        band: half width of what is near, as a share of the target (1).
+    """
+    near = np.abs(trajectory.roof - site.x2_star) <= band * site.x2_star
+    return float(np.append(np.diff(trajectory.time), site.tau)[near].sum()) / 3600
+
+
+def samples_of(site: Site, trajectory: Trajectory) -> Samples:
+    """Return a whole run as samples; where a tank's flows were limited is unknown.
+
+    The drainage layer of a measured roof is computed from what percolates; it begins with
+    the site's ``initial_layer``.
+    """
+    dt = np.append(np.diff(trajectory.time), site.tau)
+
+    def until_the_end(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.append(values[:-1], 0.0)
+
+    rain = until_the_end(trajectory.precipitation)
+    flow = until_the_end(trajectory.pump_flow)
+    drainage = until_the_end(trajectory.drainage)
+    potential = until_the_end(trajectory.evapotranspiration)
+    mains = None
+    if site.mains_level is not None:
+        mains = until_the_end(mains_flows(site, trajectory.cistern))
+    followed = soil_of(site).follow(
+        site.initial_layer, trajectory.roof, rain, flow, potential, drainage, dt,
+    )
+    return Samples(
+        duration=dt,
+        cistern=trajectory.cistern,
+        roof=trajectory.roof,
+        command=until_the_end(trajectory.command),
+        precipitation=rain,
+        outflow=until_the_end(trajectory.outflow),
+        pump=flow,
+        drainage=drainage,
+        evapotranspiration=followed.evaporated,
+        layer=followed.layer,
+        mains=mains,
+        potential=potential,
+        time=trajectory.time,
+    )
+
+
+class Drawn(NamedTuple):
+    """What is drawn of a run."""
+
+    start: datetime
+    """of the first sample"""
+    curves: dict[str, list[tuple[float, float]]]
+    """time (s) and value of :data:`MOST_POINTS` samples, by the trajectory's attribute"""
+    frost: list[tuple[float, float]]
+    """from and to (s since the start) of each time of frost"""
+
+
+def drawn(trajectory: Trajectory) -> Drawn:
+    """Return what is drawn of what happened."""
+    curves = {}
+    for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
+        values = getattr(trajectory, name)
+        if name not in ("cistern", "roof"):
+            # The run ends in its last sample: what would hold from then on never did.
+            values = np.append(values[:-1], values[-2])
+        index = thin(values)
+        times = trajectory.time[index].tolist()
+        curves[name] = list(zip(times, values[index].tolist(), strict=True))
+    steps = np.diff(np.concatenate([[0], trajectory.frost[:-1] > 0, [0]]).astype(int))
+    begins, ends = (trajectory.time[np.flatnonzero(steps == step)].tolist() for step in (1, -1))
+    return Drawn(trajectory.start, curves, list(zip(begins, ends, strict=True)))
+
+
+def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Return which samples to draw: the first, the last, and each bucket's least and largest.
+
+    Args:
+        values: shape (n,).
+        most: number of samples to keep, about; all are kept where there are no more.
+    """
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
+    kept = {0, count - 1}
+    for low, high in itertools.pairwise(edges):
+        kept.add(int(low + np.argmin(values[low:high])))
+        kept.add(int(low + np.argmax(values[low:high])))
+    return np.array(sorted(kept), dtype=np.intp)

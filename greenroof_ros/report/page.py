@@ -7,55 +7,59 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, NamedTuple
 
+import jinja2
 import vl_convert
 from markupsafe import Markup
 
 from greenroof_ros.common.versions import versions, versions_text
 from greenroof_ros.model.site import site_parameters
-from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
-from greenroof_ros.report.entries import Sources
-from greenroof_ros.report.lead import LEADING, sentences, windows
-from greenroof_ros.report.results import Report
-from greenroof_ros.report.seasons import RESAMPLES
-from greenroof_ros.report.seeds import spreads
+from greenroof_ros.report.groups import SEASONS, SEEDS, Report
+from greenroof_ros.report.intervals import RESAMPLES
 from greenroof_ros.report.tables import incident_tables, make_tables, shown_metrics, unit
-from greenroof_ros.report.templates import environment
-from greenroof_ros.report.warnings import cautions, make_warnings
+from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentences, windows
 
 
-def render(
-    report: Report, figures: Sequence[Figure], sources: Sources, assumptions: Assumptions
-) -> str:
+def environment(package: str) -> jinja2.Environment:
+    """Return what fills in a package's templates; ``base.html`` of this one is there for all.
+
+    A value that a template uses and is not given is an error.
+    """
+    places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
+    return jinja2.Environment(
+        loader=jinja2.ChoiceLoader(places), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
+def render(report: Report, figures: Sequence[Figure]) -> str:
     """Return the page.
 
     Args:
         report: the results.
         figures: in the order in which they appear.
-        sources: where the results are from.
-        assumptions: what the assessments rest on.
     """
     templates = environment(__package__)
     templates.filters["two_lines"] = _two_lines
     return templates.get_template("template.html").render(
         report=report,
+        seeds=bool(report.of(SEEDS)),
+        seasons=bool(report.of(SEASONS)),
         figures=figures,
-        failed=sources.failed,
-        tables=make_tables(report, assumptions),
+        failed=report.failed,
+        tables=make_tables(report),
         warnings=make_warnings(report),
         incidents=incident_tables(report),
         lead=sentences(report),
         leading=next((one for name in LEADING for one in figures if one.name == name), None),
-        cautions=cautions(report, sources.failed),
+        cautions=cautions(report),
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
-        bounds=any(one.bound_m3 for one in report.results)
-        or any(one.bound_m3 for one in spreads(report))
-        or any(entry.season.bound_m3 for entry in report.seasons if entry.season),
-        assumptions=assumptions,
+        bounds=bool(report.table["bound_m3"].sum()),
+        assumptions=report.assumptions,
         resamples=RESAMPLES,
         windows=windows(report),
         sites=_sites(report),
-        configuration=sources.configuration,
+        configuration=report.configuration,
         versions=versions_text(_versions()),
         library=library(),
         payload=payload(figures),
@@ -125,7 +129,7 @@ class _SiteRow(NamedTuple):
 
 def _sites(report: Report) -> dict[str, list[_SiteRow]]:
     """Return the parameters of each site, by its name; those that it leaves out are left out."""
-    sites = {entry.site_name: entry.site for entry in report.entries}
+    sites = {run.row["site"]: run.site for run in report.runs.values()}
     return {
         name: [
             _SiteRow(each.name, str(getattr(site, each.name)), each.unit, each.meaning)

@@ -1,18 +1,73 @@
-"""Where a report's runs come from: studies, run directories, or bags alone."""
+"""Where a report's runs come from: studies by their ``results.csv``, run directories, and bags."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import cache, partial
 from pathlib import Path
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import read_site
+from greenroof_ros.common.files import file_digest, read_text
+from greenroof_ros.common.times import to_people
+from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.results_table import row_parameters
+from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.report.about import (
+    NO_ERRORS,
+    Row,
+    Run,
+    labels,
+    meaning_of_initial,
+    notes_of,
+    parameters,
+)
 from greenroof_ros.report.bags import read_run, run_directory
-from greenroof_ros.report.entries import Sources, tell_apart
-from greenroof_ros.report.studies import read_study
+
+_NEEDED = (
+    "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
+    "cistern_m3", "roof_m3", "status", "error", "total_deviation_m3",
+)
+# Those of a study's table that are numbers; all else is text.
+_NUMBERS = (
+    "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
+    *PARAMETERS, *(metric.name for metric in METRICS),
+)
+
+
+@dataclass
+class Sources:
+    """All that a report is made from.
+
+    Attributes:
+        runs: those that left something to show.
+        failed: the others, each with ``run``, ``what`` it was and its ``error``.
+        configuration: name and text of each further file that decided the numbers.
+    """
+
+    runs: list[Run] = field(default_factory=list)
+    failed: list[Row] = field(default_factory=list)
+    configuration: dict[str, str] = field(default_factory=dict)
+
+    def nothing_to_show(self) -> ConfigurationError:
+        """Return the error of a report none of whose runs left anything to show."""
+        first = self.failed[0]
+        return ConfigurationError(
+            f"holds no finished run; {len(self.failed)} failed or did not run, the first: "
+            f"{first['run']} {first['error']}"
+        )
 
 
 def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
-    """Find the runs under some paths; their trajectories are read later, one by one.
+    """Find the runs under some paths; what happened in them is read later, one by one.
 
     Args:
         paths: study directories, run directories and bags.
@@ -37,28 +92,23 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
                 raise ConfigurationError(
                     f"is for bags; {path} is a study and has its own sites", key="--site"
                 )
-            read_study(path, name, f"{name}/" if len(paths) > 1 else "", sources)
+            _read_study(path, name, f"{name}/" if len(paths) > 1 else "", sources)
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
-            read_run(path, name, site_file, given, sources)
+            found = read_run(path, name, site_file, given)
+            if isinstance(found, Run):
+                sources.runs.append(found)
+            else:
+                sources.failed.append(found)
     names = [run.name for run in sources.runs]
     for name in names:
         if names.count(name) > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
     if not sources.runs:
-        raise nothing_to_show(sources)
-    sources.runs = tell_apart(sources.runs)
+        raise sources.nothing_to_show()
+    sources.runs = _told_apart(sources.runs)
     return sources
-
-
-def nothing_to_show(sources: Sources) -> ConfigurationError:
-    """Return the error of a report none of whose runs left anything to show."""
-    first = sources.failed[0]
-    return ConfigurationError(
-        f"holds no finished run; {len(sources.failed)} failed or did not run, the first: "
-        f"{first.name} {first.error}"
-    )
 
 
 def _names(places: list[Path]) -> list[str]:
@@ -74,3 +124,147 @@ def _names(places: list[Path]) -> list[str]:
         )
 
     return [name(place) for place in places]
+
+
+def _told_apart(runs: Sequence[Run]) -> list[Run]:
+    """Give different things of one name different names: the source is added to each.
+
+    Equal ones keep an equal name, that of their first source, so that their runs are compared.
+    """
+    told = list(runs)
+    for key, columns in (
+        ("site", ["site"]), ("weather", ["weather"]), ("from", ["from"]),
+        ("forecast", ["forecast", "model", "kind of forecast"]),
+    ):
+        sources: dict[str, dict[object, str]] = {}
+        for run in told:
+            sources.setdefault(run.row[key], {}).setdefault(run.meant.get(key), run.source)
+        for place, run in enumerate(told):
+            of = sources[run.row[key]]
+            if len(of) > 1:
+                source = of[run.meant.get(key)]
+                own = {column: f"{run.row[column]} ({source})" for column in columns}
+                told[place] = replace(run, row={**run.row, **own})
+    return told
+
+
+def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
+    """Add the runs of a study, whose names begin with a prefix."""
+    file, configuration = path / "results.csv", path / "configuration"
+    sites: dict[str, Site] = {}
+    digest = cache(file_digest)  # of files that hundreds of runs share
+    rows = _rows(file)
+    for line, row in rows:
+        run = row["run"]
+        if not run or Path(run).name != run:
+            raise ConfigurationError(
+                "must be the name of a directory under runs/",
+                file=file, line=line, key="run", value=run,
+            )
+        if row["status"] not in ("done", "failed", "not run"):
+            raise ConfigurationError(
+                "must be done, failed or not run",
+                file=file, line=line, key="status", value=row["status"],
+            )
+        given = parameters(row_parameters(row))
+        row |= {**labels(row), **_season(row), "run": prefix + run}
+        if row["status"] != "done":
+            sources.failed.append(_failed(row, given))
+            continue
+        if row["site"] not in sites:
+            sites[row["site"]] = read_site(configuration / row["site"])
+        # In simulations nothing is pumped in frost.
+        row["frost_pumped_m3"] = 0.0
+        trajectory = path / "runs" / run / "trajectory.parquet"
+        sources.runs.append(Run(
+            row=row,
+            site=sites[row["site"]],
+            parameters=given,
+            load=partial(_load, trajectory) if trajectory.exists() else None,
+            notes=tuple(notes_of(row)),
+            source=source,
+            meant={
+                "site": sites[row["site"]],
+                "weather": digest(configuration / row["weather"]) or source,
+                "forecast": tuple(
+                    digest(configuration / (row.get(key) or ""))
+                    for key in ("forecast", "forecast_skill", "forecast_dressed")
+                ),
+                "from": meaning_of_initial(row),
+            },
+        ))
+    if not rows:
+        raise ConfigurationError("has a header but no runs", file=file)
+    for further in sorted(configuration.glob("*")):
+        # Sites appear as a table of their own; weather files are long, and named with each run.
+        if further.suffix in (".json", ".yaml") and further.name not in sites:
+            sources.configuration[prefix + further.name] = read_text(further)
+
+
+def _rows(file: Path) -> list[tuple[int, Row]]:
+    """Return the rows of a study's table with their lines; a number that is blank is None.
+
+    Raises:
+        ConfigurationError: it is another table, or was cut.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(file)))
+    header = list(reader.fieldnames or ())
+    missing = [column for column in _NEEDED if column not in header]
+    if missing:
+        raise ConfigurationError(
+            f"has no column {', '.join(missing)}; is it the results.csv of a study?",
+            file=file, line=1,
+        )
+    rows: list[tuple[int, Row]] = []
+    for cells in reader:
+        line, row = reader.line_num, dict[str, object](cells)
+        if None in row or None in row.values():
+            raise ConfigurationError(f"must have {len(header)} cells", file=file, line=line)
+        for column in _NUMBERS:
+            try:
+                row[column] = float(cells[column]) if cells.get(column) else None
+            except ValueError as error:
+                raise ConfigurationError(
+                    "must be a number", file=file, line=line, key=column, value=cells[column]
+                ) from error
+        for column in ("hours", "cistern_m3", "roof_m3"):
+            row[column] = row[column] or 0.0
+        rows.append((line, row))
+    return rows
+
+
+def _failed(row: Row, given: dict[str, float | str]) -> Row:
+    """Return what is said of a run that failed or was not begun."""
+    errors = row["sensor and pump errors"]
+    parts = (
+        row["site"], row["weather"], row["start"], row["evapotranspiration"], row["forecast"],
+        "" if errors == NO_ERRORS else errors, row["controller"],
+        ", ".join(f"{key} {value}" for key, value in given.items()), row["from"],
+    )
+    return {
+        "run": row["run"], "what": ", ".join(filter(None, parts)),
+        "error": row["error"] or row["status"],
+    }
+
+
+def _season(row: Row) -> Row:
+    """Return the start of a run as headings name it, and of one of a week or more its season.
+
+    That is the year, when it begins in it, and the deviation of each whole week (m3).
+    """
+    try:
+        start = datetime.fromisoformat(row["start"])
+        weeks = [float(week) for week in (row.get("weekly_deviation_m3") or "").split()]
+    except ValueError:
+        return {}
+    whole = int(row["hours"] // 168)
+    season = {"year": start.year, "begins": f"{start:%d %B %H:%M}", "season": weeks[:whole]}
+    return {"start": to_people(start), **(season if 0 < whole <= len(weeks) else {})}
+
+
+def _load(path: Path) -> Recorded:
+    """Read the trajectory of a study's run."""
+    trajectory = read_parquet(path)
+    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
+        raise ConfigurationError("must have two samples or more, in the order of time", file=path)
+    return Recorded(trajectory)

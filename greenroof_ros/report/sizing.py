@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.report.seasons import Seasons
 
 # What follows a site's size: areas, the cistern's depth, and the volumes in them.
 _BY_SIZE = {"a1", "a2", "z_o", "x2_star", "initial_cistern", "initial_roof", "initial_layer"}
@@ -27,11 +26,11 @@ def size_of(site: Site) -> Size:
     return Size(site.a2, site.a1 * site.z_o)
 
 
-def is_sizing(found: Iterable[Seasons]) -> bool:
+def is_sizing(sites: Iterable[Site]) -> bool:
     """Whether the sites of some seasons differ in size, and in nothing else."""
-    sites = {one.site for one in found}
+    different = set(sites)
     others = {
         tuple(value for name, value in asdict(site).items() if name not in _BY_SIZE)
-        for site in sites
+        for site in different
     }
-    return len({size_of(site) for site in sites}) > 1 and len(others) == 1
+    return len({size_of(site) for site in different}) > 1 and len(others) == 1

@@ -13,20 +13,29 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
-from greenroof_ros.study.table import Names, show
 from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
 
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
-
+# What runs of one table on the terminal have in common, and what is said of a column there.
+_WINDOW = ("site", "weather", "start", "hours", "evapotranspiration")
+_NOTES = {
+    "filled_hours": "had missing hours of weather filled in",
+    "frost_hours": "had frost, in which nothing was pumped",
+    "limited_steps": "had a tank run empty",
+}
 
 _DESCRIPTION = """\
 Run every combination of a grid - sites, weather windows, initial states, controllers and their
@@ -56,7 +65,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
-        help="the grid (default: the paper's, config/study.yaml; copy and edit it)",
+        help="the grid (default: the paper's, config/studies/paper.yaml; copy and edit it)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -65,7 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
         help="directory of weather files that the grid names and that are not beside it, such as "
-        "the record of years for config/study_seasons.yaml",
+        "the record of years for config/studies/seasons.yaml",
     )
     parser.add_argument(
         "--jobs", type=within(1, 1024, int), metavar="N",
@@ -89,8 +98,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     kept.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep the table only, of thousands of runs; a report then has those only that were "
-        "made with several forecast seeds, or of the same season of several years",
+        help="keep the table only, of thousands of runs; a report then has no figures of weather, "
+        "commands and volumes",
     )
     return parser
 
@@ -113,12 +122,11 @@ def main() -> int:
         raise ConfigurationError(
             "must be a directory with weather files", key="--weather", value=str(arguments.weather)
         )
-    grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
-    name = "paper" if arguments.grid is None else grid.stem
+    grid: Path = arguments.grid or shared_directory() / "config" / "studies" / "paper.yaml"
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = Store(
-        arguments.output or Path("studies") / name, grid, cases, arguments.engine,
+        arguments.output or Path("studies") / grid.stem, grid, cases, arguments.engine,
         trajectory_every=every,
     )
     outcomes = store.finished()
@@ -225,6 +233,93 @@ def _run(
                     outcomes[case.identity] = outcome
                 progress.advance(task)
             progress.refresh()
+
+
+class Names:
+    """The names of a study's cases: the controller, and whatever differs between them."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        """Look at what differs between all cases, and among those of each controller."""
+        self._columns = differing([case.columns() for case in cases])
+        self._parameters = {
+            name: differing([case.parameters for case in cases if case.controller.name == name])
+            for name in {case.controller.name for case in cases}
+        }
+
+    def name(self, case: Case) -> str:
+        """Return the whole name of a case, for a sentence."""
+        texts = {
+            "initial": case.initial, "start": f"from {case.start}",
+            "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
+            "site": case.site.name,
+            "evapotranspiration": f"evapotranspiration {case.evapotranspiration}",
+        }
+        parts = [self.setting(case), *(texts[key] for key in texts if key in self._columns)]
+        if any(column.startswith("forecast") for column in self._columns):
+            parts.append(f"forecast {_forecast(case)}")
+        return ", ".join(parts)
+
+    def setting(self, case: Case) -> str:
+        """Return the controller with its parameters, and the errors of sensor and pump."""
+        columns, name = case.columns(), case.controller.name
+        return _named(name, {
+            **{key: case.parameters[key] for key in self._parameters[name]},
+            **{key: columns[key] for key in PARAMETERS if key in self._columns},
+        })
+
+
+def _forecast(case: Case) -> str:
+    """Name the forecasts of a case."""
+    dressed = {} if case.dressed_file is None else {"dressed": case.dressed_file.name}
+    return _named(str(case.forecast), {**case.forecast.options(), **dressed})
+
+
+def _named(name: str, values: Mapping[str, float | str]) -> str:
+    """Put values after a name."""
+    texts = (
+        f"{key} {value if isinstance(value, str) else shortest(value)}"
+        for key, value in values.items()
+    )
+    return " ".join([name, *texts])
+
+
+def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
+    """Print the total deviations, setting and forecast a line and an initial state a column.
+
+    Args:
+        cases: of the study.
+        rows: of its ``results.csv``, one for each case.
+        directory: of the study.
+    """
+    console, names = Console(), Names(cases)
+    initials = list(dict.fromkeys(case.initial for case in cases))
+    forecasts = any(case.forecast.model != PERFECT for case in cases)
+    windows: dict[tuple[Any, ...], dict[tuple[str, ...], dict[str, str]]] = {}
+    for case, row in zip(cases, rows, strict=True):
+        line = (names.setting(case), *([_forecast(case)] if forecasts else []))
+        window = windows.setdefault(tuple(row[column] for column in _WINDOW), {})
+        done = row["status"] == "done"
+        window.setdefault(line, {})[case.initial] = (
+            f"{row['total_deviation_m3']:.2f}" if done else row["status"].upper()
+        )
+    for (site, weather, start, hours, method), lines in windows.items():
+        table = Table(
+            title=f"Total deviation (m3, summed over the ticks): {weather}, "
+            f"{shortest(hours)} h from {start}, evapotranspiration {method}, {site}",
+            title_justify="left",
+        )
+        for column in ("controller", *(["forecast"] if forecasts else [])):
+            table.add_column(column)
+        for initial in initials:
+            table.add_column(initial, justify="right")
+        for line, totals in lines.items():
+            table.add_row(*line, *(totals.get(initial, "") for initial in initials))
+        console.print(table)
+    for column, what in _NOTES.items():
+        count = sum(bool(row.get(column)) for row in rows)
+        if count:
+            console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
+    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

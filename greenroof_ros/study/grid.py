@@ -54,7 +54,7 @@ _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
 # What the directory of a study has beside them.
 _OWN_FILES = ("grid.yaml", "study.json")
-_WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "gaps", "forecast")
+_WINDOW_KEYS = ("file", "start", "year", "hours", "evapotranspiration", "gaps", "forecast")
 
 
 @dataclass(frozen=True)
@@ -179,6 +179,8 @@ class _Setting(NamedTuple):
     """all of them on a site; of the grid those that are given"""
     forecasts: list[ForecastChoice] | None
     """instead of the grid's, for a controller that looks at none or at one kind; None for those"""
+    sites: list[str]
+    """files of those that it runs on; empty for all"""
 
     def on(self, site: Site) -> _Setting:
         """Return it with all parameters, those that are not given as they are on a site."""
@@ -187,7 +189,7 @@ class _Setting(NamedTuple):
 
 
 def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
-    """Read a grid such as ``config/study.yaml`` and check every run of it.
+    """Read a grid such as ``config/studies/paper.yaml`` and check every run of it.
 
     Args:
         path: of the grid.
@@ -235,9 +237,11 @@ class _Grid:
     def cases(self) -> Iterator[Case]:
         """Yield every combination."""
         controllers = list(self._controllers())
-        for path in self._sites():
+        for name, path in self._sites():
             site = read_site(path)
-            settings = [one.on(site) for one in controllers]
+            settings = [
+                one.on(site) for one in controllers if not one.sites or name in one.sites
+            ]
             for window in self._windows():
                 for start, hours, method in itertools.product(
                     self._list(window, "start", str),
@@ -246,12 +250,12 @@ class _Grid:
                 ):
                     yield from self._runs(path, site, window, start, hours, method, settings)
 
-    def _sites(self) -> Iterator[Path]:
-        """Yield each site file, those with other values as they are with these."""
+    def _sites(self) -> Iterator[tuple[str, Path]]:
+        """Yield the name and path of each site file, those with other values with these."""
         given = self._mapping["site"]
         for number, each in enumerate(given if isinstance(given, list) else [given]):
             if isinstance(each, str):
-                yield self._place(self._mapping, "site", each) / each
+                yield each, self._place(self._mapping, "site", each) / each
                 continue
             if not isinstance(each, YamlMapping) or "file" not in each:
                 raise self._refuse(
@@ -278,7 +282,7 @@ class _Grid:
                             f"{name} with these values: {error.wrong}", file=self._path,
                             line=each.lines[next(iter(own), "file")],
                         ) from error
-                    yield path
+                    yield name, path
 
     def _runs(
         self,
@@ -321,7 +325,7 @@ class _Grid:
                 one for one in controllers
                 if choice in (usual if one.forecasts is None else one.forecasts)
             ]
-            for controller, parameters, _ in theirs:
+            for controller, parameters, *_ in theirs:
                 asked = ForecastChoice() if "seed" in choice.takes else choice
                 key = (asked, volumes, parameters.get("horizon"), controller.ensemble)
                 if key not in checked:
@@ -334,7 +338,7 @@ class _Grid:
             carried, forecast_file, skill_file = self._carried(choice, site)
             dressed_file = None if choice.dressed is None else self._input(choice.dressed)
             inputs = tuple(map(self._input, weather.files))
-            for sensor_pump_errors, (controller, parameters, _) in itertools.product(
+            for sensor_pump_errors, (controller, parameters, *_) in itertools.product(
                 list(self._sensor_pump_errors()), theirs
             ):
                 yield Case(
@@ -539,7 +543,18 @@ class _Grid:
                     raise ConfigurationError(
                         "is missing in a window of 'weather:'", file=self._path, key=key
                     )
-            yield window
+            if "year" not in window:
+                yield window
+                continue
+            for year in self._list(window, "year", int):
+                of_year = YamlMapping({
+                    **window,
+                    **{key: [text.replace("{year}", str(year))
+                             for text in self._list(window, key, str)]
+                       for key in ("file", "start")},
+                })
+                of_year.lines = window.lines
+                yield of_year
 
     def _initial_states(
         self, site_file: Path, site: Site
@@ -548,14 +563,22 @@ class _Grid:
         names = set()
         for state in states if isinstance(states, list) else [states]:
             if isinstance(state, YamlMapping):
-                self._keys(state, ("name", "cistern", "roof"))
-                lacking = {"name", "cistern", "roof"} - state.keys()
+                areas = {"cistern": site.a1, "roof": site.a2}
+                self._keys(state, ("name", *areas, *(f"{key}_level" for key in areas)))
+                lacking = ["name"] * ("name" not in state) + [
+                    key for key in areas if (key in state) == (f"{key}_level" in state)
+                ]
                 if lacking:
                     raise self._refuse(
-                        self._mapping, "initial", f"a state has no {', '.join(sorted(lacking))}"
+                        self._mapping, "initial",
+                        f"a state has no {' and no '.join(lacking)}, or two of one",
                     )
                 name = self._one(state, "name", str)
-                volumes = tuple(self._one(state, key, float) for key in ("cistern", "roof"))
+                volumes = tuple(
+                    self._one(state, key, float) if key in state
+                    else self._one(state, f"{key}_level", float) * area
+                    for key, area in areas.items()
+                )
                 if min(volumes) < 0:
                     raise self._refuse(self._mapping, "initial", "volumes must not be negative")
             else:
@@ -627,7 +650,11 @@ class _Grid:
     ) -> Iterator[_Setting]:
         """Yield a controller with each combination of the parameters that are given."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
-        keys = [key for key in given if key != "forecast"]
+        sites = self._list(given, "site", str) if "site" in given else []
+        for name in sites:
+            if name not in (known for known, _ in self._sites()):
+                raise self._refuse(given, "site", f"{name} is not under 'site:' of the grid")
+        keys = [key for key in given if key not in ("forecast", "site")]
         choices = []
         for key in keys:
             controller.check_name(key, self._path, given.lines[key])
@@ -638,7 +665,9 @@ class _Grid:
                     raise self._refuse(given, key, f"{value:g} {parameter.expected}")
             choices.append([int(value) if parameter.whole else value for value in values])
         for combination in itertools.product(*choices):
-            yield _Setting(controller, dict(zip(keys, combination, strict=True)), forecasts)
+            yield _Setting(
+                controller, dict(zip(keys, combination, strict=True)), forecasts, sites
+            )
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:
@@ -658,10 +687,20 @@ class _Grid:
     def _list(
         self, mapping: YamlMapping, key: str, kind: type, default: list[Any] | None = None
     ) -> list[Any]:
-        """Return a value as a list of a kind, str, float or int; one value is a list of one."""
+        """Return a value as a list of a kind, str, float or int; one value is a list of one.
+
+        Whole numbers may be given as ``{from: 1, to: 50}``.
+        """
         if key not in mapping and default is not None:
             return default
         value = mapping[key]
+        if kind is int and isinstance(value, YamlMapping):
+            self._keys(value, ("from", "to"))
+            if value.keys() != {"from", "to"}:
+                raise self._refuse(mapping, key, "must be {from: 1, to: 50} or the like")
+            value = list(range(
+                self._one(value, "from", int), self._one(value, "to", int) + 1
+            ))
         values = value if isinstance(value, list) else [value]
         if not values:
             raise self._refuse(mapping, key, "is empty")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import fcntl
+import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -48,8 +51,8 @@ class Store:
 
         Raises:
             ConfigurationError: the directory holds something else, another study, or this one as
-                other versions or another engine made it; or it cannot be written, or another
-                process works in it.
+                another engine made it, or other code that makes the numbers; or it cannot be
+                written, or another process works in it.
         """
         self.directory = directory
         self._cases = cases
@@ -58,7 +61,7 @@ class Store:
         identity = {
             "engine": engine,
             "trajectory_every": trajectory_every,
-            "versions": versions(),
+            "numbers": _numbers(),
             "runs": [case.identity for case in cases],
         }
         try:
@@ -114,7 +117,7 @@ class Store:
             ("runs", "another grid, or other files"),
             ("engine", "another engine"),
             ("trajectory_every", "other trajectories, or none"),
-            ("versions", "other versions"),
+            ("numbers", "other versions of what makes the numbers"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
@@ -123,16 +126,19 @@ class Store:
                 )
 
     def finished(self) -> dict[str, Outcome]:
-        """Return the outcomes that are there, without their files."""
+        """Return the outcomes that are there, without their files.
+
+        One that is damaged, as after a power cut, is not; its run is made again and then replaced.
+
+        Raises:
+            ConfigurationError: one cannot be read, as on a network drive that is away. It is left
+                as it is, since it may be whole.
+        """
         found = {}
         for case in self._cases:
-            directory = self._runs / case.identity
-            try:
-                content = json.loads((directory / _OUTCOME).read_text(encoding="utf-8"))
+            content = _read(self._runs / case.identity / _OUTCOME)
+            with suppress(KeyError, TypeError):
                 found[case.identity] = Outcome(content["results"], content["timings"], {})
-            except (OSError, ValueError, KeyError, TypeError):
-                # Not there, or damaged, as after a power cut: the run is repeated.
-                shutil.rmtree(directory, ignore_errors=True)
         return found
 
     def keep(self, case: Case, outcome: Outcome) -> None:
@@ -141,7 +147,7 @@ class Store:
         Raises:
             OSError: for instance on a full disk.
         """
-        part = self._runs / f"{case.identity}.part"
+        part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
         about = json.dumps({"results": outcome.results, "timings": outcome.timings}, indent=2)
         try:
             for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
@@ -149,15 +155,14 @@ class Store:
                 (part / name).write_bytes(content)
         except OSError as error:  # of a write it does not know where
             raise OSError(error.errno, error.strerror, str(part)) from error
-        part.replace(self._runs / case.identity)
+        if whole.exists():  # a damaged one
+            shutil.rmtree(whole)
+        part.replace(whole)
 
     def bounds(self) -> dict[str, float]:
         """Return the least possible total deviations (m3) that are known, by problem."""
-        try:
-            found: dict[str, float] = json.loads(self._bounds.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return found
+        found = _read(self._bounds)
+        return found if isinstance(found, dict) else {}
 
     def keep_bounds(self, bounds: Mapping[str, float]) -> None:
         """Write them down."""
@@ -204,6 +209,40 @@ class Store:
         _write_csv(self.directory / "results.csv", rows)
         _write_csv(self.directory / "timings.csv", timings)
         return rows
+
+
+def _numbers() -> dict[str, str]:
+    """Return the versions of what makes the numbers of a run: whether a stored one still counts.
+
+    Of this package it is the code in the folders that do, without its comments.
+    """
+    package = Path(__file__).parent.parent
+    digest = hashlib.sha256()
+    for folder in ("model", "formats", "weather", "forecast", "controllers", "experiment"):
+        for file in sorted((package / folder).rglob("*.py")):
+            code = ast.dump(ast.parse(file.read_bytes()))
+            digest.update(file.relative_to(package).as_posix().encode() + code.encode())
+    others = {
+        name: version for name, version in versions().items()
+        if name in ("python", "numpy", "scipy", "osqp", "eto")
+    }
+    return {"code": digest.hexdigest()[:12], **others}
+
+
+def _read(file: Path) -> Any:
+    """Return what a JSON file holds; None where it is not there, or damaged.
+
+    Raises:
+        ConfigurationError: it cannot be read now.
+    """
+    try:
+        return json.loads(file.read_bytes())
+    except (FileNotFoundError, ValueError):
+        return None
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be read: {error.strerror}; nothing of the study was changed", file=file
+        ) from error
 
 
 def _write(path: Path, text: str) -> None:

@@ -10,8 +10,7 @@ import altair as alt
 from greenroof_ros.common.quality import Finding
 from greenroof_ros.common.versions import versions, versions_text
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
-from greenroof_ros.report.page import library, payload
-from greenroof_ros.report.templates import environment
+from greenroof_ros.report.page import environment, library, payload
 from greenroof_ros.verification.issued import IssuedForecasts
 from greenroof_ros.verification.pairs import Class, Sum
 from greenroof_ros.verification.scores import SHOWN, TENTHS, Tally

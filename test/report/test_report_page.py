@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 from browsers import started_browser
-from test_report import SEEDED, START, ended_run, seeded_rows, simulate, write_study
+from inputs import (
+    START,
+    ended_run,
+    figures_of,
+    report_of,
+    seeded_rows,
+    simulate,
+    write_study,
+)
 
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.assessment import Assumptions
-from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.page import render
-from greenroof_ros.report.results import Report, result
-from greenroof_ros.report.runs import find_runs
-from greenroof_ros.report.seeds import split_by_seeds
 
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
@@ -147,7 +150,7 @@ def seeds_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report on 600 runs under forecast errors."""
     directory = tmp_path_factory.mktemp("seeds")
     row = simulate("onoff", "0.5", "low-low", "0.01").row
-    write_study(directory / "study", [(one, None) for one in seeded_rows(row)], SEEDED)
+    write_study(directory / "study", [(one, None) for one in seeded_rows(row)])
     return reported(directory)
 
 
@@ -172,12 +175,9 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def reported(directory: Path, *paths: str) -> Path:
     """Write the page on a study, or on runs, without the figures' own files."""
-    sources = find_runs([directory / path for path in paths or ["study"]], None)
-    single, seeded = split_by_seeds(sources.runs)
-    report = Report([result(entry, Assumptions()) for entry in single], seeded)
-    figures = [make() for make in make_figures(report, None)]
+    report = report_of(*(directory / path for path in paths or ["study"]))
     file = directory / "report.html"
-    file.write_text(render(report, figures, sources, Assumptions()))
+    file.write_text(render(report, list(figures_of(report).values())))
     return file
 
 

@@ -1,7 +1,7 @@
 """What each size of cistern and green roof gives its owner: ``python test/sizing STUDY``.
 
-STUDY is what 'greenroof study config/study_sizing.yaml' has made. Prints a table in Markdown: means
-of a season, and the 95 % interval of a mean of as many years, by Student's t.
+STUDY is what 'greenroof study config/studies/sizing.yaml' has made. Prints a table in Markdown:
+means of a season, and the 95 % interval of a mean of as many years, by Student's t.
 """
 
 from __future__ import annotations

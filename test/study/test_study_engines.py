@@ -245,9 +245,9 @@ def test_forecasts(tmp_path: Path) -> None:
     for name in ("archive.csv", "mine.yaml"):
         kept = tmp_path / "out" / "configuration" / name
         assert kept.read_bytes() == (tmp_path / name).read_bytes()
-    report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
+    report = [run.row["forecast"] for run in find_runs([tmp_path / "out"], None).runs]
     assert report == [
-        "", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"
+        "perfect", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"
     ]
 
     own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
@@ -275,7 +275,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
     assert loop.read_bytes() == graph.read_bytes()
     # As the page does, of a bag with its summary and of a study alike.
     bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
-    labels = [run.forecast for run in find_runs(bags, None).runs]
+    labels = [run.row["forecast"] for run in find_runs(bags, None).runs]
     assert labels == ["archive.csv", "ensemble skill real seed 0 members 3"]
 
 

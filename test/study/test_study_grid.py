@@ -137,6 +137,18 @@ WRONG = {
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
         "forecast perfect, {'roof_noise': 0.0, ",
     ),
+    "year": (
+        edited("    hours", "    year: {from: 2015}\n    hours"), "year: must be {from: 1, to: 50}",
+    ),
+    "year-key": (
+        edited("    hours", "    year: {from: 1, until: 2}\n    hours"), "until: is not known here",
+    ),
+    "own-site": (
+        edited("onoff:", "onoff: {site: other.yaml}"), "other.yaml is not under 'site:' of the",
+    ),
+    "state-of-two": (
+        edited("roof: 0.5", "roof: 0.5, cistern_level: 1.0"), "a state has no cistern, or two of",
+    ),
     "gaps": (
         edited("    hours: 0.25\n", "    hours: 0.25\n    gaps: guess\n"),
         "line 7: gaps = 'guess': must be refuse or fill",
@@ -147,12 +159,20 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
-    """Exit code 2, one line that says where and what, before anything runs or is written."""
+    """One line that says where and what."""
     text, expected = WRONG[name]
-    name = grid(tmp_path, text)
+    with pytest.raises(ConfigurationError) as refused:
+        read_grid(tmp_path / grid(tmp_path, text))
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_wrong_grid_ends_before_anything_runs(tmp_path: Path) -> None:
+    """Exit code 2, and nothing is written."""
+    name = grid(tmp_path, WRONG["value"][0])
     result = run_command("study", name, "--output", "out", cwd=tmp_path, env=environment(0))
     assert result.returncode == 2, result.stderr
-    assert expected in result.stderr
+    assert WRONG["value"][1] in result.stderr
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
@@ -198,55 +218,86 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert run_case(cases[-1], "inprocess", None).results == outcome.results
 
 
-# Those that need years of weather, which the package has not.
-YEARS = (
-    "study_horizons_real.yaml", "study_seasons.yaml",
-    "study_seasons_measured.yaml", "study_sizing.yaml", "study_sizing_full.yaml",
-    "study_skills.yaml", "study_skills_measured.yaml", "study_ticks.yaml",
-)
+# Of each grid of years: sites, ticks (s), and runs of a year.
+YEARS = {
+    # On each roof mpc and 4 on/off that look at none, 2 that do at 10 + 1 seeds, and one of them at
+    # 3 more; on the measured one these are 3 + 1, 10 + 1 and 1.
+    "seasons.yaml": (2, {10}, (5 + 2 * 11 + 3) + (5 + 4 + 11 + 1)),
+    "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
+    "sizing.yaml": (18, {60}, 18),
+    "sizing_full.yaml": (18, {60}, 18),
+    "skills.yaml": (2, {60}, 2 * (1 + 4 * 3)),
+    "ticks.yaml": (4, {1, 10}, 4 * 4),
+}
+GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 
 
-@pytest.mark.parametrize(
-    "file", sorted({path.name for path in CONFIG.glob("study*.yaml")} - {*YEARS})
-)
+@pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys()))
 def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     """A copy of each in an empty directory can be run as it is, with the files of the package."""
     copy = tmp_path / "my_study.yaml"
-    copy.write_bytes((CONFIG / file).read_bytes())
+    copy.write_bytes(GRIDS[file].read_bytes())
     (case, *_) = read_grid(copy)
     assert case.site.content == (CONFIG / "site.yaml").read_bytes()
     assert case.weather[0].content == WEATHER.read_bytes()
 
 
-@pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
-    # Of each year: mpc and 4 on/off that look at none, 2 that do at 10 + 1, and one of them at 3
-    # more. On the measured roof these are 3 + 1, 10 + 1 and 1.
-    ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 3),
-    ("study_seasons_measured.yaml", 1, 10, 5 + (3 + 1) + (10 + 1) + 1),
-    ("study_horizons_real.yaml", 2, 60, 1 + 5 * (3 + 1)),
-    ("study_sizing.yaml", 18, 60, 2),
-    ("study_sizing_full.yaml", 18, 60, 1),
-    ("study_skills.yaml", 1, 60, 1 + 4 * 3),
-    ("study_skills_measured.yaml", 1, 60, 1 + 4 * 3),
-])
-def test_grids_of_years(
-    tmp_path: Path, file: str, sites: int, tick: int, forecasts: int
-) -> None:
-    """Those that come with it, cut to the first days of two of their eleven years."""
-    record(tmp_path / "record", (2015, 2016))
-    text = (CONFIG / file).read_text()
-    years = [line for line in text.splitlines() if "start:" in line]
-    assert [int(line.split('"')[1][:4]) for line in years] == [*range(2015, 2026)]
-    assert all("-05-01T00:00, hours: 4416" in line for line in years)  # to the end of October
-    for line in years[2:]:
-        text = text.replace(f"{line}\n", "")
-    name = tmp_path / grid(tmp_path, text.replace("hours: 4416", "hours: 24"))
-    with pytest.raises(ConfigurationError, match=r"2015_\*.csv is neither beside the grid"):
+@pytest.mark.parametrize("file", YEARS)
+def test_grids_of_years(tmp_path: Path, file: str) -> None:
+    """Those that come with it, cut to the first days of two of their years."""
+    sites, ticks, runs = YEARS[file]
+    text = GRIDS[file].read_text()
+    assert "05-01T00:00" in text and "hours: 4416" in text  # to the end of October
+    years = (2015, 2016)
+    if file == "ticks.yaml":
+        years = (2021,)
+    else:
+        assert text.count("year: {from: 2015, to: 2025}") == 1
+    text = text.replace("to: 2025", "to: 2016").replace("hours: 4416", "hours: 24")
+    record(tmp_path / "record", years)
+    name = tmp_path / grid(tmp_path, text)
+    with pytest.raises(ConfigurationError, match=rf"{years[0]}_\*.csv is neither beside the grid"):
         read_grid(name)
     cases = read_grid(name, tmp_path / "record")
-    assert len(cases) == 2 * sites * forecasts
+    assert len(cases) == len(years) * runs
+    assert {case.start for case in cases} == {f"{year}-05-01T00:00:00-05:00" for year in years}
     assert len({case.site.content for case in cases}) == sites
-    assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == {tick}
+    assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
+
+
+def test_whole_numbers_from_to(tmp_path: Path) -> None:
+    """Seeds and years; a list of files and starts has each year in it."""
+    text = edited("2021-07-07T02:00", '"{year}-07-07T02:00"').replace(
+        "    hours", "    year: {from: 2021, to: 2021}\n    hours"
+    )
+    plain = read_grid(tmp_path / grid(tmp_path, GRID))
+    assert [case.identity for case in read_grid(tmp_path / grid(tmp_path, text))] == [
+        case.identity for case in plain
+    ]
+    text = GRID + "forecast: {model: errors, seed: {from: 3, to: 5}}\n"
+    seeds = [case.forecast.seed for case in read_grid(tmp_path / grid(tmp_path, text))]
+    assert sorted(set(seeds)) == [3, 4, 5]
+
+
+def test_settings_of_one_site(tmp_path: Path) -> None:
+    """A setting may be for one site; the others run on all."""
+    (tmp_path / "mine.yaml").write_text((CONFIG / "site.yaml").read_text())
+    text = GRID.replace(str(CONFIG / "site.yaml"), "[{file: mine.yaml, a1: 26.0}, site.yaml]")
+    text = text.replace("    max_command: 1.0", "    max_command: 1.0\n    site: site.yaml")
+    found = {
+        (case.site.name, case.controller.name)
+        for case in read_grid(tmp_path / grid(tmp_path, text))
+    }
+    assert found == {("mine_a1-26.yaml", "onoff"), ("site.yaml", "mpc"), ("site.yaml", "onoff")}
+
+
+def test_initial_levels(tmp_path: Path) -> None:
+    """In sites of several sizes each has its own volumes."""
+    text = GRID.replace(str(CONFIG / "site.yaml"), "{file: site.yaml, a1: [5.0, 25.0]}")
+    text = text.replace("cistern: 40.0, roof: 0.5", "cistern_level: 3.0, roof_level: 0.01")
+    dry = [case for case in read_grid(tmp_path / grid(tmp_path, text)) if case.initial == "dry"]
+    assert {case.cistern for case in dry} == {15.0, 75.0}
+    assert [case.roof for case in dry] == pytest.approx([0.688] * len(dry))
 
 
 def test_settings_of_one_controller(tmp_path: Path) -> None:

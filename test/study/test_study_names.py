@@ -10,15 +10,13 @@ import pytest
 from places import CONFIG, Once
 from studies import WEATHER, grid, rows_of, study
 
-from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.groups import Assumptions, Report
 from greenroof_ros.report.page import render
-from greenroof_ros.report.results import Report, result
 from greenroof_ros.report.runs import find_runs
-from greenroof_ros.report.seeds import split_by_seeds
 from greenroof_ros.report.tables import make_tables
+from greenroof_ros.study.__main__ import Names
 from greenroof_ros.study.grid import read_grid
-from greenroof_ros.study.table import Names
 
 # Every key of a grid varied: files of one name in two folders, numbers that differ in late digits.
 VARIED = """
@@ -93,8 +91,7 @@ def test_rows_of_the_table(varied: Path) -> None:
     assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
     assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
     cases = read_grid(varied / "grid.yaml")
-    names = Names(cases)
-    distinct(map(names.name, cases), RUNS)
+    distinct(map(Names(cases).name, cases), RUNS)
 
 
 def test_tables_on_the_terminal(varied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,8 +106,7 @@ def test_tables_on_the_terminal(varied: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def judged(*paths: Path) -> Report:
     """Read and judge runs."""
-    single, seeded = split_by_seeds(find_runs(list(paths), None).runs)
-    return Report([result(entry, Assumptions()) for entry in single], seeded)
+    return Report(find_runs(list(paths), None), Assumptions())
 
 
 @pytest.fixture(scope="module")
@@ -119,9 +115,9 @@ def report(varied: Path) -> Report:
     return judged(varied / "out")
 
 
-def test_tables_of_the_report(report: Report, varied: Path) -> None:
+def test_tables_of_the_report(report: Report) -> None:
     """By the cells that are names; the run's own identity is no name."""
-    tables = {table.name: table for table in make_tables(report, Assumptions())}
+    tables = {table.name: table for table in make_tables(report)}
     assert len(tables) == 5
     for table in tables.values():
         named = [
@@ -129,8 +125,8 @@ def test_tables_of_the_report(report: Report, varied: Path) -> None:
             if name not in ("run", "seeds") and not name.endswith(")")
         ]
         distinct(tuple(row[place].text for place in named) for row in table.rows)
-    distinct(map(report.heading, report.windows), WINDOWS)
-    page = render(report, [], find_runs([varied / "out"], None), Assumptions())
+    distinct(map(report.heading, report.windows()), WINDOWS)
+    page = render(report, [])
     headings = page.partition("<h1")[2].split("<li>")[1:]
     distinct(heading.partition("</li>")[0] for heading in headings)
 
@@ -171,19 +167,20 @@ controllers: {onoff: }
         assert shown.returncode == 0, shown.stderr
         place.joinpath("out").rename(place.with_name(f"of-{folder}"))
     both = judged(tmp_path / "of-north", tmp_path / "of-south")
-    distinct(map(both.heading, both.windows), 2)
-    assert [window.sky.site_name for window in both.windows] == [
+    windows = both.windows()
+    distinct(map(both.heading, windows), 2)
+    assert [window["site"] for window in windows] == [
         "site.yaml (of-north)", "site.yaml (of-south)"
     ]
-    assert [window.sky.weather for window in both.windows] == [
+    assert [window["weather"] for window in windows] == [
         "storm.csv (of-north)", "storm.csv (of-south)"
     ]
-    assert [window.forecast for window in both.windows] == [
+    assert [window["forecast"] for window in windows] == [
         "archive.csv (of-north)", "archive.csv (of-south)"
     ]
     assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
     # What is the same in both is compared.
     shutil.copytree(tmp_path / "of-north", tmp_path / "again")
     again = judged(tmp_path / "of-north", tmp_path / "again")
-    assert len(again.windows) == 1
+    assert len(again.windows()) == 1
     assert again.initials == ["low-low", "dry"]

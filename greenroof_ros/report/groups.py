@@ -1,0 +1,539 @@
+"""How the runs of a report belong together: one table with a row a run, and its groups.
+
+Runs that differ in the seed of their forecasts' errors alone are one case; so are, with their
+seeds, runs of a week or more that are the same season of several years. Every other run is a case
+of its own. Whatever a report says it says of cases.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
+from greenroof_ros.recording.results_table import differing
+from greenroof_ros.report.about import (
+    NO_ERRORS,
+    PAPERS_CONTROLLERS,
+    Note,
+    Row,
+    Run,
+    parameter_text,
+)
+from greenroof_ros.report.bags import Drawn, drawn, measured, near_hours
+from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
+from greenroof_ros.report.runs import Sources
+from greenroof_ros.report.sizing import is_sizing, size_of
+
+SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
+"""kinds of cases"""
+
+TOTAL = "total_deviation_m3"
+
+# What runs can be compared within, by the columns of the table, which are headers of the page's.
+_WINDOW = (
+    "site", "weather", "start", "length", "evapotranspiration", "forecast",
+    "sensor and pump errors",
+)
+SKY = _WINDOW[:4]
+"""what windows have in common that share a figure of the weather"""
+_SEASON = ("site", "from", "start", "length", "evapotranspiration", "sensor and pump errors")
+_FACTS = {SINGLE: _WINDOW, SEEDS: _WINDOW, SEASONS: _SEASON}
+
+_NUMBERS = (
+    *(metric.name for metric in METRICS), "frost_hours", "frost_pumped_m3", "cistern_change_m3",
+    "roof_change_m3", "cistern_residual_m3", "roof_residual_m3", "energy_cost", "water_value",
+    "near_share",
+)
+_TEXTS = (
+    "run", "site", "weather", "start", "length", "evapotranspiration", "forecast", "model",
+    "kind of forecast", "skill", "seed", "sensor and pump errors", "controller", "from", "begins",
+)
+_SCHEMA: dict[str, Any] = {
+    **dict.fromkeys(_TEXTS, pl.String), "year": pl.Int64, "season": pl.List(pl.Float64),
+    **dict.fromkeys(
+        ("hours", "cistern_m3", "roof_m3", "bound_m3", "tau", "initial_layer", "roof_m2",
+         "cistern_size_m3", *_NUMBERS),
+        pl.Float64,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What a table does not say and a person must assume.
+
+    Attributes:
+        energy_price: of a kWh of electric energy.
+        water_price: of a m3 from the mains.
+        currency: of both prices.
+        band: half width of the band about the target, as a share of the target (1).
+    """
+
+    energy_price: float = 0.115
+    water_price: float = 4.1346
+    currency: str = "CAD"
+    band: float = NEAR_TARGET
+
+
+def heading(facts: Row, apart: Sequence[str]) -> str:
+    """Name a set of runs: by what tells it apart from others, and what a reader asks for anyway.
+
+    Args:
+        facts: of it, by the header of their columns.
+        apart: those that tell it apart.
+    """
+    usual = {"site": facts.get("site"), "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    return ", ".join(
+        f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
+        else text
+        for name, text in facts.items() if name in apart or text != usual.get(name)
+    )
+
+
+class Settings:
+    """The names of one controller's runs: the parameters that differ, or were changed in a run.
+
+    Attributes:
+        title: what a label gives, the parameter's name where there is just one.
+        labels: all labels, in the order of their values.
+        axis: the one numeric parameter that differs; empty if there is none, or more than one, or
+            one was changed in a run.
+        log: whether it spans so much that its axis is logarithmic.
+    """
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        changed = {change.parameter for run in runs for change in run.changes}
+        apart = differing([run.parameters for run in runs])
+        apart += sorted(changed.difference(apart))
+        self._shown = apart or list(runs[0].parameters)[:1]
+        self.title = self._shown[0] if len(self._shown) == 1 else "setting"
+        numbers = [run.parameters.get(self.title) for run in runs]
+        floats = [number for number in numbers if isinstance(number, float)]
+        fixed = len(floats) == len(numbers) and not changed
+        self.axis = self.title if len(apart) == 1 and fixed else ""
+        self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
+        self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=self._order))))
+
+    def _order(self, run: Run) -> tuple[tuple[tuple[float, str], ...], str]:
+        values = [run.parameters.get(name) for name in self._shown]
+        return tuple(
+            (value, "") if isinstance(value, float) else (math.inf, str(value)) for value in values
+        ), self.label(run)
+
+    def label(self, run: Run) -> str:
+        """Return the setting of a run, as it differs from the controller's others."""
+        if not self._shown:
+            return run.name
+        if len(self._shown) == 1:
+            return _value(run, self.title)
+        return ", ".join(f"{name} {_value(run, name)}" for name in self._shown)
+
+    def full_label(self, run: Run) -> str:
+        """Return the label with the parameter's name."""
+        label = self.label(run)
+        return f"{self.title} {label}" if len(self._shown) == 1 else label
+
+
+def _value(run: Run, name: str) -> str:
+    """Return a parameter of a run, with what it became in the run."""
+    changes = "".join(str(change) for change in run.changes if change.parameter == name)
+    return parameter_text(run.parameters.get(name)) + changes
+
+
+class Report:
+    """All results, and how they fall into cases.
+
+    Attributes:
+        table: a row a run, with its kind and the numbers of its window, place and case: those of
+            the first of its runs. A place is a window and an initial state.
+        cases: a row a case, place by place, in the order of controllers, settings and skills.
+        runs: by name.
+        failed: runs that left nothing to show.
+        configuration: name and text of each further file that decided the numbers.
+        drawn: what is drawn of the runs that are cases of their own, by name.
+        notes: what a reader should know of each run.
+        controllers: names, the paper's first.
+        settings: of each controller.
+        assumptions: what the results rest on.
+    """
+
+    def __init__(
+        self, sources: Sources, assumptions: Assumptions,
+        track: Callable[[Sequence[Run]], Iterable[Run]] = iter,
+    ) -> None:
+        """Judge runs.
+
+        Args:
+            sources: all that there is.
+            assumptions: what it does not say.
+            track: shows how far the runs are read.
+
+        Raises:
+            ConfigurationError: what happened in a run cannot be read, or no run is left.
+        """
+        self.assumptions = assumptions
+        self.failed, self.configuration = list(sources.failed), sources.configuration
+        self.drawn: dict[str, Drawn] = {}
+        self.notes: dict[str, tuple[Note, ...]] = {}
+        alone = set(_kinds(sources.runs).filter(kind=SINGLE)["run"])
+        rows, runs = [], []
+        for run in track(sources.runs):
+            try:
+                rows.append(self._read(run) if run.name in alone else self._of_table(run))
+                runs.append(run)
+            except ConfigurationError as error:
+                if run.ending is None:
+                    raise
+                reason = f"{run.ending.sentence}; {error}"
+                self.failed.append(
+                    {"run": run.name, "what": run.row["controller"], "error": reason}
+                )
+        if not runs:
+            sources.failed = self.failed
+            raise sources.nothing_to_show()
+        self.runs = {run.name: run for run in runs}
+        found = list(dict.fromkeys(run.row["controller"] for run in runs))
+        self.controllers = [name for name in PAPERS_CONTROLLERS if name in found]
+        self.controllers += [name for name in found if name not in PAPERS_CONTROLLERS]
+        self.settings = {
+            name: Settings([run for run in runs if run.row["controller"] == name])
+            for name in self.controllers
+        }
+        self.table = self._grouped(rows, runs)
+        self.cases = self._cases()
+
+    def _of_table(self, run: Run) -> Row:
+        """Return the row of a run of which no more than the study's table is shown."""
+        self.notes[run.name] = run.notes
+        near = run.row.get("near_target_hours")
+        return {**run.row, "near_target_hours": near if self._usual_band else None}
+
+    @property
+    def _usual_band(self) -> bool:
+        return self.assumptions.band == NEAR_TARGET
+
+    def _read(self, run: Run) -> Row:
+        """Read what happened in a run, keep of it what is drawn, and return the run's row."""
+        row = self._of_table(run)
+        if run.load is None:
+            text = "no trajectory was kept: no figure of weather, commands and volumes shows it"
+            self.notes[run.name] += (Note(text),)
+            return row
+        recorded = run.load()
+        self.notes[run.name] += tuple(map(Note, recorded.notes))
+        self.drawn[run.name] = drawn(recorded.trajectory)
+        if run.bound is not None:
+            row = measured(run, recorded)
+        if not self._usual_band:
+            row["near_target_hours"] = near_hours(
+                run.site, recorded.trajectory, self.assumptions.band
+            )
+            spacing = float(np.diff(recorded.trajectory.time).max())
+            if run.bound is None and spacing > 1.5 * run.site.tau:
+                self.notes[run.name] += (Note(
+                    f"the time near the target is of samples every {spacing:g} s, which is what "
+                    "was kept"
+                ),)
+        return row
+
+    def _grouped(self, rows: list[Row], runs: list[Run]) -> pl.DataFrame:
+        """Return the table: names and results of the runs, and which belong together."""
+        names = []
+        for row, run in zip(rows, runs, strict=True):
+            settings, size = self.settings[row["controller"]], size_of(run.site)
+            label = settings.label(run)
+            names.append({
+                **row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
+                "roof_m2": size.roof_m2, "cistern_size_m3": size.cistern_m3,
+                "label": label, "setting": settings.full_label(run) if run.parameters else "",
+                "x": run.parameters[settings.axis] if settings.axis else None,
+                "rank": (
+                    self.controllers.index(row["controller"]) * 10_000
+                    + settings.labels.index(label)
+                ),
+                "skill rank": _skill_rank(row),
+                "ended": run.ended,
+            })
+        more = {
+            "label": pl.String, "setting": pl.String, "x": pl.Float64, "rank": pl.Int64,
+            "skill rank": pl.Int64, "ended": pl.String,
+        }
+        table = _with_kinds(pl.DataFrame(names, schema={**_SCHEMA, **more}))
+        col, season = pl.col, pl.col("kind") == SEASONS
+        table = table.with_columns(_derived(self.assumptions)).with_columns(
+            start=pl.when(season).then("begins").otherwise("start"),
+            weather=pl.when(season).then(pl.lit("")).otherwise("weather"),
+            forecast=pl.when(season).then("kind of forecast")
+            .when(col("kind") == SEEDS).then("model").otherwise("forecast"),
+            year=pl.when(season).then("year"),
+            setting=pl.when((col("kind") == SINGLE) & (col("setting") == "")).then("label")
+            .otherwise("setting"),
+            index=pl.row_index(),
+        )
+        first = col("index").min()
+        table = table.with_columns(
+            window=pl.when(season).then(first.over("kind", *_SEASON))
+            .otherwise(first.over("kind", *_WINDOW)),
+        ).with_columns(place=first.over("window", "from"))
+        return table.with_columns(
+            case=pl.when(col("kind") == SINGLE).then("index").otherwise(
+                first.over("place", "controller", "setting", "forecast", "skill")
+            ),
+        )
+
+    def _cases(self) -> pl.DataFrame:
+        """Return the means of the runs of each case: over the seeds of a year, then over years."""
+        table, col = self.table, pl.col
+        yearly = table.group_by("case", "year", maintain_order=True).agg(
+            col(_NUMBERS).mean(), col("bound_m3").first(), seeds=pl.len(),
+        )
+        means = yearly.group_by("case", maintain_order=True).agg(
+            col(_NUMBERS).mean(),
+            bound_m3=pl.when((col("bound_m3").fill_null(0) > 0).all()).then(
+                col("bound_m3").mean()
+            ),
+            years=pl.len(), seeds=col("seeds").max(),
+            worst_year=col("year").sort_by(TOTAL).last(), worst_year_m3=col(TOTAL).max(),
+        )
+        names = table.group_by("case", maintain_order=True).agg(
+            col(
+                "run", "kind", "window", "place", *_FACTS[SINGLE], "from", "controller", "label",
+                "setting", "x", "rank", "skill", "skill rank", "ended", "hours", "roof_m2",
+                "cistern_size_m3",
+            ).first(),
+            totals=col(TOTAL), worst_m3=col(TOTAL).max(),
+        )
+        worst = [
+            self._deviations[case].worst_weeks() if kind == SEASONS
+            else worst_tenth(np.array(totals))
+            for case, kind, totals in names.select("case", "kind", "totals").iter_rows()
+        ]
+        return names.with_columns(worst_tenth_m3=pl.Series(worst, dtype=pl.Float64)).join(
+            means, on="case", maintain_order="left"
+        ).with_columns(ratio=col(TOTAL) / col("bound_m3")).sort(
+            "place", "rank", "skill rank", "case"
+        )
+
+    @cached_property
+    def _deviations(self) -> dict[int, Deviations]:
+        """Of each case that is a season of several years."""
+        found: dict[int, Deviations] = {}
+        seasons = self.table.filter(kind=SEASONS).sort(
+            "year", pl.col("seed").str.len_chars(), "seed"
+        )
+        for (case, year), runs in seasons.group_by("case", "year", maintain_order=True):
+            of = found.setdefault(case, Deviations())
+            of.totals[year] = runs[TOTAL].to_numpy()
+            of.weeks[year] = np.array(runs["season"].to_list())
+        return found
+
+    # --- what runs are compared within -----------------------------------------------------------
+
+    def of(self, kind: str) -> list[Row]:
+        """Return the cases of a kind."""
+        return self.cases.filter(kind=kind).to_dicts()
+
+    @cached_property
+    def single(self) -> list[Row]:
+        """The runs that are cases of their own, in the order in which they were given."""
+        return self.table.filter(kind=SINGLE).with_columns(
+            ratio=pl.col(TOTAL) / pl.when(pl.col("bound_m3") > 0).then("bound_m3")
+        ).to_dicts()
+
+    def windows(self, kind: str = SINGLE) -> list[Row]:
+        """Return the first run of each window of a kind."""
+        return self.table.filter(kind=kind).group_by("window", maintain_order=True).first(
+        ).to_dicts()
+
+    def apart(self, kind: str = SINGLE) -> list[str]:
+        """Return the facts that differ between windows, which are columns and in titles."""
+        return differing([facts(row) for row in self.windows(kind)])
+
+    @cached_property
+    def initials(self) -> list[str]:
+        """Names of the initial states of the runs that are cases of their own."""
+        return list(dict.fromkeys(row["from"] for row in self.single))
+
+    def heading(self, row: Row) -> str:
+        """Name the window of a run."""
+        return heading(facts(row), self.apart(row["kind"]))
+
+    def sky(self, row: Row) -> str:
+        """Name what windows have in common that share a figure of the weather."""
+        return heading({name: row[name] for name in SKY}, self.apart())
+
+    def title(self, text: str, row: Row) -> str:
+        """Return a figure's title, with the window where there are others."""
+        return f"{text}: {self.heading(row)}" if len(self.windows()) > 1 else text
+
+    def best(self) -> list[Row]:
+        """Return the single run of each controller with the least deviation, place by place.
+
+        Of several that are equal it is the first, and its setting is ``all alike``.
+        """
+        cases = self.cases.filter(kind=SINGLE).sort("case")
+        alike = (pl.col(TOTAL).min() == pl.col(TOTAL).max()) & (pl.len() > 1)
+        groups = cases.group_by("window", "place", "controller", maintain_order=True)
+        firsts = groups.agg(
+            pl.all().sort_by(TOTAL, maintain_order=True).first(), alike=alike,
+        ).with_columns(
+            setting=pl.when("alike").then(pl.lit("all alike")).otherwise("setting"),
+            state=pl.col("from").replace_strict(
+                {name: place for place, name in enumerate(self.initials)}, return_dtype=pl.Int64,
+            ),
+            controllers=pl.col("rank") // 10_000,
+        )
+        return firsts.sort("window", "state", "controllers").to_dicts()
+
+    # --- seasons of several years ----------------------------------------------------------------
+
+    @cached_property
+    def sizing(self) -> bool:
+        """Whether the seasons are of sites that differ in size, and in nothing else."""
+        return is_sizing(self.runs[row["run"]].site for row in self.of(SEASONS))
+
+    @cached_property
+    def given_errors(self) -> set[str]:
+        """The controllers that ran seasons with forecasts that are not perfect.
+
+        Another beside them may look at none, as on/off does: it stands for itself with all of them.
+        """
+        return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
+
+    @cached_property
+    def plain_onoff(self) -> dict[int, Row]:
+        """In each place the on/off that fills to the target, as the paper's does.
+
+        Of several with a share of the flow each, it is the one with the least mean deviation: in
+        ticks of some seconds full flow goes beyond the target, which no site would have.
+        """
+        (level,) = (each.default for each in OnOff.parameters if each.name == "level")
+        return _least(
+            row for row in self.of(SEASONS) if row["controller"] == "onoff"
+            and self.runs[row["run"]].parameters.get("level", level) == level
+        )
+
+    @cached_property
+    def least(self) -> dict[int, Row]:
+        """In each place the controller with the least mean deviation that a site could have.
+
+        One that was given perfect forecasts is none, unless no forecasts here have errors.
+        """
+        return _least(
+            row for row in self.of(SEASONS)
+            if not self.given_errors or row["forecast"] != PERFECT
+            or not (row["controller"] in self.given_errors
+                    or "horizon" in self.runs[row["run"]].parameters)
+        )
+
+    @cached_property
+    def over_onoff(self) -> list[Row]:
+        """The cases of seasons beside plain on/off, each with what it ``has`` over it.
+
+        That is a :class:`.intervals.Comparison`; ``than`` is the other's row.
+        """
+        return list(self._over(self.plain_onoff))
+
+    @cached_property
+    def over_least(self) -> list[Row]:
+        """The same over the one with the least deviation, where that is not plain on/off."""
+        return list(self._over({
+            place: row for place, row in self.least.items()
+            if row["case"] != self.plain_onoff.get(place, {}).get("case")
+        }))
+
+    def _over(self, references: dict[int, Row]) -> Iterator[Row]:
+        for row in self.of(SEASONS):
+            than = references.get(row["place"])
+            if than is None or than["case"] == row["case"]:
+                continue
+            has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
+            if has is not None:
+                yield {**row, "than": than, "has": has}
+
+    def years(self, row: Row) -> list[tuple[int, np.ndarray[Any, Any]]]:
+        """Return each year of a season's case with the total deviation of each seed (m3)."""
+        return list(self._deviations[row["case"]].totals.items())
+
+
+def facts(row: Row) -> Row:
+    """Return what a run has in common with those that it is compared with."""
+    return {name: row[name] for name in _FACTS[row["kind"]]}
+
+
+def _least(rows: Iterable[Row]) -> dict[int, Row]:
+    """Return in each place the case with the least mean deviation."""
+    least: dict[int, Row] = {}
+    for row in rows:
+        if row["place"] not in least or row[TOTAL] < least[row["place"]][TOTAL]:
+            least[row["place"]] = row
+    return least
+
+
+def _skill_rank(row: Row) -> int:
+    """Return the place of a skill: those with a name from the best to the worst, then the files."""
+    words = row["forecast"].split()
+    known = [number for number, skill in enumerate(SKILLS) if skill in words]
+    return known[0] if known else len(SKILLS) if row["skill"] else -1
+
+
+def _kinds(runs: Sequence[Run]) -> pl.DataFrame:
+    return _with_kinds(pl.DataFrame([run.row for run in runs], schema=_SCHEMA))
+
+
+def _with_kinds(table: pl.DataFrame) -> pl.DataFrame:
+    """Say of each run whether it is alone, one of many seeds, or of a season of several years."""
+    season = pl.col("season").is_not_null() & (pl.col("year").n_unique().over(
+        "site", "evapotranspiration", "begins", "hours", "sensor and pump errors", "from",
+        pl.col("season").is_not_null(),
+    ) > 1)
+    table = table.with_columns(kind=pl.when(season).then(pl.lit(SEASONS)))
+    # All initial states of a window belong together.
+    seeds = (pl.col("seed") != "") & (pl.col("seed").n_unique().over(
+        "site", "weather", "start", "hours", "evapotranspiration", "model",
+        "sensor and pump errors", "skill", "kind",
+    ) > 1)
+    return table.with_columns(
+        kind=pl.col("kind").fill_null(
+            pl.when(seeds).then(pl.lit(SEEDS)).otherwise(pl.lit(SINGLE))
+        )
+    )
+
+
+def _derived(assumptions: Assumptions) -> list[pl.Expr]:
+    """Return what follows from the results: changes of storage, what is unexplained, and money.
+
+    A change of storage that the flows do not explain is rounding in a simulation; on a site it is
+    whatever was not measured.
+    """
+    col = pl.col
+    cistern = col("final_cistern_m3") - col("cistern_m3")
+    layer = (col("final_layer_m3") - col("initial_layer")).fill_null(0)
+    roof = col("final_roof_m3") - col("roof_m3") + layer
+    into_cistern = (
+        col("rain_cistern_m3") - col("pumped_m3") - col("outflow_m3") + col("mains_m3").fill_null(0)
+    )
+    into_roof = (
+        col("rain_roof_m3") + col("pumped_m3") - col("evapotranspiration_m3") - col("drainage_m3")
+    )
+    return [
+        cistern.alias("cistern_change_m3"),
+        roof.alias("roof_change_m3"),
+        (cistern - into_cistern).alias("cistern_residual_m3"),
+        (roof - into_roof).alias("roof_residual_m3"),
+        (col("electric_energy_kwh") * assumptions.energy_price).alias("energy_cost"),
+        (col("pumped_m3") * assumptions.water_price).alias("water_value"),
+        # The last sample counts for a tick.
+        (col("near_target_hours") / (col("hours") + col("tau") / 3600)).alias("near_share"),
+    ]

@@ -1,0 +1,243 @@
+"""What happened in single runs, as it is drawn: commands and volumes, and the weather."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import altair as alt
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.report.about import Row, controller_name
+from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
+from greenroof_ros.report.groups import Report
+
+_GREY = "#555555"
+_FULL_FLOW = "full flow; above it is beyond the pump"
+# Longer runs have days on their axis.
+_MOST_HOURS = 72.0
+
+class _Reference(NamedTuple):
+    """A level that means something."""
+
+    value: float
+    text: str
+
+
+class _Range(NamedTuple):
+    """The range of an axis, and its reference lines."""
+
+    low: float
+    high: float
+    references: list[_Reference]
+
+
+def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
+    """Return command and volumes over time, controller beside controller (paper: Figs. 6-9).
+
+    Args:
+        report: all results.
+        rows: runs of a window from the same initial state.
+        number: of the window.
+    """
+    site, first = report.runs[rows[0]["run"]].site, rows[0]
+    controllers = [
+        name for name in report.controllers if any(row["controller"] == name for row in rows)
+    ]
+    unit, seconds = ("h", 3600.0) if first["hours"] <= _MOST_HOURS else ("days", 86400.0)
+    time = alt.X(
+        "t:Q", title=f"time since the start ({unit})",
+        scale=alt.Scale(domain=[0, first["hours"] * 3600 / seconds], nice=False),
+    )
+    panels, data = [], {}
+    index = report.initials.index(first["from"]) + 1
+    for quantity, title, axis in (
+        ("command", "command", "command (1)"),
+        ("cistern", "cistern", "cistern, x1 (m³)"),
+        ("roof", "green roof", "green roof, x2 (m³)"),
+    ):
+        curves = {row["run"]: report.drawn[row["run"]].curves[quantity] for row in rows}
+        axis_range = _range(site, quantity, [v for one in curves.values() for _, v in one])
+        scale = alt.Scale(domain=[axis_range.low, axis_range.high], nice=False)
+        ticks = alt.Axis()
+        if quantity == "command":
+            # Of 1e-3 and of 1 both must be seen.
+            scale = alt.Scale(
+                type="symlog", constant=1e-3, domain=[axis_range.low, axis_range.high], nice=False
+            )
+            ticks = alt.Axis(
+                values=[0.0, *(10.0**power for power in range(-3, 10))], format="~g"
+            )
+        for controller in controllers:
+            dataset = f"{quantity}-{number}-{index}-{controller}"
+            labels = _unique_labels(report, [r for r in rows if r["controller"] == controller])
+            data[dataset] = [
+                {"setting": label, "t": short(t / seconds), "v": short(v)}
+                for label, run in labels.items() for t, v in curves[run]
+            ]
+            named = report.settings[controller].title
+            lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.8).encode(
+                x=time,
+                y=alt.Y("v:Q", title=axis, scale=scale, axis=ticks),
+                tooltip=[
+                    alt.Tooltip("setting:N", title=named),
+                    alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"),
+                    alt.Tooltip("v:Q", title=axis, format=".6~g"),
+                ],
+                **distinct("setting", list(labels), named),
+            )
+            panels.append(Panel(
+                alt.layer(*_reference_layers(axis_range, scale), lines),
+                f"{controller_name(controller)}: {title}",
+                hover=hover_points(lines), toggle="setting", zoom=True,
+            ))
+    caption = (
+        "Command and volumes over time, one line a setting. The command's axis is logarithmic "
+        "above 0.001; in the shaded part a command asks for more than the pumps have. A reference "
+        "that lies outside a panel is named at its edge."
+    )
+    return Figure(
+        f"trajectories-{number}-{index}",
+        report.title(f"Command and volumes from {first['from']}", first), caption,
+        tuple(panels), len(controllers) if len(controllers) > 1 else len(panels), data,
+    )
+
+
+def _unique_labels(report: Report, rows: Sequence[Row]) -> dict[str, str]:
+    """Return the runs of a panel by label; equal settings have the run's name, too."""
+    plain = [row["label"] for row in rows]
+    order = report.settings[rows[0]["controller"]].labels
+    return {
+        f"{row['label']} ({row['run']})" if plain.count(row["label"]) > 1 else row["label"]:
+        row["run"] for row in sorted(rows, key=lambda row: order.index(row["label"]))
+    }
+
+
+def _range(site: Site, quantity: str, values: Sequence[float]) -> _Range:
+    """Return the range of a quantity's axis, the same in all panels."""
+    low, high = min(values), max(values)
+    if quantity == "command":
+        # On a logarithmic axis that leaves room for the words above the line.
+        top = max(2.5 * high, 0.002)
+        return _Range(0.0, top, [_Reference(1.0, _FULL_FLOW)] if top > 1.5 else [])
+    span = max(high - low, 1e-3 * high, 1e-9)
+
+    def near(value: float) -> bool:
+        return low - span / 2 <= value <= high + span / 2
+
+    if quantity == "cistern":
+        references = [
+            _Reference(site.a1 * site.z_o, "outlet"),
+            _Reference(site.a1 * site.suction_level, "suction limit"),
+        ]
+        # Else two words would be in one place.
+        if site.low_outlet_level is not None and near(site.a1 * site.low_outlet_level):
+            references.append(_Reference(site.a1 * site.low_outlet_level, "low outlet"))
+    else:
+        references = [_Reference(site.x2_star, "target")]
+    # One nearby is worth the room; one far away would make all lines flat.
+    inside = [one.value for one in references if near(one.value)]
+    low, high = min([low, *inside]), max([high, *inside])
+    margin = 0.12 * max(high - low, span)
+    return _Range(max(0.0, low - margin), high + margin, references)
+
+
+def _reference_layers(axis_range: _Range, scale: alt.Scale) -> list[alt.Chart]:
+    """Return the reference lines, each with its name; those outside as a word at the edge."""
+    layers = []
+    low, high = axis_range.low, axis_range.high
+    for value, text in axis_range.references:
+        above = value > high
+        inside = low <= value and not above
+        words = text if inside else f"{text} at {value:.4g} {'↑' if above else '↓'}"
+        place = value if inside else high if above else low
+        base = alt.Chart(alt.InlineData([{"v": place, "text": words}]))
+        y = alt.Y("v:Q", scale=scale)
+        if text == _FULL_FLOW:
+            layers.append(
+                alt.Chart(alt.InlineData([{"from": value, "to": high}]))
+                .mark_rect(color="#D55E00", opacity=0.12)
+                .encode(y=alt.Y("from:Q", scale=scale), y2=alt.Y2("to:Q"))
+            )
+        if inside:
+            layers.append(base.mark_rule(color=_GREY, strokeDash=[3, 2]).encode(y=y))
+        layers.append(
+            base.mark_text(
+                align="right", baseline="top" if above else "bottom",
+                dx=-4, dy=3 if above else -2, color="#333333", fontSize=10,
+            ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N"))
+        )
+    return layers
+
+
+def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
+    """Return rain and evapotranspiration over time (paper: Fig. 4).
+
+    Args:
+        report: all results.
+        rows: runs of one site under the same sky, one for each method of evapotranspiration.
+        number: of the figure.
+    """
+    runs = {row["evapotranspiration"]: report.drawn[row["run"]] for row in rows}
+    start, curves, _ = next(iter(runs.values()))
+    offset = start.utcoffset()
+    assert offset is not None
+    # The axis is in UTC; shifted by the offset it shows local time in every reader's browser.
+    origin = (start.timestamp() + offset.total_seconds()) * 1000
+    area = report.runs[rows[0]["run"]].site.a2
+    rain: Rows = [
+        {"t": origin + time * 1000, "v": short(value * 3.6e6)}
+        for time, value in curves["precipitation"]
+    ]
+    top = 1.05 * max(row["v"] for row in rain) or 1.0
+    evaporation: Rows = [
+        {"method": method, "t": origin + time * 1000, "v": short(value / area * 8.64e7)}
+        for method, one in runs.items() for time, value in one.curves["evapotranspiration"]
+    ]
+    x = alt.X(
+        "t:T", scale=alt.Scale(type="utc"),
+        title=f"local time (UTC{start.isoformat()[-6:]})",
+        axis=alt.Axis(tickCount=6, format="%H:%M" if rows[0]["hours"] <= 36 else "%d %b"),
+    )
+    when = alt.Tooltip(
+        "t:T", title="from", timeUnit="utcyearmonthdatehoursminutes", format="%Y-%m-%d %H:%M"
+    )
+    frozen = next((one.frost for one in runs.values() if one.frost), [])
+    frost = [
+        alt.Chart(alt.InlineData([
+            {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
+        ])).mark_rect(color="#999999", opacity=0.3).encode(
+            x=alt.X("from:T", scale=alt.Scale(type="utc")), x2=alt.X2("to:T")
+        )
+    ] if frozen else []
+    rained = alt.Chart(alt.NamedData(f"rain-{number}")).mark_area(
+        interpolate="step-after", line={"color": "#0072B2"}, color="#56B4E9", clip=True
+    ).encode(
+        x=x, y=alt.Y("v:Q", title="rain (mm/h)", scale=alt.Scale(domain=[0, top])),
+        tooltip=[when, alt.Tooltip("v:Q", title="mm/h")],
+    )
+    evaporated = alt.Chart(alt.NamedData(f"evapotranspiration-{number}")).mark_line(
+        interpolate="step-after", clip=True
+    ).encode(
+        x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
+        tooltip=pointed("method:N", when, alt.Tooltip("v:Q", title="mm/day")),
+        **distinct("method", list(runs), "method"),
+    )
+    caption = (
+        "Rain, and evapotranspiration as a depth over the vegetation before it is limited to what "
+        "the roof holds. Each value holds from its time to the next."
+    )
+    if frozen:
+        caption += " Grey: frost, in which nothing is to be pumped."
+    return Figure(
+        f"weather-{number}",
+        f"Weather: {report.sky(rows[0])}",
+        caption,
+        (
+            Panel(alt.layer(*frost, rained), "Rain", zoom=True),
+            Panel(alt.layer(*frost, evaporated), "Evapotranspiration",
+                  hover=hover_points(evaporated), toggle="method", zoom=True),
+        ),
+        2,
+        {f"rain-{number}": rain, f"evapotranspiration-{number}": evaporation},
+    )

@@ -1,0 +1,343 @@
+"""What a report says in sentences: how it begins, and what to mind before its numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.report.about import Row, controller_name
+from greenroof_ros.report.groups import (
+    SEASONS,
+    SEEDS,
+    SINGLE,
+    TOTAL,
+    Report,
+    facts,
+    heading,
+)
+from greenroof_ros.report.intervals import CONTAINS_1
+from greenroof_ros.report.tables import season_windows
+
+LEADING = (
+    "sizing", "season-comparisons", "seasons", "forecast-errors", "total-deviation-1",
+    "trajectories-1-1",
+)
+"""the figure that a report begins with is the first of these that it has"""
+
+# So many results are named one by one.
+_MOST_NAMED = 3
+_FORMS = {metric.name: metric.form for metric in METRICS}
+# Two-sided, a sign test of five years that all say the same has 6 %, of six 3 %.
+_LEAST_YEARS = 6
+# A tenth of fewer is no whole run.
+_LEAST_SEEDS = 10
+
+
+# --- how it begins --------------------------------------------------------------------------------
+
+
+def sentences(report: Report) -> list[str]:
+    """Return three sentences: what was run, what came out, and what else is worth knowing."""
+    if report.of(SEASONS):
+        return _of_seasons(report)
+    if report.of(SEEDS):
+        return _of_seeds(report)
+    if len(report.runs) == 1:
+        return _of_one(report, report.single[0])
+    return _of_several(report)
+
+
+def windows(report: Report) -> list[str]:
+    """Name all windows of weather in which something ran."""
+    seeds: dict[str, set[str]] = {}
+    for row in report.table.filter(kind=SEEDS).to_dicts():
+        named = {**facts(row), "forecast": f"{row['forecast']} skill {row['skill']}"}
+        seeds.setdefault(heading(named, report.apart(SEEDS)), set()).add(row["seed"])
+    return [
+        *map(report.heading, report.windows(SINGLE)),
+        *(f"{window}, {len(found)} seeds" for window, found in seeds.items()),
+        *season_windows(report),
+    ]
+
+
+def _and(parts: Iterable[str]) -> str:
+    *first, last = parts
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _m3(name: str, value: float | None) -> str:
+    return "an unknown volume" if value is None else f"{value:{_FORMS[name]}} m³"
+
+
+def _deviation(value: float) -> str:
+    return _m3(TOTAL, value)
+
+
+def _over_least(row: Row) -> str:
+    return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
+
+
+def _who(row: Row) -> str:
+    name = controller_name(row["controller"])
+    return name if row["setting"] == "all alike" else f"{name} {row['setting']}".strip()
+
+
+def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
+    """Say how many runs there are of whom, where."""
+    counts = {name: len(report.settings[name].labels) for name in report.controllers}
+    of = _and(
+        controller_name(name) + (f" ({count} settings)" if count > 1 else "")
+        for name, count in counts.items()
+    )
+    if initials:
+        many = len(initials) > _MOST_NAMED
+        of += f", from {f'{len(initials)} initial states' if many else _and(initials)}"
+    place = where[0] if len(where) == 1 else f"{len(where)} windows of weather"
+    return f"{len(report.runs)} runs of {of}: {place}."
+
+
+def _of_one(report: Report, row: Row) -> list[str]:
+    who = controller_name(row["controller"])
+    if report.runs[row["run"]].parameters:
+        who += f" ({row['setting']})"
+    near = row["near_target_hours"]
+    return [
+        f"A run of {who}: {heading(facts(row), ['site'])}, from {row['from']}: {row['ended']}.",
+        f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
+        f"{_over_least(row)}; it was near the target for "
+        f"{'an unknown part' if near is None else f'{near:.2f}'} "
+        f"of {shortest(round(row['hours'], 2))} h.",
+        f"The pumps started {counted(int(row['pump_starts'] or 0), 'time')} and lifted "
+        f"{_m3('pumped_m3', row['pumped_m3'])}, {_m3('outflow_m3', row['outflow_m3'])} went "
+        f"to the sewer, and {_m3('drainage_m3', row['drainage_m3'])} drained off the roof.",
+    ]
+
+
+def _of_several(report: Report) -> list[str]:
+    single = report.single
+    totals = [row[TOTAL] for row in single]
+    pumped = [row["pumped_m3"] for row in single if row["pumped_m3"] is not None] or [0.0]
+    return [
+        _runs(report, windows(report), report.initials),
+        _least(report),
+        f"Over all runs the total deviation was {min(totals):.2f} to {_deviation(max(totals))}, "
+        f"and {min(pumped):.4g} to {_m3('pumped_m3', max(pumped))} were pumped.",
+    ]
+
+
+def _winners(rows: Iterable[Row]) -> str:
+    """Say in how many places which controller was the best."""
+    wins = Counter(controller_name(row["controller"]) for row in rows).most_common()
+    return _and(f"that of {name} in {count}" for name, count in wins)
+
+
+def _least(report: Report) -> str:
+    """Say which run had the least total deviation, or of many places which controller how often."""
+    cases = [
+        sorted(rows, key=lambda row: row[TOTAL])
+        for _, rows in groupby(report.best(), key=lambda row: row["place"])
+    ]
+    if len(cases) > _MOST_NAMED:
+        return (
+            f"Of {len(cases)} windows and initial states the least total deviation was "
+            f"{_winners(found[0] for found in cases)}."
+        )
+    parts, apart = [], report.apart()
+    for first, *others in cases:
+        where = [f"in {heading({name: first[name] for name in apart}, apart)}"] if apart else []
+        where += [f"from {first['from']}"] if len(report.initials) > 1 else []
+        alike = bool(others) and others[-1][TOTAL] == first[TOTAL]
+        who = "whatever the controller" if alike else _who(first)
+        text = f"{' '.join([_deviation(first[TOTAL]), *where])} ({who}{_over_least(first)}"
+        if others and not alike:
+            text += f"; {_who(others[0])} had {others[0][TOTAL]:.2f}"
+        parts.append(f"{text})")
+    return f"The least total deviation was {_and(parts)}."
+
+
+def _of_seeds(report: Report) -> list[str]:
+    cases = report.of(SEEDS)
+
+    def named(row: Row) -> str:
+        return f"{_who(row)} from {row['from']}, forecasts of skill {row['skill']}"
+
+    groups: dict[object, list[Row]] = {}
+    for row in cases:
+        groups.setdefault((row["place"], row["skill"]), []).append(row)
+    best = [min(rows, key=lambda row: row[TOTAL]) for rows in groups.values()]
+    second = (
+        f"Of {len(best)} windows, initial states and skills the least mean total deviation was "
+        f"{_winners(best)}." if len(best) > _MOST_NAMED else
+        "The least mean total deviation over the seeds was "
+        + _and(f"{_deviation(row[TOTAL])} ({named(row)})" for row in best) + "."
+    )
+    worst = max(cases, key=lambda row: row["worst_tenth_m3"] / row[TOTAL] if row[TOTAL] else 0.0)
+    return [
+        _runs(report, windows(report), list(dict.fromkeys(row["from"] for row in cases))),
+        second,
+        f"Luck counts most for {named(worst)}: {_deviation(worst[TOTAL])} in the mean, "
+        f"{_deviation(worst['worst_tenth_m3'])} in the worst tenth.",
+    ]
+
+
+def _of_seasons(report: Report) -> list[str]:
+    first = _runs(report, season_windows(report))  # which name the initial states
+    cases = report.of(SEASONS)
+    if report.sizing:
+        return [first, *_of_sizes(cases)]
+    best = list(report.least.values())
+    compared = [
+        row for row in report.over_onoff if row["case"] == report.least[row["place"]]["case"]
+    ]
+    return [
+        first,
+        "The least mean deviation of a season was "
+        + _and(
+            f"{_deviation(row[TOTAL])}{_over_least(row)} ({_who(row)}, forecast {row['forecast']})"
+            for row in best[:_MOST_NAMED]
+        ) + ".",
+        *(
+            ["Over that of on/off in the same years it is "
+             f"{_and(map(_over_onoff, compared[:_MOST_NAMED]))}."] if compared else []
+        ),
+    ]
+
+
+def _over_onoff(row: Row) -> str:
+    has = row["has"]
+    value, low, high = (f"{each:.3f}" for each in has.mean)
+    verdict = ", which contains 1" if has.mean.verdict == CONTAINS_1 else ""
+    return f"{value} (95 %: {low} to {high}{verdict}; less in {has.better} of {has.years} years)"
+
+
+def _of_sizes(cases: Sequence[Row]) -> list[str]:
+    saved = sorted(cases, key=lambda row: row["saved_m3"])
+
+    def named(row: Row) -> str:
+        return (
+            f"{row['saved_m3']:.4g} m³ a season with a cistern of {row['cistern_size_m3']:.4g} m³ "
+            f"for {row['roof_m2']:.4g} m² of green roof ({controller_name(row['controller'])})"
+        )
+
+    spilt = [row["outflow_m3"] for row in cases]
+    return [
+        f"Mains water saved was from {named(saved[0])} to {named(saved[-1])}.",
+        f"From {min(spilt):.4g} to {max(spilt):.4g} m³ a season went to the sewer.",
+    ]
+
+
+# --- what to mind ---------------------------------------------------------------------------------
+
+
+class RunWarning(NamedTuple):
+    """A sentence, what it lists, and the names of the runs that it is about."""
+
+    text: str
+    listed: str
+    runs: list[str]
+
+
+def counted(number: int, what: str) -> str:
+    """Return how many there are of something: ``1 run``, ``2 runs``."""
+    return f"{number} {what}{'s' if number != 1 else ''}"
+
+
+def cautions(report: Report) -> list[str]:
+    """Return what changes how the numbers are to be read, each in a few words."""
+    total = len(report.runs)
+    found = []
+    broken = [run.ending for run in report.runs.values() if run.ending is not None]
+    if broken and total == 1:
+        found.append(f"this run {broken[0].sentence}: what follows is of what was recorded")
+    elif broken:
+        found.append(
+            f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
+            "recorded"
+        )
+    if report.failed:
+        count = counted(len(report.failed), "run")
+        found.append(f"{count} failed or did not run, and left nothing to show")
+    hurt = [run.incident_count for run in report.runs.values() if run.incidents]
+    if hurt:
+        of = "" if total == 1 else f" in {len(hurt)} of {total} runs"
+        found.append(
+            f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"
+        )
+    return [*found, *_too_few(report).values()]
+
+
+def _too_few(report: Report) -> dict[str, str]:
+    """Say where there are too few years or seeds, by kind of cases."""
+    found = {}
+    years = min((row["years"] for row in report.of(SEASONS)), default=_LEAST_YEARS)
+    if years < _LEAST_YEARS:
+        found[SEASONS] = (
+            f"only {years} years: with fewer than {_LEAST_YEARS}, a lead in all may be chance"
+        )
+    seeds = min((row["seeds"] for row in report.of(SEEDS)), default=_LEAST_SEEDS)
+    if seeds < _LEAST_SEEDS:
+        found[SEEDS] = (
+            f"only {seeds} seeds: with fewer than {_LEAST_SEEDS}, the worst tenth is a single run"
+        )
+    return found
+
+
+_TOGETHER = {
+    SEEDS: "these runs differ only in the seed of their forecasts' errors from others. They are "
+    "judged together: the tables of single runs and the figures of weather, trajectories and "
+    "balances leave them out",
+    SEASONS: "these runs are the same season of several years. They are judged together",
+}
+
+
+def make_warnings(report: Report) -> list[RunWarning]:
+    """Return what a reader should know, each with the runs that it is about."""
+    found: dict[tuple[str, str], list[str]] = {}
+    too_few = _too_few(report)
+    for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
+        run = report.runs[row["run"]]
+        said = [(text, "") for text in _of_results(row, run.site.starts_per_hour)]
+        if run.ending is not None:
+            said.insert(0, (f"{run.ending.sentence}; what follows is of what was recorded", ""))
+        if run.incidents:
+            said.append((
+                f"{run.ended}: something was lost while the run went on; the table of "
+                "incidents says what, when and why", "",
+            ))
+        if row["kind"] != SINGLE:
+            said += [(text, "") for text in (too_few.get(row["kind"]), _TOGETHER[row["kind"]])
+                     if text]
+        said += [
+            (str(note) if row["kind"] == SINGLE else note.of_many(), note.listed)
+            for note in report.notes[row["run"]]
+        ]
+        for text, listed in said:
+            sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."
+            found.setdefault((sentence, listed), []).append(row["run"])
+    return [RunWarning(text, listed, runs) for (text, listed), runs in found.items()]
+
+
+def _of_results(row: Row, starts_per_hour: float) -> list[str]:
+    """Return what a run's results warn of."""
+    found = []
+    if (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0:
+        found.append(
+            "the command was above 1, which asks for more than the pumps have: no real pump "
+            "can follow it"
+        )
+    if (row["excess_starts"] or 0) > 0:
+        found.append(
+            f"the pumps started more than {starts_per_hour:g} times in an hour, which is all that "
+            "they may (starts_per_hour of the site file)"
+        )
+    if (row["frost_hours"] or 0) > 0:
+        pumped = (row["frost_pumped_m3"] or 0) > 0
+        found.append(
+            "there was frost, and in it something was pumped" if pumped
+            else "there was frost; nothing was pumped in it"
+        )
+    return found

@@ -1,0 +1,211 @@
+"""What the tests of the report read: studies, bags and run directories, as others leave them."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import shutil
+import subprocess
+from collections.abc import Sequence
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from commands import run_command
+from graphs import environment
+from paper import paper_run
+from places import CONFIG
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.report.drawing import Figure
+from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.groups import Assumptions, Report
+from greenroof_ros.report.page import render
+from greenroof_ros.report.runs import find_runs
+
+START = datetime.fromisoformat("2021-07-07T02:00-05:00")
+START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
+NAMES = [one.name for one in dataclasses.fields(Trajectory)][1:]
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+TOPICS = {
+    "/cistern/level": "cistern", "/roof/level": "roof", "/pump/command": "command",
+    "/pump/flow": "pump_flow", "/weather/precipitation": "precipitation",
+    "/weather/evapotranspiration": "evapotranspiration", "/cistern/outflow": "outflow",
+    "/roof/drainage": "drainage", "/weather/frost": "frost",
+}
+# What a study's table has, whatever its runs.
+COLUMNS = (
+    "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast",
+    "forecast_skill", "forecast_seed", "forecast_members", "controller", "initial", "cistern_m3",
+    "roof_m3", "parameter:weight", "parameter:fraction", "status", "error", "total_deviation_m3",
+)
+MINUTE = 60 * 10**9
+
+
+class Simulated(NamedTuple):
+    """A run done in this process, with its row in a study's table."""
+
+    trajectory: Trajectory
+    row: dict[str, Any]
+
+
+@cache
+def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> Simulated:
+    """Do a run of the paper, shorter."""
+    key = {"mpc": "weight", "onoff": "fraction"}[controller]
+    run = paper_run(
+        "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
+    )
+    metrics = Metrics()
+    trajectory = record(run, closed_loop(run, run.make_controller(), metrics))
+    return Simulated(trajectory, {
+        "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
+        "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
+        "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
+        f"parameter:{key}": option, "status": "done", **metrics.results(), "frost_hours": 0.0,
+    })
+
+
+def write_study(
+    directory: Path, runs: Sequence[tuple[dict[str, Any], Trajectory | None]]
+) -> Path:
+    """Write a study's directory."""
+    configuration = directory / "configuration"
+    configuration.mkdir(parents=True)
+    shutil.copy(CONFIG / "site.yaml", configuration / "site.yaml")
+    (configuration / "study.json").write_text('{"versions": {"greenroof_ros": "0.2.0"}}')
+    header = dict.fromkeys([*COLUMNS, *(key for row, _ in runs for key in row)])
+    with (directory / "results.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, header, restval="")
+        writer.writeheader()
+        for number, (row, trajectory) in enumerate(runs, start=1):
+            name = f"{number:03}"
+            writer.writerow({"run": name, **row})
+            if trajectory is not None:
+                (directory / "runs" / name).mkdir(parents=True)
+                (directory / "runs" / name / "trajectory.parquet").write_bytes(
+                    trajectory.to_parquet()
+                )
+    return directory
+
+
+def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return 2 windows x 2 initial states x 3 settings x 2 skills x 25 seeds of made-up totals.
+
+    The totals of seed n = 1..25 are the base + n m3, times 1 with better forecasts and
+    2 with real ones.
+    """
+    rows = []
+    for start, hours in (("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")):
+        for initial, bound in (("low-low", 500), ("high-low", 400)):
+            for name, key, value, base in (
+                ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
+                ("onoff", "fraction", "2", 2000),
+            ):
+                for skill, times in (("real", 2), ("better", 1)):
+                    rows += [
+                        {**row, "start": start, "hours": hours, "initial": initial,
+                         "controller": name, "parameter:weight": "", "parameter:fraction": "",
+                         f"parameter:{key}": value,
+                         "forecast": "ensemble", "forecast_skill": skill, "forecast_seed": seed,
+                         "forecast_members": 10, "fallbacks": seed, "bound_m3": bound,
+                         "total_deviation_m3": (base + seed) * times}
+                        for seed in range(1, 26)
+                    ]
+    return rows
+
+
+def report_of(*paths: Path, **assumptions: Any) -> Report:
+    """Read and judge what is under some paths."""
+    return Report(find_runs(list(paths), None), Assumptions(**assumptions))
+
+
+def page_of(*paths: Path) -> str:
+    """Return the text of the page on what is under some paths, without figures and blanks."""
+    html = render(report_of(*paths), [])
+    return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
+
+
+def figures_of(report: Report) -> dict[str, Figure]:
+    """Return the figures by name."""
+    return {figure.name: figure for figure in (make() for make in make_figures(report, None))}
+
+
+def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the report as a user would."""
+    return run_command("report", *arguments, cwd=cwd, env=environment(0))
+
+
+def write_bag(
+    directory: Path,
+    messages: dict[str, tuple[Sequence[int], Sequence[float]]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    msgtype: str = "std_msgs/msg/Float64",
+) -> Path:
+    """Write a bag as somebody else would: stamps (ns since the start) and values of each topic."""
+    Message = TYPES.types[msgtype]
+    queue = []
+    with Writer(directory, version=9, storage_plugin=storage) as writer:
+        for topic, (stamps, values) in messages.items():
+            connection = writer.add_connection(topic, msgtype, typestore=TYPES)
+            queue += [
+                (stamp, connection, value) for stamp, value in zip(stamps, values, strict=True)
+            ]
+        for stamp, connection, value in sorted(queue, key=lambda item: item[0]):
+            writer.write(
+                connection, START_NS + int(stamp),
+                bytes(TYPES.serialize_cdr(Message(value), msgtype)),
+            )
+    return directory
+
+
+def messages_of(trajectory: Trajectory) -> dict[str, tuple[Sequence[int], Sequence[float]]]:
+    """Return the messages of a run, all of a tick at one time."""
+    area = {"cistern": 25.0, "roof": 68.8}
+    stamps = [round(time * 1e9) for time in trajectory.time]
+    return {
+        topic: (stamps, (getattr(trajectory, name) / area.get(name, 1.0)).tolist())
+        for topic, name in TOPICS.items()
+    }
+
+
+def small_bag(directory: Path, **changes: Any) -> Path:
+    """A bag of three samples, with the values of some topics changed; None leaves one away."""
+    values: dict[str, Any] = {
+        "/roof/level": [0.03] * 3, "/cistern/level": [2.0] * 3, "/pump/command": [0.1] * 3,
+        "/pump/flow": [0.001] * 3, **{f"/{key.replace('_', '/')}": value
+                                      for key, value in changes.items()},
+    }
+    stamps = [0, 10**9, 2 * 10**9]
+    return write_bag(
+        directory,
+        {
+            topic: (stamps[: len(column)], column)
+            for topic, column in values.items() if column is not None
+        },
+    )
+
+
+def ended_run(directory: Path, status: str = "done", **known: Any) -> Path:
+    """Write what bringup leaves of 720 ticks of MPC; without metrics, if it is not done."""
+    one = simulate("mpc", "0.001", "low-low")
+    ticks = known.get("last_tick") or 720
+    columns = {name: getattr(one.trajectory, name)[: ticks + 1] for name in NAMES}
+    write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
+    (directory / "configuration").mkdir()
+    shutil.copy(CONFIG / "site.yaml", directory / "configuration")
+    (directory / "summary.json").write_text(json.dumps({
+        "status": status, "reason": None, "last_tick": None, "controller": "mpc",
+        "parameters": {"weight": 0.001, "max_command": None}, "weather": "toronto_2021-07.csv",
+        "initial": {"name": "low-low", "cistern_m3": 57.69, "roof_m3": 2.42},
+        "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
+        "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
+        **known,
+    }))
+    return directory
