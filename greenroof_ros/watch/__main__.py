@@ -15,7 +15,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.store import Store
 
 # A watcher holds nobody up: it has a tenth of a core where the others want all (nice).
 _GIVE_WAY = 10
@@ -121,13 +121,13 @@ def main() -> int:
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_GIVE_WAY)
-    watched = Watched(arguments.namespace)
+    store = Store(arguments.namespace)
     what = {"bag": arguments.bag, "site_file": arguments.site}
     if arguments.terminal:
         from greenroof_ros.watch.terminal import run
 
-        with Feed(watched, arguments.namespace, **what) as feed:
-            run(watched)
+        with Feed(store, **what):
+            run(store)
         return EXIT_DONE
     try:
         from greenroof_ros.watch.server import serve
@@ -140,10 +140,10 @@ def main() -> int:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(watched, arguments.namespace, **what) as feed,
+        Feed(store, **what) as feed,
     ):
         serve(
-            watched, feed, host=host, port=port, token=token, signals=signals,
+            store, feed, host=host, port=port, token=token, signals=signals,
             on_ready=lambda url: _say_address(url, host, port),
         )
     return EXIT_DONE

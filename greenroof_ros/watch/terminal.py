@@ -20,7 +20,9 @@ from rich.live import Live
 from rich.text import Text
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.document import document as document_of
+from greenroof_ros.watch.document import series as series_of
+from greenroof_ros.watch.store import Store
 
 # How often the document is looked at (s), and at the charts.
 _LOOK_S, _CHARTS_S = 0.5, 2.0
@@ -58,8 +60,8 @@ def pages(
     charts, account and events where there is room left. The pages behind it have all of it whole.
 
     Args:
-        document: of :meth:`greenroof_ros.watch.watched.Watched.document`.
-        series: of :meth:`greenroof_ros.watch.watched.Watched.series`.
+        document: of :func:`greenroof_ros.watch.document.document`.
+        series: of :func:`greenroof_ros.watch.document.series`.
         width: of the terminal, columns.
         height: of the terminal, lines; None for one page of all, where none can be turned.
         color: whether there may be colour.
@@ -360,7 +362,7 @@ def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
     return lines
 
 
-def run(watched: Watched) -> None:
+def run(store: Store) -> None:
     """Show what is known until q is pressed, or a signal or the end of the terminal comes.
 
     The space bar turns to the next page, and from the last to the first.
@@ -369,7 +371,7 @@ def run(watched: Watched) -> None:
     a file or on a dumb terminal, the document is printed again and again.
 
     Args:
-        watched: what is known.
+        store: what is known.
     """
     signals, console = Signals(), Console(highlight=False)
     ascii_only = not console.encoding.lower().startswith("utf")
@@ -392,12 +394,12 @@ def run(watched: Watched) -> None:
             turned = keys.count(b" ")
             signals.check()
             now = time.monotonic()
-            document = watched.document(now)
+            document = document_of(store, now)
             unknown = document["mode"] == "none" or document["tiles"]["roof"]["number"] is None
             if unknown and now - begun < _FOUND_S:
                 continue  # that it is not known is said when that is known
             if now - charts_at >= _CHARTS_S:
-                charts, charts_at = _series(watched), now
+                charts, charts_at = _series(store), now
             size = console.size
             if live is None:
                 if now - shown_at >= _PRINT_S:
@@ -412,15 +414,15 @@ def run(watched: Watched) -> None:
             before = (document, charts, size)
 
 
-def _series(watched: Watched) -> dict[str, Any]:
+def _series(store: Store) -> dict[str, Any]:
     """Return the charts of the last 12 h; of a run that is younger, of fewer hours."""
-    series = watched.series(_HOURS)
+    series = series_of(store, _HOURS)
     begins = [rows[0][0] for rows in series["lines"].values() if rows]
     if not begins or series["now"] is None:
         return series
     known = (series["now"] - min(begins)) / 3600
     hours = next(one for one in (1.0, 3.0, 6.0, math.inf) if known <= one)
-    return series if hours > 6.0 else watched.series(hours)
+    return series if hours > 6.0 else series_of(store, hours)
 
 
 @contextmanager

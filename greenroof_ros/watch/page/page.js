@@ -196,6 +196,10 @@ const makeAccount = () => {
 
 // The document
 
+const showTitle = ({ level, word }) => {
+  document.title = `${level === "ok" ? "" : `${word} `}Green roof`;
+};
+
 let shown = null;
 let announced = { text: "", at: 0 };
 
@@ -210,7 +214,7 @@ const show = (document_) => {
   setText(byId("summary-word"), summary.word);
   setText(byId("summary-sentence"), summary.sentence);
   setText(byId("advice"), document_.advice);
-  document.title = `${summary.level === "ok" ? "" : `${summary.word} `}Green roof`;
+  showTitle(summary);
   keep(byId("notes"), document_.notes, (note) => note, () => element("li"), setText);
   keep(byId("tiles"), TILES.filter((key) => document_.tiles[key]), (key) => key, makeTile,
     (tile, key) => fillTile(tile, document_.tiles[key]));
@@ -344,9 +348,9 @@ for (const button of document.querySelectorAll("[data-hours]")) {
   });
 }
 
-const takeSeries = async (series) => {
+const takeSeries = (series) => {
   try {
-    await charts.take(series, shown?.time.utc_offset ?? 0);
+    charts.take(series, shown?.time.utc_offset ?? 0);
     document.documentElement.dataset.drawn = "yes";
   } catch (error) {
     setText(byId("charts-note"), `The charts cannot be drawn: ${error.message}`);
@@ -364,7 +368,7 @@ const stream = {
 
   open() {
     clearTimeout(this.timer);
-    if (this.controller || document.hidden) return;
+    if (this.controller) return;
     const controller = new AbortController();
     this.controller = controller;
     this.read(controller).catch((error) => error).then((reason) => {
@@ -388,7 +392,7 @@ const stream = {
       if (Date.now() - heard > SILENT) controller.abort();
     }, 1000);
     try {
-      const response = await fetch(`/events?hours=${charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
+      const response = await fetch(`/events?hours=${document.hidden ? 0 : charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
       if (!response.ok) throw new Refused((await response.json()).sentence);
       const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
       let text = "";
@@ -411,11 +415,15 @@ const stream = {
     const lines = part.split("\n");
     const name = lines.find((line) => line.startsWith("event: "))?.slice(7);
     const data = lines.filter((line) => line.startsWith("data: ")).map((line) => line.slice(6)).join("\n");
-    if (name !== "state" && name !== "series") return;
+    if (!["state", "series", "summary"].includes(name)) return;
     this.wait = 500;
+    const taken = JSON.parse(data);
+    if (name === "summary") {
+      showTitle(taken);
+      return;
+    }
     byId("lost").hidden = true;
     document.body.classList.remove("lost-link");
-    const taken = JSON.parse(data);
     if (name === "state") show(taken);
     else takeSeries(taken);
   },
@@ -429,20 +437,18 @@ const stream = {
   },
 
   ended(reason) {
+    document.title = "Not connected: Green roof";
     this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
   },
 };
 
-// A page that nobody sees holds no connection: others of the same browser need it.
+// A page that nobody sees hears of alarms alone, for its title; what it shows is then of before.
 document.addEventListener("visibilitychange", () => {
-  if (document.hidden) {
-    stream.close();
-    stream.lost("");
-  } else {
-    stream.open();
-  }
+  stream.close();
+  if (document.hidden) stream.lost("");
+  stream.open();
 });
 addEventListener("online", () => stream.open());
 addEventListener("hashchange", () => {
