@@ -6,7 +6,8 @@ says what follows:
 - *latched*: a fault of pump, pipes or drive. It stays until somebody resets it (``~/reset``), and
   is kept over restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping. It clears by itself, but for an
-  operator's stop and a record that cannot be read, which end by ``~/stop`` with false.
+  operator's stop and a record that cannot be read, which end by ``~/stop`` with false; one on the
+  page ends there, too.
 - *enable*: a condition for running the pump at all is missing. It clears by itself once that is
   there again: ``not_active`` by *activate*, where somebody had asked for another state,
   ``drive_local`` and ``drive_timeout`` by a person at the panel.
@@ -110,6 +111,11 @@ INTERLOCKS = {
         INHIBIT, "an operator stopped the pump", _CONTROL, "",
         f"Somebody holds the pump off. When it may run again: {_RELEASE}",
     ),
+    "page_stop": Interlock(
+        INHIBIT, "somebody stopped the pump on the page", _CONTROL, "",
+        "Somebody holds the pump off on the page. When it may run again, release it there "
+        f"(greenroof watch --allow-release), or: {_RELEASE}",
+    ),
     "record_unknown": Interlock(
         INHIBIT, "whether there was a stop or a fault is not known any more", _CONTROL,
         "state_file",
@@ -211,6 +217,10 @@ INTERLOCKS = {
     ),
 }
 """by their codes, which are short and stable"""
+
+CLEARED_ON_PAGE = ("turns_backwards", "runs_on", "speed_not_followed")
+"""Faults that the page may clear: neither one of the delivery, nor one of the drive, nor one that
+is not known: those need somebody who has looked."""
 
 # What each code means, and what to do.
 CONDITIONS = {code: (one.reason, one.advice) for code, one in INTERLOCKS.items()} | {

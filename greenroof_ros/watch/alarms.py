@@ -67,7 +67,7 @@ SEEN_HERE = {
 # A state of the pump with such a code asks for a hand at the pump, whatever caused it.
 _NEEDS_A_HAND = {
     *(code for code, one in INTERLOCKS.items() if one.kind == LATCHED),
-    "operator_stop", "record_unknown", "stands_unknown", "stop_not_followed",
+    "operator_stop", "page_stop", "record_unknown", "stands_unknown", "stop_not_followed",
 }
 # Of each reason why the pump stands, the parts of its node that say more of it.
 _PARTS_OF_REASON = {

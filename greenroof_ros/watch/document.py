@@ -22,7 +22,7 @@ from greenroof_ros.watch.account import HOLDS_NS
 from greenroof_ros.watch.alarms import row
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.registry import ERROR, Trouble
+from greenroof_ros.watch.registry import ERROR, Node, Trouble
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.tiles import Look, Tile, band_of
 
@@ -265,6 +265,15 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 
 
+LOCK_OUT = (
+    "Whoever works on the pump locks it out at the pump itself: nothing on this page does that."
+)
+_THEN = (
+    "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
+    "but not sooner than it may after its last run. "
+)
+
+
 # --- stopping the pump ----------------------------------------------------------------------------
 
 
@@ -284,7 +293,7 @@ def _stop(look: Look) -> dict[str, Any]:
         sentence = two or "There is no pump node that could be stopped from here."
         return {
             "possible": False, "stopped": False, "node": None, "label": "Stop the pump",
-            "sentence": sentence, "warning": two, "call": "", "release": "",
+            "sentence": sentence, "warning": two, "call": "", "release": "", **_release(None, None),
         }
     asked, gone = bool(node.values.get("stop")), look.gone(node)
     call = f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
@@ -307,6 +316,29 @@ def _stop(look: Look) -> dict[str, Any]:
         "warning": warning,
         "call": "" if stopped else f'{call} "{{data: true}}"',
         "release": f'{call} "{{data: false}}"' if asked else "",
+        **_release(None if gone or not look.store.allow_release else node, stands),
+    }
+
+
+def _release(node: Node | None, stands: bool | None) -> dict[str, Any]:
+    """Return what may be released and cleared here, and what happens then.
+
+    Args:
+        node: of the pump; None where nothing may.
+        stands: whether the pump does.
+    """
+    owners = node.values.get("stopped_by") if node is not None else ()
+    owners = owners if isinstance(owners, list) else []
+    fault = "" if node is None else node.text("fault")
+    refusal = "" if node is None else node.text("page_may_not_clear")
+    others = [str(one) for one in owners if one != "page"]
+    stays = f"It stays off for all that: it is held off by {' and '.join(others)}, too. "
+    return {
+        "release_here": "page" in owners and bool(stands),
+        "release_then": (stays if others else _THEN) + LOCK_OUT,
+        "clear_here": bool(fault) and not refusal and bool(stands),
+        "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
+        "no_clear": refusal if fault else "",
     }
 
 

@@ -137,7 +137,7 @@ class Feed:
         self._awake = time.monotonic()
         self._said = 0.0
         self._problem, self._problem_until = "", 0.0
-        self._stops: queue.SimpleQueue[Future[str]] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[tuple[str, Future[str]]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
@@ -178,17 +178,20 @@ class Feed:
             self._looker.wake()
         self._thread.join(2.0)
 
-    def stop_pump(self) -> str:
-        """Have the pump held off, from any thread.
+    def ask(self, action: str) -> str:
+        """Have the pump held off or released, or its fault cleared, from any thread.
+
+        Args:
+            action: ``stop``, ``release`` or ``clear``.
 
         Returns:
             What the pump node says.
 
         Raises:
-            StopFailedError: it did not say that it holds the pump off.
+            StopFailedError: it did not say that it did so.
         """
         asked: Future[str] = Future()
-        self._stops.put(asked)
+        self._asked.put((action, asked))
         if self._looker is not None:
             self._looker.wake()
         try:
@@ -196,7 +199,7 @@ class Feed:
         except FutureTimeoutError:
             asked.cancel()
             raise StopFailedError(
-                "The watcher is busy: whether the pump stops is not known."
+                "The watcher is busy: whether the pump node did that is not known."
             ) from None
 
     # --- the graph ------------------------------------------------------------------------------
@@ -222,7 +225,7 @@ class Feed:
             failed |= self._fails(lambda: self._say(now))
         # An error may come again at once; a stop waits for none.
         until = time.monotonic() + (_REST_S if failed else 0.0)
-        while time.monotonic() < until and self._stops.empty() and not self._closing.is_set():
+        while time.monotonic() < until and self._asked.empty() and not self._closing.is_set():
             self._closing.wait(_LOOK_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
@@ -546,12 +549,16 @@ class Feed:
         assert self._looker is not None
         with suppress(queue.Empty):
             while True:
-                asked = self._stops.get_nowait()
+                action, asked = self._asked.get_nowait()
                 if not asked.set_running_or_notify_cancel():
                     continue
                 try:
                     self._looker.prepare_stop(self._pump())
-                    asked.set_result(self._looker.stop_pump(_STOP_S))
+                    act = {
+                        "stop": self._looker.stop_pump, "release": self._looker.release_pump,
+                        "clear": self._looker.clear_fault,
+                    }[action]
+                    asked.set_result(act(_STOP_S))
                 except Exception as error:  # it is the asker's
                     asked.set_exception(error)
 

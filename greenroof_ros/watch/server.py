@@ -1,6 +1,7 @@
 """The page over HTTP: its files, what is pushed to it, and the things that can be asked.
 
 Whoever reaches the address may look, and may stop the pump; where there is a token, only with that.
+What was stopped here may be released here where that was allowed, which needs a token.
 Each path is a route, and none leads to a file. A page of somebody else in the same browser can do
 nothing: a request has to name this host (so that no name of somebody's that leads here is one), and
 to act it needs a header that only this page can send. No connection can hold others up: there is a
@@ -78,13 +79,15 @@ class _Connections:
         self._server = server
         # When each has to have its next request (steady clock, s); None while one is answered.
         self._until: dict[web.RequestHandler, float | None] = {}
+        self._open: set[web.RequestHandler] = set()  # as they were seen last
 
     def accept(self) -> web.RequestHandler:
         """Make what handles another connection, for asyncio."""
         self._forget_closed()
         if len(self._server.connections) >= _MOST_CONNECTIONS:
-            idle = [one for one in self._until if self._until[one] is not None]
-            self._drop(min(idle, key=lambda one: self._until[one] or 0.0))
+            idle = [(until, one) for one, until in self._until.items() if until is not None]
+            if idle:
+                self._drop(min(idle, key=lambda each: each[0])[1])
         handler = self._server()
         self._until[handler] = time.monotonic() + _FIRST_S
         return handler
@@ -115,12 +118,10 @@ class _Connections:
             self._drop(handler)
 
     def _forget_closed(self) -> None:
-        """Forget those that were closed; one that was just accepted is not yet in the list."""
-        there = set(self._server.connections)
-        self._until = {
-            one: until for one, until in self._until.items()
-            if one in there or one.transport is not None
-        }
+        """Forget those that were closed; one that was just accepted is not yet open."""
+        before, self._open = self._open, set(self._server.connections)
+        for handler in before - self._open:
+            self._until.pop(handler, None)
 
     def _drop(self, handler: web.RequestHandler) -> None:
         del self._until[handler]
@@ -136,7 +137,7 @@ class _Site:
     ) -> None:
         self._store, self._feed = store, feed
         self._names, self._token = names, token
-        self._stopping: asyncio.Task[tuple[bool, str]] | None = None
+        self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}
         self.connections: _Connections | None = None
         self.news = News(store)
         self.app = web.Application(
@@ -147,7 +148,8 @@ class _Site:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
                 self.app.router.add_get(path, _sends(file), allow_head=False)
         self.app.router.add_get("/events", self._events, allow_head=False)
-        self.app.router.add_post("/stop", self._stop)
+        for action in ("stop", "release", "clear"):
+            self.app.router.add_post(f"/{action}", self._act)
         self.app.router.add_post("/acknowledge", self._acknowledge)
 
     # --- who may ask ----------------------------------------------------------------------------
@@ -223,20 +225,25 @@ class _Site:
         known = await asyncio.to_thread(self._store.acknowledge, identity)
         return _said(known, "" if known else "This alarm is not listed any more.")
 
-    async def _stop(self, request: web.Request) -> web.Response:
-        """Have the pump held off; who asks while that goes on gets the same answer."""
+    async def _act(self, request: web.Request) -> web.Response:
+        """Have the pump held off or released; who asks while that goes on gets the same answer."""
         await _body(request)
-        if self._stopping is None or self._stopping.done():
-            self._stopping = asyncio.create_task(self._ask_to_stop(request.remote or ""))
-        return _said(*await asyncio.shield(self._stopping))
+        action = request.path[1:]
+        if action != "stop" and not (self._store.allow_release and self._token):
+            raise _Refused(403, "nothing is released here: see greenroof watch --allow-release")
+        task = self._acting.get(action)
+        if task is None or task.done():
+            task = asyncio.create_task(self._ask(action, request.remote or ""))
+            self._acting[action] = task
+        return _said(*await asyncio.shield(task))
 
-    async def _ask_to_stop(self, asker: str) -> tuple[bool, str]:
+    async def _ask(self, action: str, asker: str) -> tuple[bool, str]:
         """Ask the pump node, and say how that went; whoever asked may be gone by then."""
         try:
-            ok, sentence = True, await asyncio.to_thread(self._feed.stop_pump)
+            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action)
         except StopFailedError as failure:
             ok, sentence = False, str(failure)
-        event = f"Stop, from {asker}: {sentence}"
+        event = f"{action.capitalize()}, from {asker}: {sentence}"
         await asyncio.to_thread(self._store.add_event, time.time(), event)
         return ok, sentence
 

@@ -114,6 +114,7 @@ class Store:
             pump, a live site, or a run that has ended.
         factor: simulated time per wall time; None where there is none.
         source: where the values come from: ``heard``, ``bag`` or ``samples``.
+        allow_release: whether the pump may be released from here.
         alarms: of the nodes, and the registry of what they say.
         newest: the newest value of each topic.
         past: of each topic.
@@ -131,6 +132,7 @@ class Store:
         """
         self.lock = threading.RLock()
         self.namespace = namespace
+        self.allow_release = False
         self.site: Site | None = None
         self.notes = ["", ""]
         self.recorded_controller = ""

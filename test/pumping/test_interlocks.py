@@ -42,6 +42,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
     "fault_unknown": {"record": {"fault": "its phase is lost", "fault_code": "phase_lost"}},
     "operator_stop": {"record": {"operator_stop": "an operator stopped it"}},
+    "page_stop": {"record": {"page_stop": True}},
     "record_unknown": {"record": {"unknown": "whether there was a stop or a fault is not known"}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
@@ -83,7 +84,8 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert decision.why.startswith(decision.interlocks[code])
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, operator_stop="", unknown="", day_run=0.0, day_volume=0.0
+        rig.ledger.record, operator_stop="", page_stop=False, unknown="", day_run=0.0,
+        day_volume=0.0,
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)

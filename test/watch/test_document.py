@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -655,6 +656,8 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
         "warning": "",
         "sentence": "Holds the pump off until somebody releases it at the pump node.",
         "call": 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: true}"', "release": "",
+        "release_here": False, "release_then": ANY, "clear_here": False, "clear_then": ANY,
+        "no_clear": "",
     }
     for wall in (100.2, 100.4):
         for process in ("host 7", "host 8"):
@@ -680,6 +683,34 @@ def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
 def test_a_pump_that_is_off_can_be_kept_off(state: str) -> None:
     stop = stop_after(state, stands=True)["stop"]
     assert (stop["possible"], stop["stopped"], stop["label"]) == (True, False, "Keep the pump off")
+
+
+LEAK = {"fault": "a leak", "page_may_not_clear": "somebody has to look"}
+
+
+@pytest.mark.parametrize(("allowed", "said", "release", "clear", "then"), [
+    (False, {"stopped_by": ["page"], "stands": True}, False, False, "starts by itself"),
+    (True, {"stopped_by": ["page"], "stands": True}, True, False, "starts by itself"),
+    (True, {"stopped_by": ["page", "service"], "stands": True}, True, False, "stays off"),
+    (True, {"stopped_by": ["service"], "stands": True}, False, False, ""),
+    (True, {"stopped_by": ["page"], "stands": False}, False, False, ""),
+    (True, {"stopped_by": [], "stands": True, "fault": "slow", "page_may_not_clear": ""}, False,
+     True, ""),
+    (True, {"stopped_by": [], "stands": True, **LEAK}, False, False, ""),
+    (True, {"stopped_by": 7, "stands": True}, False, False, ""),
+])
+def test_what_may_be_released_here(
+    allowed: bool, said: dict[str, Any], release: bool, clear: bool, then: str
+) -> None:
+    """What the page stopped, and nothing else; each with what happens then."""
+    one = watched()
+    one.allow_release = allowed
+    one.add_statuses(100.0, [node("pump", pump="held: stopped", stop="stopped", **said)])
+    stop = shown(one)["stop"]
+    assert (stop["release_here"], stop["clear_here"]) == (release, clear)
+    assert then in stop["release_then"]
+    assert "locks it out at the pump itself" in stop["release_then"]
+    assert bool(stop["no_clear"]) == ("fault" in said and not clear)
 
 
 @pytest.mark.parametrize("state", ["held: an operator stopped it", "fault: a leak"])

@@ -153,7 +153,7 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
         # The bag's reader gives way to all others of the machine, and comes first.
         wait_for(lambda: len(watched.of(HEARD).get(LEVEL, ())) > 200, 400, "levels")
         with pytest.raises(StopFailedError, match="no pump node"):
-            feed.stop_pump()
+            feed.ask("stop")
         run.process.send_signal(signal.SIGINT)
         assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
         ended(watched, tmp_path / "run")
@@ -267,7 +267,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
     def refusal(feed: Feed) -> str:
         began = time.monotonic()
         with pytest.raises(StopFailedError) as refused:
-            feed.stop_pump()
+            feed.ask("stop")
         assert time.monotonic() - began < 15
         return str(refused.value)
 
@@ -287,7 +287,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
             time.sleep(0.1)
         assert "no pump node" in refusal(feed)
         wait_for(lambda: stop_of(pump("/pump", "a 1"))["node"] == "/pump", 60, "the pump node")
-        assert refusal(feed) == "/pump has no stop service that answers."
+        assert refusal(feed) == "/pump has no page_stop service that answers."
         both = pump("/pump", "a 1"), pump("/other", "b 1")
         wait_for(lambda: stop_of(*both)["warning"], 60, "a warning")
         stop = stop_of(*both)
@@ -369,7 +369,7 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
         time.sleep(0.5)
         began = time.monotonic()
         with pytest.raises(StopFailedError, match="no pump node"):
-            feed.stop_pump()
+            feed.ask("stop")
         assert time.monotonic() - began < 15
 
 

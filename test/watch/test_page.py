@@ -390,6 +390,32 @@ def test_the_release_of_a_stop_stands_beside_it(browser: Any) -> None:
         page.wait_for_selector("#release", state="hidden")
 
 
+def test_a_stop_of_the_page_is_released_there_after_a_question(browser: Any) -> None:
+    """With the token alone; here nobody answers, and the page must say so."""
+    watched = site_watched("loop")
+    watched.allow_release = True
+    stopped = replace(PUMP, values={
+        **PUMP.values, "stop": '"somebody stopped it on the page"', "stopped_by": '["page"]',
+    })
+    with (
+        saying(watched, stopped), served(watched, "secret") as port,
+        opened(browser, port, hash_="#token=secret") as page,
+    ):
+        until_shown(page, "#release", "locks it out at the pump itself")
+        assert not page.locator("#release-ros").is_visible()
+        page.locator("#release-button").click()
+        until_shown(page, "#ask", "starts by itself when the controller asks for it")
+        page.locator("#ask-no").click()
+        assert [url for method, url in page.asked if method == "POST"] == []
+        page.locator("#release-button").click()
+        page.locator("#ask-yes").click()
+        until_shown(page, "#answer.failed", "is not known")
+        assert [url for method, url in page.asked if method == "POST"] == [
+            f"http://localhost:{port}/release"
+        ]
+        assert page.said == []
+
+
 def test_pointer_and_keyboard_read_values(browser: Any) -> None:
     watched = site_watched()
     with served(watched) as port, opened(browser, port) as page:
@@ -692,7 +718,7 @@ def test_stop_holds_a_real_pump(browser: Any, domain: int, tmp_path: Path) -> No
             page.locator("#ask-yes").click()
             until_shown(page, "#answer:not(.failed)", "held")
             held = ".tile[data-key=pump][data-state=held]"
-            until_shown(page, held, "an operator stopped it")
+            until_shown(page, held, "somebody stopped it on the page")
             page.reload()
             until_shown(page, held)
             assert until_shown(page, "#stop-button", "The pump is held off").is_disabled()

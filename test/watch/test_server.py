@@ -148,9 +148,30 @@ def test_a_stop_that_did_not_take_hold_says_so(port: int, watched: Store) -> Non
     answer = request(port, "POST", "/stop", b"{}", **ACT)
     assert answer.status == 200
     assert answer.json() == {
-        "ok": False, "sentence": "The watcher is busy: whether the pump stops is not known.",
+        "ok": False,
+        "sentence": "The watcher is busy: whether the pump node did that is not known.",
     }
     assert "Stop, from 127.0.0.1" in read_document(watched, time.monotonic())["events"][0]["what"]
+
+
+@pytest.mark.parametrize("action", ["release", "clear"])
+def test_nothing_is_released_unless_that_was_allowed_with_a_token(
+    action: str, watched: Store
+) -> None:
+    """Behind a proxy each request is one of this machine."""
+    right = {**ACT, "Authorization": "Bearer secret"}
+    for allowed, token, status in (
+        (False, None, 403), (False, "secret", 403), (True, None, 403), (True, "secret", 200),
+    ):
+        watched.allow_release = allowed
+        with served(watched, token) as port:
+            assert request(port, "POST", f"/{action}", b"{}", **right).status == status
+            if token:
+                assert request(port, "POST", f"/{action}", b"{}", **ACT).status == 401
+            another = {**right, "Sec_Fetch_Site": "cross-site"}
+            assert request(port, "POST", f"/{action}", b"{}", **another).status == 403
+    said = [event["what"] for event in read_document(watched, time.monotonic())["events"]]
+    assert [one.partition(",")[0] for one in said] == [action.capitalize()]
 
 
 def test_many_stops_are_one(port: int, watched: Store) -> None:
@@ -558,6 +579,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
 def test_a_page_that_nobody_sees_gets_the_summary_alone(watched: Store) -> None:
     """For its title: when it changes, and now and then to hear that it is connected."""
     set_level(watched, 0.01, 1)
+    watched.set_present(mode="live", factor=None, source="heard", note="")
     with served(watched) as port:
         stream = Stream(port, "0")
         stream.head()

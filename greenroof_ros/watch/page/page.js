@@ -250,9 +250,13 @@ const showStop = (stop) => {
   byId("stop").hidden = !stop.possible;
   byId("stop-button").disabled = stop.stopped;
   setText(byId("stop-button"), stop.label);
-  setText(byId("ask-sentence"), stop.sentence);
   setText(byId("release-call"), stop.release);
   byId("release").hidden = !stop.release;
+  byId("release-ros").hidden = stop.release_here;
+  byId("release-button").hidden = !stop.release_here;
+  byId("clear").hidden = !stop.clear_here && !stop.no_clear;
+  setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
+  byId("clear-button").hidden = !stop.clear_here;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
   // An answer is of its time: it goes when the pump was released, or stands at last.
@@ -285,18 +289,27 @@ const post = async (path, body) => {
   return said;
 };
 
-const stopPump = async () => {
-  byId("stop-button").disabled = true;
-  answer("The pump is told to stop ...", false);
+// Each asks once, and says what came of it.
+const ACTIONS = {
+  stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump stops" },
+  release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump is released" },
+  clear: { title: "Clear the fault?", yes: "Yes, clear the fault", then: "clear_then", doubt: "the fault is cleared" },
+};
+
+const act = async (name) => {
+  const button = byId(`${name}-button`);
+  button.disabled = true;
+  answer("The pump node is asked ...", false);
   // A browser has six connections to a server, and each open page holds one: this page's is given up.
   stream.close();
   try {
-    const { ok, sentence } = await post("/stop", {});
+    const { ok, sentence } = await post(`/${name}`, {});
     answer(sentence, !ok);
   } catch (error) {
-    answer(`It is not known whether the pump stops: ${error.message}. Try again, or stop it at the pump itself.`, true);
+    const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
+    answer(`It is not known whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
   } finally {
-    byId("stop-button").disabled = Boolean(shown?.stop.stopped);
+    button.disabled = name === "stop" && Boolean(shown?.stop.stopped);
     stream.open();
   }
 };
@@ -313,11 +326,20 @@ const acknowledge = async (id) => {
   }
 };
 
-byId("stop-button").addEventListener("click", () => byId("ask").showModal());
+let asked = "stop";
+for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
+  byId(`${name}-button`).addEventListener("click", () => {
+    asked = name;
+    setText(byId("ask-title"), title);
+    setText(byId("ask-yes"), yes);
+    setText(byId("ask-sentence"), shown.stop[then]);
+    byId("ask").showModal();
+  });
+}
 byId("ask-no").addEventListener("click", () => byId("ask").close());
 byId("ask-yes").addEventListener("click", () => {
   byId("ask").close();
-  stopPump();
+  act(asked);
 });
 
 // Charts
