@@ -101,7 +101,9 @@ INTERLOCKS = {
     "delivery": Interlock(
         LATCHED, "the levels do not show the water that was pumped", _CONTROL,
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
-        f"Look at valves, pipes and both level sensors, {RESET}",
+        "The levels do not show the water that was pumped. Look, as the message says, for a burst "
+        "pipe or a leak, a closed valve, somebody else who takes water, and at both level sensors, "
+        f"{RESET}",
     ),
     "fault_unknown": Interlock(
         LATCHED, "a fault is kept that this version has no code for", _CONTROL, "state_file",
@@ -163,7 +165,7 @@ INTERLOCKS = {
     "drive_lost": Interlock(
         ENABLE, "the drive is not heard", _NODE, "exchange_period",
         "The drive is not heard. See that it has power, and look at its cable, gateway and "
-        "address; the pump goes on by itself when it answers.",
+        "address, and for another program that has it; the pump goes on by itself when it answers.",
     ),
     "drive_local": Interlock(
         ENABLE, "the drive is in local control", _NODE, "",
@@ -333,8 +335,8 @@ CONDITIONS = {code: (one.reason, one.advice) for code, one in INTERLOCKS.items()
     # --- the recorder and the sensors ---
     "not_recorded": (
         "nothing is recorded; watering goes on",
-        "Nothing is recorded; watering goes on. See that its directory is there and can be "
-        "written.",
+        "Nothing is recorded; watering goes on. See that its directory is there, can be written "
+        "and has room.",
     ),
     "sensor_lost": (
         "the sensor does not answer, or with no possible level",

@@ -155,6 +155,7 @@ const makeAlarm = () => {
 const fillAlarm = (row, alarm) => {
   row.dataset.level = alarm.level;
   row.dataset.alarm = alarm.id;
+  row.dataset.code = alarm.code;
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
