@@ -20,6 +20,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -447,8 +448,8 @@ class Feed:
             for topic, value in values.items():
                 self._store.add(topic, np.array([time_ns]), np.array([value]))
         recorded = self._recorded
-        many = any(len(one) > _MOST_WAITING for one in (*self._numbers.values(), self._plans))
-        if many or not self._past_is_read(now):
+        queues: list[deque[Any]] = [*self._numbers.values(), self._plans]
+        if any(len(one) > _MOST_WAITING for one in queues) or not self._past_is_read(now):
             for time_ns, plan in self._plans:
                 self._store.add_plan(time_ns, plan)
             self._plans.clear()
@@ -458,7 +459,7 @@ class Feed:
                     self._store.add(topic, np.array(times, np.int64), np.array(numbers))
                     waiting.clear()
         elif recorded is not None:
-            for one in (*self._numbers.values(), self._plans):
+            for one in queues:
                 while one and one[0][0] <= recorded.until_ns:
                     one.popleft()
 

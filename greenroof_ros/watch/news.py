@@ -75,7 +75,7 @@ class News:
         Args:
             hours: of the past in the series; 0 for the summary alone, of a page that nobody sees.
         """
-        failures, old = self._failures, {}
+        failures, old = self._failures, dict[float | None, Message]()
         wanted = (None, hours) if hours else (0.0,)
         self._hours[hours] += 1
         try:

@@ -296,9 +296,9 @@ def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
       const { plot } = charts.views.get(key);
       const x = Math.round(plot.valToPos(charts.ms(t), "x", true));
       const { top, height } = plot.bbox;
-      const pixels = plot.ctx.getImageData(x, top + 2, 1, height - 4).data;
+      const pixels = plot.ctx.getImageData(x, top - 2, 1, height + 4).data;
       const ink = key === "roof" ? [0, 0, 0] : [0, 114, 178];
-      return [...Array(height - 4).keys()].some(
+      return [...Array(height + 4).keys()].some(
         (i) => pixels[4 * i + 3] > 128
           && ink.every((one, c) => Math.abs(pixels[4 * i + c] - one) < 40));
     }'''
@@ -309,7 +309,7 @@ def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
     with served(watched) as port, opened(browser, port) as page:
         until_drawn(page)
         for key in ("roof", "pump"):
-            assert page.evaluate(drawn, [key, newest - 600])
+            assert page.evaluate(drawn, [key, newest - 3000])
             assert not page.evaluate(drawn, [key, newest + 1800])
             assert page.evaluate(drawn, [key, newest + 2 * 3600 + 1800])
         for key, name in (("roof", "roof"), ("pump", "flow"), ("rain", "rain")):
