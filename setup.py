@@ -109,7 +109,6 @@ setup(
             # Server, pushing and files in one library, and no framework on top of it; 3.9 is that
             # of ROS 2 Jazzy's Ubuntu
             "aiohttp>=3.9.1,<4",
-            "vl-convert-python>=1.8,<2",  # as in [study]: the charts' scripts, without the internet
         ],
         # Completes greenroof's commands and options in bash and zsh; 3.1 is that of ROS 2 Jazzy's
         # Ubuntu.

@@ -14,13 +14,13 @@ from typing import Any
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, listen
 from greenroof_ros.watch.server import serving
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.store import Store
 
 
 @contextmanager
-def served(watched: Watched, token: str | None = None, port: int = 0) -> Iterator[int]:
-    """Serve what is watched on loopback, without a graph; yields the port."""
-    feed = Feed(watched, "", bag=None, site_file=None)  # not entered: nothing comes, none stops
+def served(store: Store, token: str | None = None, port: int = 0) -> Iterator[int]:
+    """Serve what is store on loopback, without a graph; yields the port."""
+    feed = Feed(store)  # not entered: nothing comes, none stops
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)
     thread.start()
@@ -29,7 +29,7 @@ def served(watched: Watched, token: str | None = None, port: int = 0) -> Iterato
         return asyncio.run_coroutine_threadsafe(call(), loop).result(20)
 
     place = listen(LOOPBACK, port)
-    context = serving(watched, feed, place, token)
+    context = serving(store, feed, place, token)
     run(context.__aenter__)
     try:
         yield place.socket.getsockname()[1]

@@ -208,8 +208,13 @@ class Site:
             assert code in (0, -signal.SIGALRM), code
 
     def listen(self, topic: str) -> list[tuple[float, Any]]:
-        """Note when each value of a topic comes."""
-        return self.watcher.hear(topic, lambda one: (time.monotonic(), one.data))
+        """Note when each value of a topic comes; of a row what its layout does not skip."""
+
+        def value_of(message: Any) -> tuple[float, Any]:
+            skipped = message.layout.data_offset if hasattr(message, "layout") else None
+            return time.monotonic(), message.data if not skipped else message.data[skipped:]
+
+        return self.watcher.hear(topic, value_of)
 
     def play(self) -> None:
         """Publish the present values."""

@@ -55,7 +55,7 @@ EXTRA_KEYS = {
         "vl-convert-python": [],
         "jinja2": ["python3-jinja2"],
     },
-    "watch": {"aiohttp": ["python3-aiohttp"], "vl-convert-python": []},
+    "watch": {"aiohttp": ["python3-aiohttp"]},
     "completion": {"argcomplete": ["python3-argcomplete"]},
     "netcdf": {"netcdf4": ["python3-netcdf4"]},
     "dask": {"distributed": []},

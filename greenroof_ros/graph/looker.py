@@ -1,5 +1,7 @@
 """Looks at a graph from outside: hears what it is told to hear, and can have the pump stopped.
 
+What it stopped it can release, and nothing else: by services of the pump node that are its own.
+
 It must hold nobody up. So it is best effort and volatile: no publisher keeps, repeats or waits for
 anything for it. It comes over UDP alone: over shared memory a process that is stopped can hold a
 lock that others need. And it is not woken by messages: it looks every now and then, and takes all
@@ -49,7 +51,7 @@ class Looker:
         self._context = join()
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
-        from std_srvs.srv import SetBool
+        from std_srvs.srv import SetBool, Trigger
 
         def node(name: str) -> Node:
             return Node(
@@ -61,8 +63,9 @@ class Looker:
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
-        self._stop_type = SetBool
-        self._stop: tuple[str, Any] | None = None
+        self._types = {"page_stop": SetBool, "page_clear": Trigger}
+        self._pump: str | None = None
+        self._services: dict[str, Any] = {}
         self._on_message = on_message
         self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
@@ -104,20 +107,23 @@ class Looker:
         self._wake.set()
 
     def prepare_stop(self, pump_node: str | None) -> None:
-        """Look for the stop service of a node, so that a call finds it at once.
+        """Look for the services of a pump node, so that a call finds them at once.
 
         Args:
             pump_node: fully qualified; None where there is none.
         """
-        if self._stop is not None and self._stop[0] != pump_node:
-            self._caller.destroy_client(self._stop[1])
-            self._stop = None
-        if self._stop is None and pump_node is not None:
-            client = self._caller.create_client(self._stop_type, f"{pump_node}/stop")
-            self._stop = pump_node, client
+        if self._pump == pump_node:
+            return
+        for client in self._services.values():
+            self._caller.destroy_client(client)
+        self._pump = pump_node
+        self._services = {} if pump_node is None else {
+            name: self._caller.create_client(kind, f"{pump_node}/{name}")
+            for name, kind in self._types.items()
+        }
 
     def stop_pump(self, timeout_s: float = 3.0) -> str:
-        """Have the pump kept off until somebody releases it at its node.
+        """Have the pump kept off until somebody releases it.
 
         Returns:
             What the pump node says.
@@ -125,15 +131,26 @@ class Looker:
         Raises:
             StopFailedError: it did not say that it does.
         """
-        if self._stop is None:
+        return self._call("page_stop", timeout_s, data=True)
+
+    def release_pump(self, timeout_s: float = 3.0) -> str:
+        """Release the pump, where it was stopped as above; returns and raises as that does."""
+        return self._call("page_stop", timeout_s, data=False)
+
+    def clear_fault(self, timeout_s: float = 3.0) -> str:
+        """Clear the pump's latched fault, if that needs nobody to look; the rest as above."""
+        return self._call("page_clear", timeout_s)
+
+    def _call(self, service: str, timeout_s: float, **request: bool) -> str:
+        if self._pump is None:
             raise StopFailedError("There is no pump node that could be stopped from here.")
-        name, client = self._stop
+        name, client = self._pump, self._services[service]
         until = time.monotonic() + timeout_s
         while not client.service_is_ready():
             if time.monotonic() > until:
-                raise StopFailedError(f"{name} has no stop service that answers.")
+                raise StopFailedError(f"{name} has no {service} service that answers.")
             time.sleep(0.02)
-        answer = client.call_async(self._stop_type.Request(data=True))
+        answer = client.call_async(self._types[service].Request(**request))
         self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))
         if not answer.done():
             client.remove_pending_request(answer)

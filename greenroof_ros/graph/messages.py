@@ -16,7 +16,7 @@ import struct
 from array import array
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from greenroof_ros.common.interface import Qos
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
 _CLOCK = struct.Struct("<4siI")
-# Length of the list of dimensions, offset, length of the data, and padding; then the numbers.
+# Length of the list of dimensions, offset of the numbers, length of the data, and padding.
 _ROW = struct.Struct("<4sIII4x")
 _LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
@@ -40,6 +40,17 @@ _NS = 1_000_000_000
 
 class LockstepError(Exception):
     """The graph cannot go on; the message names the topic and the node."""
+
+
+class WithFront(NamedTuple):
+    """Numbers, and others in front of them that the layout's ``data_offset`` skips.
+
+    A forecast has there when it was issued and when its steps end: who reads by the layout, as ROS
+    defines it, gets the forecast alone.
+    """
+
+    front: array[float]
+    values: array[float] | NDArray[np.float64]
 
 
 def message_class(type_name: str) -> Any:
@@ -95,8 +106,8 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
     Args:
         type_name: ``std_msgs/msg/Float64`` of a number; ``std_msgs/msg/Float64MultiArray`` of an
             ``array("d")`` or of a 2-D numpy array, whose shape goes into the layout unless it has
-            one row, or none; ``rosgraph_msgs/msg/Clock`` of nanoseconds since 1970;
-            ``std_msgs/msg/String`` of a text.
+            one row, or none, or of these :class:`WithFront`; ``rosgraph_msgs/msg/Clock`` of
+            nanoseconds since 1970; ``std_msgs/msg/String`` of a text.
         dimensions: labels of a 2-D array's rows and columns.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
@@ -133,12 +144,16 @@ def decode_clock(message: bytes) -> int:
 
 
 def _encode_numbers(
-    dimensions: tuple[str, ...], values: array[float] | NDArray[np.float64]
+    dimensions: tuple[str, ...], values: array[float] | NDArray[np.float64] | WithFront
 ) -> bytes:
+    front: array[float] = array("d")
+    if isinstance(values, WithFront):
+        front, values = values
     if isinstance(values, np.ndarray) and len(values) <= 1:
         values = array("d", values.tobytes())  # one forecast is no ensemble
     if isinstance(values, array):
-        return _ROW.pack(_HEADER, 0, 0, len(values)) + values.tobytes()
+        size = len(front) + len(values)
+        return _ROW.pack(_HEADER, 0, len(front), size) + front.tobytes() + values.tobytes()
     rows, columns = values.shape
     head = bytearray(_HEADER + _LENGTH.pack(2))
     strides = (values.size, columns)
@@ -147,17 +162,17 @@ def _encode_numbers(
         head += _LENGTH.pack(len(text)) + text
         head += bytes(-len(head) % 4)
         head += _SIZES.pack(size, stride)
-    head += _SIZES.pack(0, values.size)  # no offset
+    head += _SIZES.pack(len(front), len(front) + values.size)
     head += bytes((len(_HEADER) - len(head)) % 8)  # to a multiple of 8 behind the header
-    return bytes(head) + values.astype("<f8").tobytes()
+    return bytes(head) + front.tobytes() + values.astype("<f8").tobytes()
 
 
 def _decode_numbers(message: bytes) -> array[float] | NDArray[np.float64]:
     if len(message) >= _ROW.size:
-        head = _ROW.unpack_from(message)
-        if head == (_HEADER, 0, 0, (len(message) - _ROW.size) // 8):
+        header, dimensions, offset, size = _ROW.unpack_from(message)
+        if (header, dimensions, size) == (_HEADER, 0, (len(message) - _ROW.size) // 8):
             values = array("d")
-            values.frombytes(message[_ROW.size :])
+            values.frombytes(message[_ROW.size + 8 * offset :])
             return values
     received = deserialize_message(message, Float64MultiArray)
     data: array[float] = received.data[received.layout.data_offset :]

@@ -3,7 +3,9 @@
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
-off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. In
+off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
+page has services of its own, ``~/page_stop`` and ``~/page_clear``, which release what was stopped
+by the first alone, and clear once in 24 h what needs nobody to look. In
 any state each command is answered by the flow (live, it is said every tau, and between commands the
 drive is stopped by wall time), and /pump/state says why the pump stands.
 """
@@ -44,7 +46,12 @@ from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
-from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
+from greenroof_ros.pumping.pump_control import (
+    PAGE_STOPPED,
+    Decision,
+    Observation,
+    PumpControl,
+)
 
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
@@ -289,6 +296,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
+        self.create_service(SetBool, "~/page_stop", self._on_page_stop)
+        self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self._step(boot_time())
 
@@ -300,7 +309,9 @@ class PumpNode(Lifecycle, LinkedNode):
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         kept = self._ledger.record
-        why = kept.fault or kept.operator_stop or kept.unknown
+        why = kept.fault or kept.operator_stop or kept.unknown or (
+            PAGE_STOPPED if kept.page_stop else ""
+        )
         if why:
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
@@ -412,6 +423,27 @@ class PumpNode(Lifecycle, LinkedNode):
         self._resetting_until = boot_time() + RESET_S
         self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def _on_page_stop(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        self._take_state()
+        self._control.stop_on_page(request.data)
+        self._step(boot_time())
+        return self._kept(response, self._state)
+
+    def _on_page_clear(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._take_state()
+        if refusal := self._control.page_may_not_clear:
+            response.success, response.message = False, refusal
+            return response
+        self._control.clear_on_page()
+        self._step(boot_time())
+        self._kept(response, self._state)
+        self.get_logger().info(f"fault cleared on the page: {response.message}")
         return response
 
     def _kept(self, response: Any, message: str) -> Any:
@@ -574,7 +606,15 @@ class PumpNode(Lifecycle, LinkedNode):
             "speed": decision.turns_at,
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
-            "fault": kept.fault, "stop": kept.operator_stop or kept.unknown,
+            "fault": kept.fault,
+            "stop": kept.operator_stop or kept.unknown or (PAGE_STOPPED if kept.page_stop else ""),
+            "stopped_by": [
+                owner for owner, on in (
+                    ("service", kept.operator_stop), ("page", kept.page_stop),
+                    ("unknown state", kept.unknown),
+                ) if on
+            ],
+            "page_may_not_clear": self._control.page_may_not_clear,
         }
 
     def _diagnose(self, now: float) -> None:

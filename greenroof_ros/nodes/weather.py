@@ -7,6 +7,7 @@ the site's gauges and a file of forecasts, if there is one.
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -36,7 +37,7 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.resampling import Outlook, make_forecast
+from greenroof_ros.forecast.resampling import Outlook, look_ahead_ends, make_forecast
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command
@@ -44,7 +45,7 @@ from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.messages import LockstepError, WithFront
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON
@@ -215,6 +216,9 @@ class WeatherNode(LinkedNode):
         else:
             self._records = _Records(site, values)
             self._time = self.subscribe(CLOCK)
+        # In front of each forecast: when it was issued, which is not said of one from records, and
+        # when its steps end (s from now).
+        self._front = array("d", [math.nan, *look_ahead_ends(site, values["horizon"])[1:]])
         self.open_outputs(
             _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
         )
@@ -228,9 +232,12 @@ class WeatherNode(LinkedNode):
         tick = records.tick(self._time.value)
         hour = records.series.at(tick)
         # What the controller waits for comes first: it needs longest.
+        front, forecast = self._front, records.forecast
         self.publish(_FROST, hour.frost)
-        self.publish(_RAIN_FORECAST, records.forecast.precipitation(tick))
-        self.publish(_EVAPOTRANSPIRATION_FORECAST, records.forecast.evapotranspiration(tick))
+        self.publish(_RAIN_FORECAST, WithFront(front, forecast.precipitation(tick)))
+        self.publish(
+            _EVAPOTRANSPIRATION_FORECAST, WithFront(front, forecast.evapotranspiration(tick))
+        )
         self.publish(_RAIN, hour.precipitation)
         self.publish(_EVAPOTRANSPIRATION, hour.evapotranspiration)
         self.set_time(self._time.value)
@@ -249,8 +256,11 @@ class WeatherNode(LinkedNode):
         self.publish(_FROST, self._frost(temperature))
         evapotranspiration: float | None
         if outlook is not None:
-            self.publish(_RAIN_FORECAST, outlook.rain)
-            self.publish(_EVAPOTRANSPIRATION_FORECAST, outlook.evapotranspiration)
+            front = array("d", [outlook.issued.timestamp(), *self._front[1:]])
+            self.publish(_RAIN_FORECAST, WithFront(front, outlook.rain))
+            self.publish(
+                _EVAPOTRANSPIRATION_FORECAST, WithFront(front, outlook.evapotranspiration)
+            )
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))

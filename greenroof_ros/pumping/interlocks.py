@@ -6,7 +6,8 @@ says what follows:
 - *latched*: a fault of pump, pipes or drive. It stays until somebody resets it (``~/reset``), and
   is kept over restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping. It clears by itself, but for an
-  operator's stop and a record that cannot be read, which end by ``~/stop`` with false.
+  operator's stop and a record that cannot be read, which end by ``~/stop`` with false; one on the
+  page ends there, too.
 - *enable*: a condition for running the pump at all is missing. It clears by itself once that is
   there again: ``not_active`` by *activate*, where somebody had asked for another state,
   ``drive_local`` and ``drive_timeout`` by a person at the panel.
@@ -100,7 +101,9 @@ INTERLOCKS = {
     "delivery": Interlock(
         LATCHED, "the levels do not show the water that was pumped", _CONTROL,
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
-        f"Look at valves, pipes and both level sensors, {RESET}",
+        "The levels do not show the water that was pumped. Look, as the message says, for a burst "
+        "pipe or a leak, a closed valve, somebody else who takes water, and at both level sensors, "
+        f"{RESET}",
     ),
     "fault_unknown": Interlock(
         LATCHED, "a fault is kept that this version has no code for", _CONTROL, "state_file",
@@ -109,6 +112,11 @@ INTERLOCKS = {
     "operator_stop": Interlock(
         INHIBIT, "an operator stopped the pump", _CONTROL, "",
         f"Somebody holds the pump off. When it may run again: {_RELEASE}",
+    ),
+    "page_stop": Interlock(
+        INHIBIT, "somebody stopped the pump on the page", _CONTROL, "",
+        "Somebody holds the pump off on the page. When it may run again, release it there "
+        f"(greenroof watch --allow-release), or: {_RELEASE}",
     ),
     "record_unknown": Interlock(
         INHIBIT, "whether there was a stop or a fault is not known any more", _CONTROL,
@@ -157,7 +165,7 @@ INTERLOCKS = {
     "drive_lost": Interlock(
         ENABLE, "the drive is not heard", _NODE, "exchange_period",
         "The drive is not heard. See that it has power, and look at its cable, gateway and "
-        "address; the pump goes on by itself when it answers.",
+        "address, and for another program that has it; the pump goes on by itself when it answers.",
     ),
     "drive_local": Interlock(
         ENABLE, "the drive is in local control", _NODE, "",
@@ -211,6 +219,10 @@ INTERLOCKS = {
     ),
 }
 """by their codes, which are short and stable"""
+
+CLEARED_ON_PAGE = ("turns_backwards", "runs_on", "speed_not_followed")
+"""Faults that the page may clear: neither one of the delivery, nor one of the drive, nor one that
+is not known: those need somebody who has looked."""
 
 # What each code means, and what to do.
 CONDITIONS = {code: (one.reason, one.advice) for code, one in INTERLOCKS.items()} | {
@@ -323,8 +335,8 @@ CONDITIONS = {code: (one.reason, one.advice) for code, one in INTERLOCKS.items()
     # --- the recorder and the sensors ---
     "not_recorded": (
         "nothing is recorded; watering goes on",
-        "Nothing is recorded; watering goes on. See that its directory is there and can be "
-        "written.",
+        "Nothing is recorded; watering goes on. See that its directory is there, can be written "
+        "and has room.",
     ),
     "sensor_lost": (
         "the sensor does not answer, or with no possible level",

@@ -51,7 +51,9 @@ class Record:
     """What is kept.
 
     Attributes:
-        operator_stop: why the pump is stopped by somebody; empty where it is not.
+        operator_stop: why the pump is stopped by somebody by the service; empty where it is not.
+        page_stop: whether somebody stopped it on the page, which may be released there.
+        page_clears_from: when the page may clear a fault again (s, as ``elapsed``).
         unknown: why it is not known whether there was a stop or a fault; empty where it is.
         fault: the latched fault; empty where there is none.
         fault_code: its interlock's code.
@@ -64,6 +66,8 @@ class Record:
     """
 
     operator_stop: str = ""
+    page_stop: bool = False
+    page_clears_from: float = 0.0
     unknown: str = ""
     fault: str = ""
     fault_code: str = ""
@@ -129,6 +133,8 @@ class Ledger:
         self._begin(self._file)
         if mine.operator_stop and mine.operator_stop != before.operator_stop:
             self.stop(mine.operator_stop)
+        if mine.page_stop and not before.page_stop:
+            self.stop_on_page(True)
         if mine.fault and mine.fault != before.fault:
             self.fault(mine.fault, mine.fault_code)
         return True
@@ -168,10 +174,21 @@ class Ledger:
         return self._newest.problem
 
     def stop(self, reason: str) -> None:
-        """Keep the pump off, or release it (empty), also where a stop or a fault is unknown."""
-        unknown = self.record.unknown if reason else ""
-        self.record = replace(self.record, operator_stop=reason, unknown=unknown)
+        """Keep the pump off, or release it (empty), whoever stopped it, and what is unknown."""
+        self.record = replace(self.record, operator_stop=reason)
+        if not reason:
+            self.record = replace(self.record, page_stop=False, unknown="")
         self._save()
+
+    def stop_on_page(self, on: bool) -> None:
+        """Keep the pump off, or release what was stopped so, and nothing else."""
+        self.record = replace(self.record, page_stop=on)
+        self._save()
+
+    def clear_on_page(self) -> None:
+        """Clear the latched fault, as the page may once in a day."""
+        self.record = replace(self.record, page_clears_from=self.record.elapsed + DAY_S)
+        self.fault("", "")
 
     def fault(self, text: str, code: str) -> None:
         """Latch a fault with its interlock's code, or clear it (empty)."""

@@ -9,12 +9,20 @@ from dataclasses import dataclass, field, replace
 from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.interlocks import ENABLE, INHIBIT, INTERLOCKS, LATCHED, evaluate
+from greenroof_ros.pumping.interlocks import (
+    CLEARED_ON_PAGE,
+    ENABLE,
+    INHIBIT,
+    INTERLOCKS,
+    LATCHED,
+    evaluate,
+)
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
 # Words that others look for in /pump/state: a stop by hand, and a pump that is off and may turn.
 OPERATOR_STOPPED = "an operator stopped it"
+PAGE_STOPPED = "somebody stopped it on the page"
 STILL_TURNS = "the pump still turns"
 STANDS_UNKNOWN = "whether the pump stands is not known"
 
@@ -135,14 +143,40 @@ class PumpControl:
         """
         self._ledger.stop(OPERATOR_STOPPED if on else "")
 
+    def stop_on_page(self, on: bool) -> None:
+        """Keep the pump off for the page, or release what the page stopped, and nothing else."""
+        self._ledger.stop_on_page(on)
+
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
         cleared = self._ledger.record.fault
         if cleared:
             self._ledger.fault("", "")
-            self._delivery = DeliveryCheck(self._site, self._settings)
-            self._follow_error_for = 0.0
+            self._judge_anew()
         return cleared
+
+    @property
+    def page_may_not_clear(self) -> str:
+        """Why the page may not clear a latched fault; empty where it may."""
+        record = self._ledger.record
+        if not record.fault:
+            return "there is no fault"
+        if record.fault_code not in CLEARED_ON_PAGE:
+            return "such a fault is cleared at the pump node, by somebody who has looked"
+        wait = record.page_clears_from - record.elapsed
+        if wait > 0:
+            return f"a fault is cleared here once in 24 h, and not for {wait / 3600:.1f} h more"
+        return ""
+
+    def clear_on_page(self) -> None:
+        """Clear a latched fault that the page may clear; what still is latches again."""
+        self._ledger.clear_on_page()
+        self._judge_anew()
+
+    def _judge_anew(self) -> None:
+        """Forget what led to a fault."""
+        self._delivery = DeliveryCheck(self._site, self._settings)
+        self._follow_error_for = 0.0
 
     def pass_unseen(self, dt: float) -> None:
         """Count time in which nobody was there, as in a suspend of the machine; then it is off.
@@ -351,7 +385,10 @@ class PumpControl:
             code = next(iter(latched))
             self._ledger.fault(latched[code], code)
         record = self._ledger.record
-        found |= {"operator_stop": record.operator_stop, "record_unknown": record.unknown}
+        found |= {
+            "operator_stop": record.operator_stop, "record_unknown": record.unknown,
+            "page_stop": PAGE_STOPPED if record.page_stop else "",
+        }
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED

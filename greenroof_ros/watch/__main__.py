@@ -15,7 +15,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.store import Store
 
 # A watcher holds nobody up: it has a tenth of a core where the others want all (nice).
 _GIVE_WAY = 10
@@ -24,7 +24,7 @@ _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
 alarms and what to do, the water account. It shows any graph that runs in this ROS domain,
 simulated, with a drive in the loop or live, or a run that has ended. It may start late, stop, and
-be many: no run waits for it. The pump can be stopped there, and nothing started.
+be many: no run waits for it. The pump can be stopped there, and released where that was allowed.
 
 The address is printed. Only this machine reaches it; from another one, by an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE        and there, http://localhost:8080
@@ -72,6 +72,11 @@ def make_parser() -> argparse.ArgumentParser:
         help="in this terminal instead of a page; the space bar turns its pages, q ends it",
     )
     parser.add_argument(
+        "--allow-release", action="store_true",
+        help="what was stopped on the page may be released there, and once in 24 h a fault be "
+        "cleared that needs nobody to look; the page then needs its token on this machine, too",
+    )
+    parser.add_argument(
         "--host", metavar="ADDRESS",
         help="address of this machine for the page, for other machines to look at; 0.0.0.0 is all "
         "of its addresses. Any but this machine's own 127.0.0.1 needs a token, which is printed "
@@ -103,7 +108,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
         read_site(arguments.site)
 
 
-def _say_address(url: str, host: str, port: int | None) -> None:
+def _say_address(url: str, host: str, port: int | None, *, release: bool) -> None:
     """Print where the page is, and what is to know about that."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is taken, by another watcher perhaps", file=sys.stderr)
@@ -112,6 +117,8 @@ def _say_address(url: str, host: str, port: int | None) -> None:
             "whoever has the address with its token may look, and stop the pump; what is sent is "
             "not encrypted", file=sys.stderr,
         )
+    if release:
+        print("whoever has the address with its token may release the pump", file=sys.stderr)
     print(url, flush=True)
 
 
@@ -121,13 +128,14 @@ def main() -> int:
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_GIVE_WAY)
-    watched = Watched(arguments.namespace)
+    store = Store(arguments.namespace)
+    store.allow_release = arguments.allow_release
     what = {"bag": arguments.bag, "site_file": arguments.site}
     if arguments.terminal:
         from greenroof_ros.watch.terminal import run
 
-        with Feed(watched, arguments.namespace, **what) as feed:
-            run(watched)
+        with Feed(store, **what) as feed:
+            run(store, feed)
         return EXIT_DONE
     try:
         from greenroof_ros.watch.server import serve
@@ -136,15 +144,17 @@ def main() -> int:
             f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal needs it not"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
-    token = None if is_loopback(host) else secrets.token_urlsafe(24)
+    # Behind a proxy each request comes from this machine.
+    needed = store.allow_release or not is_loopback(host)
+    token = secrets.token_urlsafe(24) if needed else None
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(watched, arguments.namespace, **what) as feed,
+        Feed(store, **what) as feed,
     ):
         serve(
-            watched, feed, host=host, port=port, token=token, signals=signals,
-            on_ready=lambda url: _say_address(url, host, port),
+            store, feed, host=host, port=port, token=token, signals=signals,
+            on_ready=lambda url: _say_address(url, host, port, release=store.allow_release),
         )
     return EXIT_DONE
 

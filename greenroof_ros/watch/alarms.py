@@ -1,118 +1,135 @@
-"""Alarms and events of a graph, from what its nodes report on /diagnostics.
+"""Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
 An alarm is a status that is not OK, a node that failed, or one that is not heard. It is known by
-the name of its status, so that a number that changes in its sentence makes no new one.
+the name of its status, so that a number that changes in its sentence makes no new one. What it
+means and what to do stands with its code, in the table of conditions or, of what is seen from here
+alone, below: no sentence is read.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import cache
 from typing import Any
 
-from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, STARTING, STATES
-from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
-from greenroof_ros.watch.causes import Trouble, find_causes
+from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.graph.supervision import PUMP
+from greenroof_ros.pumping.interlocks import CONDITIONS, INTERLOCKS, LATCHED
+from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
+from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain
 
-# A node reports four times a second; one that is not heard for so long (s) is not there, as for
-# bringup. Of other devices, which report once a second, the default of diagnostic_aggregator.
-SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
-# A node that waits for another one for so long (s) says so as an alarm: a start takes seconds.
-_WAITS_S = 5.0
 # An alarm that comes back within this time (s) was not over for an operator.
 _AGAIN_S = 10.0
-# What a hostile sender can make this remember: nodes, parts of each, statuses of other devices,
-# characters of a sentence, a name and a value. A graph has seven nodes.
-_NODES, _PARTS, _FOREIGN = 32, 24, 200
-_TEXT, _NAME, _VALUE = 500, 160, 100_000
-_ROWS, _OVER, _EVENTS = 100, 20, 50
-_OK, _WARN, _ERROR, _STALE = range(4)
-_LEVELS = {_WARN: "warn", _ERROR: "error", _STALE: "stale"}
-_SEVERITY = {_ERROR: 0, _STALE: 1, _WARN: 2}
-# What ROS lets a node be called; its name is part of a command that is advised.
-_NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_TEXT, _ROWS, _OVER, _EVENTS, _SEEN = 500, 100, 20, 50, 20
+_LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
+_SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
+
+# Where the code is not known, and of other devices, of which nothing is known here.
+OTHER = "Nothing is known about this here; read the log of the node that says so."
+FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
+_AGAIN = "bringup starts it again, or else start it yourself."
+# What to do about what is seen from here; of a role, where that makes a difference.
+SEEN_HERE = {
+    "not_heard": "It has stopped reporting. See whether it still runs, and start it again.",
+    "not_heard pump": "Nobody here knows whether the pump runs. Go and see; stop it at its panel "
+    "if it should not. bringup starts the program again, or else start it yourself.",
+    "not_heard controller": "The controller hangs or was ended; the pump stands without its "
+    f"commands. {_AGAIN}",
+    "not_heard cistern_sensor": "The program that reads a level hangs or was ended, so the pump "
+    f"stands. {_AGAIN}",
+    "not_heard roof_sensor": "The program that reads a level hangs or was ended, so the pump "
+    f"stands. {_AGAIN}",
+    "not_heard weather": "The weather program hangs or was ended; the pump stands without its word "
+    f"on frost. {_AGAIN}",
+    "not_heard recorder": "Nothing is recorded; on a live site watering goes on. " + _AGAIN,
+    "not_heard plant": "The simulation hangs or was ended, and the run with it. Read its log, and "
+    "start the run again.",
+    "node_failed pump": "The pump's program has ended. Go and see whether the pump stands; stop it "
+    "at its drive's panel or main switch if it turns. Mend what it says, and start it again.",
+    "started_again": "The program ended or hung, and bringup started it again. Nothing to do, "
+    "unless it happens often: then read its log.",
+    "two_processes": CONDITIONS["two_controllers"][1],
+    "waits": "It cannot begin yet. Start the program that it waits for, if it does not come by "
+    "itself.",
+    "values_refused": "Some program publishes nonsense there; it is taken for 0. See which one "
+    "publishes it, and end or mend it.",
+    "stands_unknown": "The drive is not heard, and whether the pump stands is not known. Go and "
+    "see; look at the drive's power, cable, gateway and address.",
+    "stop_not_followed": "Somebody stopped the pump, and it still turns. If it does not stand "
+    "within seconds, stop it at its drive's panel or main switch, and find out why it runs on.",
+}
+
+# A state of the pump with such a code asks for a hand at the pump, whatever caused it.
+_NEEDS_A_HAND = {
+    *(code for code, one in INTERLOCKS.items() if one.kind == LATCHED),
+    "operator_stop", "page_stop", "record_unknown", "stands_unknown", "stop_not_followed",
+}
+# Of each reason why the pump stands, the parts of its node that say more of it.
+_PARTS_OF_REASON = {
+    **dict.fromkeys(("cistern_level_unknown", "roof_level_unknown"), ("levels",)),
+    **dict.fromkeys(("frost", "frost_unknown"), ("frost",)),
+    **dict.fromkeys(
+        ("no_command", "command_unknown", "command_refused", "two_controllers"), ("command",)
+    ),
+    "no_permit": ("supervisor",),
+    **dict.fromkeys(
+        ("not_active", "drive_lost", "drive_local", "second_master", "drive_not_ready",
+         "drive_speed_unknown", "drive_timeout", "drive_guards_later"),
+        ("drive timeout", "drive"),
+    ),
+}
+# What each part of a node takes in, and from which roles: it says that nothing good comes.
+_SENSORS = ("cistern_sensor", "roof_sensor", "plant")
+_TAKES_IN = {
+    "levels": _SENSORS, "command": ("controller",), "frost": ("weather",),
+    "forecast": ("weather",), "inputs": (*_SENSORS, "weather", "controller"), "refused": (),
+}
+_ABSENT = {
+    "input_waiting", "input_silent", "input_refused", "no_command", "no_forecast",
+    "temperature_unknown", "values_refused", "not_heard",
+}
 
 
-def is_node_name(name: str) -> bool:
-    """Whether ROS lets a node be called so, fully qualified."""
-    return len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
+def advise(code: str, role: str, node: str) -> tuple[str, bool]:
+    """Return what an alarm means and what to do about it, and whether anything is known of it.
 
-
-def may_turn(values: Mapping[str, Any]) -> bool:
-    """Whether a pump node says that it knows neither that the pump stands nor what it turns at."""
-    return values.get("stands") is not True and "speed" in values and values["speed"] is None
-
-
-def read_value(text: str) -> Any:
-    """Return a value of a status of this package's nodes, which is a JSON text.
-
-    A number that is not finite, or has 20 characters or more without being a fraction, is None: no
-    quantity is such, and what is computed with it would fail.
-
-    Raises:
-        ValueError: it is no JSON.
-        RecursionError: it is nested too deep.
+    Args:
+        code: of the condition.
+        role: of the node, as the interface calls it; empty for another device.
+        node: its fully qualified name, for the services that the advice names.
     """
-    return json.loads(text, parse_int=_integer, parse_float=_number, parse_constant=_nothing)
+    if not role:
+        return FOREIGN, False
+    known = SEEN_HERE.get(f"{code} {role}") or SEEN_HERE.get(code)
+    if known is None and code in CONDITIONS:
+        known = CONDITIONS[code][1].format(node=node)
+    return (OTHER, False) if known is None else (known, True)
 
 
-@dataclass(frozen=True)
-class Status:
-    """One status of /diagnostics.
+def row(
+    name: str, trouble: Trouble, *, since: float, over: float | None,
+    say_time: Callable[[float], str], at_least: bool = False, acknowledged: bool = False,
+    follows: str | None = None, recorded: bool = False,
+) -> dict[str, Any]:
+    """Return an alarm as the document has it.
 
-    Attributes:
-        name: fully qualified, of a node; of a part of it with the part behind ``": "``.
-        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
-        message: a sentence.
-        hardware_id: the device that it is about; of a node the machine.
-        values: as on the wire; those of this package's nodes are JSON texts.
+    ``plain`` is whether ``do`` is about that alarm, so that an operator reads it instead of the
+    node's own words in ``what``. What only follows from another alarm names that in ``follows``.
     """
-
-    name: str
-    level: int
-    message: str
-    hardware_id: str
-    values: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass
-class _Part:
-    """A part of a node, or another device, as it was last heard."""
-
-    level: int
-    message: str
-    heard: float  # wall time (s)
-    first: bool  # whether it was heard now for the first time, and its node too
-    times: int = 1
-
-
-@dataclass
-class _Node:
-    """A node of the graph, as it was last heard."""
-
-    name: str
-    role: str
-    process: str
-    state: str
-    heard: float  # wall time (s)
-    since: float  # in this state, wall time (s)
-    values: dict[str, Any]
-    first: bool = True  # whether it was heard once so far
-    parts: dict[str, _Part] = field(default_factory=dict)
-    others: dict[str, float] = field(default_factory=dict)  # processes that were heard before
-    twins_at: float = -math.inf  # when two processes were last heard in turn (wall, s)
-    refused_at: float = -math.inf  # when the count of refused values last grew (wall, s)
-    refused: str = ""  # topics
-
-    def is_silent(self, wall: float) -> bool:
-        """Whether it should be heard, and is not."""
-        return wall - self.heard > SILENT_S and self.state not in (FINISHED, ENDED)
+    node = name.partition(": ")[0]
+    do, known = advise(trouble.code, trouble.role, f"/{node}" if recorded else node)
+    return {
+        "id": name, "level": _LEVELS[trouble.level], "what": trouble.what, "code": trouble.code,
+        "do": do, "plain": known, "since": since, "since_at_least": at_least,
+        "since_text": say_time(since), "acknowledged": acknowledged,
+        "over": over, "over_text": "" if over is None else say_time(over),
+        "follows": follows, "recorded": recorded,
+    }
 
 
 @dataclass
@@ -129,12 +146,13 @@ class _Alarm:
     @property
     def gist(self) -> str:
         """What is wrong, without the numbers that change."""
-        return f"{self.trouble.level} {re.sub(r'[0-9.]+', '', self.trouble.what)}"
+        one = self.trouble
+        return f"{one.level} {one.code} {one.gist or re.sub(r'[0-9.]+', '', one.what)}"
 
     @property
     def is_serious(self) -> bool:
         """Whether it counts as an alarm, and not as a warning: other devices warn at most."""
-        return bool(self.trouble.role) and self.trouble.level in (_ERROR, _STALE)
+        return bool(self.trouble.role) and self.trouble.level in (ERROR, STALE)
 
     @property
     def is_acknowledged(self) -> bool:
@@ -147,6 +165,10 @@ class Alarms:
 
     Times called ``wall`` are of a clock that is never set (s); ``now`` is the graph's time, epoch
     seconds.
+
+    Attributes:
+        registry: of who says what.
+        shown: whether what it says is shown; otherwise it makes no alarms and no events.
     """
 
     def __init__(self, namespace: str = "") -> None:
@@ -155,269 +177,58 @@ class Alarms:
         Args:
             namespace: of the graph; the statuses of other ones are those of other devices.
         """
-        self._namespace = "/" + namespace.strip("/")
-        self._nodes: dict[str, _Node] = {}
-        self._foreign: dict[str, _Part] = {}
+        self.registry = Registry(namespace, self._note)
+        self.shown = True
+        self._now = 0.0
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget all alarms and events; who is there is known."""
         self._alarms: dict[str, _Alarm] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
-    # --- hearing --------------------------------------------------------------------------------
-
-    def hear(self, wall: float, now: float, statuses: Sequence[Status]) -> None:
-        """Take what came, from one message or several; nothing in it raises."""
-        rest: list[tuple[str, Status]] = []
-        fresh: set[str] = set()
-        for status in statuses:
-            name = plain(status.name, _NAME)
-            report = self._report(name, status)
-            if report is None:
-                rest.append((name, status))
-            elif self._hear_node(wall, now, name, *report):
-                fresh.add(name)
-        crowded = False
-        for name, status in rest:
-            node_name, _, part = name.partition(": ")
-            node = self._nodes.get(node_name)
-            if node is not None and part:
-                self._hear_part(wall, node, part, status, node_name in fresh)
-            else:
-                crowded = self._hear_foreign(wall, name, status, crowded)
+    def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
+        """Take what came, from one message or several; ``more`` goes to the registry."""
+        self._now = now
+        self.registry.hear(wall, statuses, **more)
         self.look(wall, now)
-
-    def _report(self, name: str, status: Status) -> tuple[str, dict[str, Any]] | None:
-        """Return the state of a node of this graph and its values; None for any other status."""
-        if (
-            status.message not in STATES or not is_node_name(name)
-            or (name.rpartition("/")[0] or "/") != self._namespace
-        ):
-            return None
-        values = {}
-        for key, text in list(status.values.items())[:100]:
-            if len(text) > _VALUE:
-                continue
-            try:
-                values[key] = read_value(text)
-            except (ValueError, RecursionError):
-                return None
-        named = all(isinstance(values.get(key), str) for key in ("role", "process"))
-        return (status.message, values) if named else None
-
-    def _hear_node(
-        self, wall: float, now: float, name: str, state: str, values: dict[str, Any]
-    ) -> bool:
-        """Take the report of a node, and return whether it is the first of it."""
-        role, process = (plain(values[key], _NAME) for key in ("role", "process"))
-        node = self._nodes.get(name)
-        if node is None:
-            if len(self._nodes) >= _NODES:
-                silent = min(self._nodes.values(), key=lambda one: one.heard)
-                if wall - silent.heard <= SILENT_S:
-                    return False
-                del self._nodes[silent.name]
-            self._nodes[name] = _Node(name, role, process, state, wall, wall, values)
-            for other in [one for one in self._foreign if one.startswith(f"{name}: ")]:
-                del self._foreign[other]
-            return True
-        before, node.values, node.first = node.values, values, False
-        if process != node.process:
-            if wall - node.others.get(process, -math.inf) <= SILENT_S:
-                node.twins_at = wall
-            else:
-                self.add_event(now, f"{name} was started again")
-                node.parts.clear()
-                before = {}
-            node.others[node.process] = node.heard
-            while len(node.others) > 4:
-                del node.others[next(iter(node.others))]
-            node.others.pop(process, None)
-            node.process = process
-        if state != node.state:
-            node.since = wall
-            if state == FINISHED:
-                self.add_event(now, f"{name} has finished: the run is over")
-            elif state == ENDED:
-                self.add_event(now, f"{name} ended")
-        node.role, node.state, node.heard = role, state, wall
-        self._compare(wall, now, node, before)
-        return False
-
-    def _compare(self, wall: float, now: float, node: _Node, before: dict[str, Any]) -> None:
-        """Note as events, and as trouble, what changed in a node's values."""
-        values = node.values
-        for change in _new(before, values, "parameter_changes", "parameter_change_count"):
-            if isinstance(change, dict):
-                name, old, new = (change.get(key) for key in ("parameter", "before", "value"))
-                self.add_event(now, f"{node.name}: {name} was changed from {old} to {new}")
-        for warning in _new(before, values, "warnings", ""):
-            self.add_event(now, f"{node.name} warns: {warning}")
-        grown = [
-            topic for topic, count in _counts(values).items()
-            if count > _counts(before).get(topic, 0)
-        ]
-        if grown and before:
-            node.refused_at, node.refused = wall, ", ".join(grown[:10])
-        if not before:
-            return
-        was_stopped, stopped = (bool(_text(one, "stop")) for one in (before, values))
-        if stopped != was_stopped:
-            self.add_event(
-                now, "stop was asked for: the pump is held off" if stopped
-                else "the stop was released",
-            )
-        was, fault = (_text(one, "fault") for one in (before, values))
-        if fault != was:
-            self.add_event(
-                now, f"the pump is off until it is reset: {fault}" if fault
-                else "the fault was reset"
-            )
-
-    def _hear_part(
-        self, wall: float, node: _Node, part: str, status: Status, first: bool
-    ) -> None:
-        if part not in node.parts and len(node.parts) >= _PARTS:
-            return
-        node.parts[part] = _Part(_level(status), _message(status), wall, first)
-
-    def _hear_foreign(self, wall: float, name: str, status: Status, crowded: bool) -> bool:
-        """Take the status of another device; return whether there is no room for a new one.
-
-        One that is all right gives way to one that is not.
-        """
-        known, level = self._foreign.get(name), _level(status)
-        if known is None and len(self._foreign) >= _FOREIGN:
-            if crowded:
-                return True
-            least = min(
-                self._foreign, key=lambda one: (
-                    self._foreign[one].level != _OK
-                    and wall - self._foreign[one].heard <= _FOREIGN_SILENT_S,
-                    self._foreign[one].heard,
-                ),
-            )
-            gone = wall - self._foreign[least].heard > _FOREIGN_SILENT_S
-            if not gone and (level == _OK or self._foreign[least].level != _OK):
-                return level != _OK
-            del self._foreign[least]
-        times = 1 if known is None else known.times + 1
-        self._foreign[name] = _Part(level, _message(status), wall, times == 1, times)
-        return False
-
-    def forgive(self, seconds: float) -> None:
-        """Count a time in which nobody could be heard (s) as no silence of anybody."""
-        for node in self._nodes.values():
-            node.heard += seconds
-            for part in node.parts.values():
-                part.heard += seconds
-        for part in self._foreign.values():
-            part.heard += seconds
-
-    # --- looking --------------------------------------------------------------------------------
 
     def look(self, wall: float, now: float) -> None:
         """Bring the alarms up to date: called with each message, and about twice a second."""
-        self._foreign = {
-            name: part for name, part in self._foreign.items()
-            if wall - part.heard <= _FOREIGN_SILENT_S or not self._has_ended(name, part)
-        }
-        troubles = dict(self._troubles(wall))
+        troubles = self.registry.troubles(wall) if self.shown else {}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
             if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):
                 self._alarms[name] = _Alarm(trouble, now, trouble.at_least)
-            else:
-                alarm.trouble, alarm.over = trouble, None
+                continue
+            alarm.trouble, alarm.over = trouble, None
         for name, alarm in self._alarms.items():
             if name not in troubles and alarm.over is None:
                 alarm.over, alarm.over_wall = now, wall
-        over = sorted(
-            (name for name, alarm in self._alarms.items() if alarm.over is not None),
-            key=lambda name: self._alarms[name].over_wall,
-        )
-        for name in over[:-_OVER]:
+        for name in self._past()[_OVER:]:
             del self._alarms[name]
-
-    def _has_ended(self, name: str, part: _Part) -> bool:
-        """Whether it is of another graph's node, or a part of it, whose last word was its end."""
-        node = self._foreign.get(name.partition(": ")[0])
-        return node is not None and node.message in (FINISHED, ENDED) and part.heard <= node.heard
-
-    def _troubles(self, wall: float) -> Iterator[tuple[str, Trouble]]:
-        """Return all that is wrong, each by its name."""
-        for name, part in self._foreign.items():
-            # One that was heard once perhaps never meant to report again and again.
-            if wall - part.heard > _FOREIGN_SILENT_S and part.times > 1:
-                yield name, Trouble(_STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
-            elif part.level != _OK and wall - part.heard <= _FOREIGN_SILENT_S:
-                yield name, Trouble(part.level, part.message, at_least=part.first)
-        for node in self._nodes.values():
-            yield from self._troubles_of(node, wall)
-
-    def _troubles_of(self, node: _Node, wall: float) -> Iterator[tuple[str, Trouble]]:
-        name, role = node.name, node.role
-        failure = _text(node.values, "failure")
-        if node.state in (FINISHED, ENDED):
-            if failure:
-                yield name, Trouble(_ERROR, f"ended: {failure}", role, "", node.first)
-            return
-        silent = node.is_silent(wall)
-        waiting = node.values.get("waiting")
-        if silent:
-            yield name, Trouble(_STALE, f"not heard for {SILENT_S:g} s", role)
-        elif wall - node.twins_at <= SILENT_S:
-            two = " and ".join([node.process, *list(node.others)[-1:]])
-            yield name, Trouble(_ERROR, f"two processes report under this name: {two}", role)
-        elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
-            who = ", ".join(str(one) for one in waiting[:10])
-            yield name, Trouble(_WARN, f"waits for {plain(who, _TEXT)}", role)
-        if wall - node.refused_at <= SILENT_S:
-            yield f"{name}: refused", Trouble(
-                _WARN, f"values of {plain(node.refused, _TEXT)} are refused: not plausible",
-                role, "refused",
-            )
-        for part, one in node.parts.items():
-            # What a silent node last said was wrong stays so, as far as anybody knows.
-            if not silent and wall - one.heard > SILENT_S:
-                yield f"{name}: {part}", Trouble(
-                    _STALE, f"not heard for {SILENT_S:g} s", role, part
-                )
-            elif one.level != _OK:
-                level = one.level
-                if (role, part) == (PUMP, PUMP) and level == _WARN and may_turn(node.values):
-                    level = _ERROR  # it may flood the roof, whatever the pump was told
-                yield f"{name}: {part}", Trouble(level, one.message, role, part, one.first)
 
     # --- telling --------------------------------------------------------------------------------
 
     def rows(self, say_time: Callable[[float], str] | None = None) -> list[dict[str, Any]]:
         """Return the alarms: causes, then what follows from them, and what is over last.
 
-        What only follows from another alarm, such as a level that is unknown since its sensor is
-        silent, names that in ``follows``. Of both kinds the pump's state comes first, then the
-        worst. The newest of a severity comes first: what has stood for long is known. So is what
-        was acknowledged, which comes later. ``plain`` is whether ``do`` is about that alarm, so
-        that an operator reads it instead of the node's own words in ``what``.
+        Of both kinds the pump's state comes first, then the worst. The newest of a severity comes
+        first: what has stood for long is known. So is what was acknowledged, which comes later.
 
         Args:
             say_time: says a time of the graph; without it, in UTC.
         """
-        say, causes = say_time or _clock, self._causes()
+        causes = self._causes()
         names = [*self._present(causes), *self._past()]
-        return [self._row(name, say, causes.get(name)) for name in names[:_ROWS]]
-
-    def _row(
-        self, name: str, say: Callable[[float], str], cause: str | None
-    ) -> dict[str, Any]:
-        alarm = self._alarms[name]
-        return {
-            "id": name, "level": _LEVELS[alarm.trouble.level], "what": alarm.trouble.what,
-            "do": (do := _advice(name, alarm.trouble)),
-            "plain": do not in (FOREIGN, OTHER),
-            "since": alarm.since, "since_at_least": alarm.since_at_least,
-            "since_text": say(alarm.since),
-            "acknowledged": alarm.is_acknowledged,
-            "over": alarm.over, "over_text": "" if alarm.over is None else say(alarm.over),
-            "follows": cause, "recorded": False,
-        }
+        return [
+            row(
+                name, (one := self._alarms[name]).trouble, since=one.since, over=one.over,
+                say_time=say_time or _clock, at_least=one.since_at_least,
+                acknowledged=one.is_acknowledged, follows=causes.get(name),
+            )
+            for name in names[:_ROWS]
+        ]
 
     def _causes(self) -> dict[str, str]:
         """Return of the alarms of now that follow from another one which that is."""
@@ -454,6 +265,10 @@ class Alarms:
             {"at": at, "at_text": say(at), "what": what} for at, what in reversed(self._events)
         ]
 
+    def _note(self, text: str) -> None:
+        if self.shown:
+            self.add_event(self._now, text)
+
     def add_event(self, now: float, text: str) -> None:
         """Note an event."""
         self._events.append((now, plain(text, _TEXT)))
@@ -478,15 +293,10 @@ class Alarms:
         alarm = self._alarms.get(alarm_id)
         if alarm is None:
             return False
-        if len(alarm.acknowledged) >= 20:
+        if len(alarm.acknowledged) >= _SEEN:
             alarm.acknowledged.clear()
         alarm.acknowledged.add(alarm.gist)
         return True
-
-    @property
-    def heard(self) -> bool:
-        """Whether anything was heard of any node or device."""
-        return bool(self._nodes or self._foreign)
 
     def worst(self) -> str:
         """Return how it is: ``ok``, ``warn`` or ``error``; other devices warn at most."""
@@ -514,86 +324,107 @@ class Alarms:
         new = (name for name in present if not self._alarms[name].is_acknowledged)
         first = next(new, present[0])
         first = causes.get(first, first)
-        return _advice(first, self._alarms[first].trouble)
+        trouble = self._alarms[first].trouble
+        return advise(trouble.code, trouble.role, first.partition(": ")[0])[0]
 
-    def said(self, role: str, name: str | None = None) -> Mapping[str, Any] | None:
-        """Return what the node of a role said last; None where none was heard.
 
-        Where it is known which of several nodes of that role is meant, it has this ``name``.
+# --- what follows from what -----------------------------------------------------------------------
 
-        With its values come ``name``, ``state``, ``process`` and ``heard`` (wall time, s). Numbers
-        that are not finite are None.
-        """
-        node = self._node(role) if name is None else self._nodes.get(name)
-        if node is None or node.role != role:
-            return None
-        return {
-            **node.values, "name": node.name, "state": node.state, "process": node.process,
-            "heard": node.heard,
+
+def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
+    """Return of each alarm that follows from another one the name of the first of all.
+
+    The pump's state follows from the part that says more of its reason, and what a node lacks from
+    what is wrong with who publishes that. No error follows from a warning. Nor does a state of the
+    pump that asks for a hand at it: what is to be done about its cause would hide that.
+
+    Args:
+        troubles: of the graph's own nodes, the older ones first.
+    """
+    causes: dict[str, str] = {}
+    for name, trouble in troubles.items():
+        for other in _candidates(name, trouble, troubles):
+            first = causes.get(other, other)
+            group = [name, *(one for one, cause in causes.items() if cause == name)]
+            worse = troubles[first].level == WARN and any(
+                troubles[one].level == ERROR for one in group
+            )
+            if first != name and not worse:
+                causes.update(dict.fromkeys(group, first))
+                break
+    return causes
+
+
+def _candidates(
+    name: str, trouble: Trouble, troubles: Mapping[str, Trouble]
+) -> Iterator[str]:
+    """Return the alarms from which one may follow, the likeliest first."""
+    node, part, code = name.partition(": ")[0], trouble.part, trouble.code
+    if trouble.code in _NEEDS_A_HAND and part == PUMP:
+        return
+    if part and node in troubles:  # of a node that is not heard, what it said last
+        yield node
+
+    def own(*parts: str) -> Iterator[str]:
+        return (found for one in parts if (found := f"{node}: {one}") in troubles)
+
+    if (trouble.role, part) == (PUMP, PUMP):
+        yield from own(*_PARTS_OF_REASON.get(code, ()))
+    elif part == "delivery":
+        yield from own("levels")
+    elif (trouble.role, part) == ("weather", "frost"):
+        yield from own("forecast")
+    elif part == "supervisor" or not part:
+        yield from _other_nodes(node, trouble, troubles)
+    elif part in _TAKES_IN:
+        if code in _ABSENT:
+            yield from _publishers(trouble, troubles)
+        if part == "refused":
+            yield from own("command", "levels", "frost", "inputs")
+        if part == "inputs":
+            # What the pump has against that input, which stops it, says more.
+            yield from (
+                other for other, one in troubles.items()
+                if one.role == PUMP and one.part in ("levels", "command", "frost")
+                and (one.code == code or trouble.role == PUMP)
+            )
+
+
+def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
+    """Return the other nodes of which something is wrong as a whole: those that are waited for."""
+    for other, one in troubles.items():
+        waited_for = {other.rpartition("/")[2], one.role} & set(trouble.names)
+        if other != node and ": " not in other and (
+            waited_for or (trouble.part == "supervisor" and one.role != PUMP)
+        ):
+            yield other
+
+
+def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
+    """Return the alarms of those who publish what an alarm lacks."""
+    roles = {*_TAKES_IN[trouble.part], *(
+        role for name in trouble.names for role in _publishers_of().get(name, ())
+    )} - {trouble.role}
+    for whole in (True, False):  # a node that is not there, before what it says
+        for other, one in troubles.items():
+            if (
+                one.role in roles and (not one.part) == whole
+                and one.part not in ("inputs", "refused")
+            ):
+                yield other
+
+
+@cache
+def _publishers_of() -> dict[str, set[str]]:
+    """Return the roles that publish each topic, in a simulation or live."""
+    simulated, live = read_topics(), read_live_topics()  # each reads a file: once
+    return {
+        name: {
+            role for topics in (simulated, live) if name in topics
+            for role in topics[name].publishers
         }
-
-    def controller(self) -> str | None:
-        """Return the name of the controller that commands, without its namespace."""
-        node = self._node("controller")
-        return None if node is None else node.name.rpartition("/")[2]
-
-    def _node(self, role: str) -> _Node | None:
-        """Return the node of a role: of two, the one that has not ended, or was heard last."""
-        return max(
-            (one for one in self._nodes.values() if one.role == role),
-            key=lambda one: (one.state not in (FINISHED, ENDED), one.heard), default=None,
-        )
-
-
-def _advice(name: str, trouble: Trouble) -> str:
-    return advise(name.partition(": ")[0], trouble.role, trouble.part, trouble.what)
-
-
-def _message(status: Status) -> str:
-    return plain(status.message, _TEXT) or "says nothing"
-
-
-def _level(status: Status) -> int:
-    """Return a status's level; one that there is not is an error of its sender."""
-    return status.level if status.level in (_OK, *_LEVELS) else _ERROR
-
-
-def _integer(text: str) -> int | None:
-    return int(text) if len(text) < 20 else None
-
-
-def _number(text: str) -> float | None:
-    return value if math.isfinite(value := float(text)) else None
-
-
-def _nothing(_: str) -> None:
-    """NaN and infinities, which are no JSON."""
-
-
-def _text(values: Mapping[str, Any], key: str) -> str:
-    value = values.get(key)
-    return plain(value, _TEXT) if isinstance(value, str) else ""
-
-
-def _counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many values of each topic a node refused so far."""
-    refused = values.get("refused")
-    given: Iterable[tuple[str, Any]] = refused.items() if isinstance(refused, dict) else ()
-    return {topic: count for topic, count in given if isinstance(count, int)}
-
-
-def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
-    """Return what came to the end of a list, of which perhaps only the newest are kept."""
-    old, all_now = before.get(key), values.get(key)
-    if not isinstance(old, list) or not isinstance(all_now, list):
-        return []
-    counts = [one.get(count) for one in (before, values)]
-    lengths = [
-        number if isinstance(number, int) else len(entries)
-        for number, entries in zip(counts, (old, all_now), strict=True)
-    ]
-    added = max(0, lengths[1] - lengths[0])
-    return all_now[-min(added, _EVENTS):] if added else []
+        for name in simulated
+    }
 
 
 def _clock(time: float) -> str:

@@ -17,7 +17,6 @@ KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 # So many times are kept at which a value was not known.
 _MOST_UNKNOWN = 1000
 
-
 class History:
     """One value over the past week, in stretches of 20 s; its memory is bounded."""
 
@@ -91,7 +90,7 @@ class History:
         return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
 
-class Unknown:
+class Gaps:
     """When a value was not known, although its topic goes on with something in its place.
 
     Attributes:
@@ -143,11 +142,6 @@ class Unknown:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
-def stretch_of(first: int, last: int, points: int) -> int:
-    """Return how long a stretch is of which a row of such a window tells (ns)."""
-    return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
-
-
 def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first and the last place of each run of equal numbers."""
     (ends,) = (numbers[1:] != numbers[:-1]).nonzero()
@@ -156,3 +150,8 @@ def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     lasts = np.full(len(ends) + 1, len(numbers) - 1, dtype=np.intp)
     lasts[:-1] = ends
     return firsts, lasts
+
+
+def stretch_of(first: int, last: int, points: int) -> int:
+    """Return how long a stretch is of which a row of such a window tells (ns)."""
+    return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))

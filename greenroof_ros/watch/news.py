@@ -4,42 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
 import time
 import traceback
 import zlib
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable
-from concurrent.futures import Future
-from functools import partial
-from typing import Any, TypeVar
+from collections.abc import AsyncGenerator
+from typing import Any
 
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.document import document, series
+from greenroof_ros.watch.store import Store
 
 _STATE_S = 0.5
 _SERIES_S = 2.0
 # A page that hears nothing for longer has lost its connection.
 _AT_LEAST_S = 5.0
 
-Result = TypeVar("Result")
-
 # The head of a gzip file without name and time (RFC 1952).
 GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
-
-
-async def in_thread(call: Callable[[], Result]) -> Result:
-    """Wait for a call that may take long, in a thread of its own; the process ends without it."""
-    done: Future[Result] = Future()
-
-    def work() -> None:
-        done.set_running_or_notify_cancel()
-        try:
-            done.set_result(call())
-        except BaseException as error:
-            done.set_exception(error)
-
-    threading.Thread(target=work, daemon=True).start()
-    return await asyncio.wrap_future(done)
 
 
 class Message:
@@ -71,16 +52,15 @@ class News:
     so that a thousand slow ones need no more memory than one.
     """
 
-    def __init__(self, watched: Watched) -> None:
+    def __init__(self, store: Store) -> None:
         """Renew nothing yet.
 
         Args:
-            watched: what is shown.
+            store: what is shown.
         """
-        self._watched = watched
+        self._store = store
         self._hours: Counter[float] = Counter()
-        self._state: Message | None = None
-        self._series: dict[float, Message] = {}
+        self._newest: dict[float | None, Message] = {}  # series by their hours, and the document
         self._changed = asyncio.Condition()
         self._failures = 0
 
@@ -93,22 +73,24 @@ class News:
         """Yield news as they come, the newest only; ends where they cannot be made.
 
         Args:
-            hours: of the past in the series.
+            hours: of the past in the series; 0 for the summary alone, of a page that nobody sees.
         """
-        old: list[Message | None] = [None, None]
-        failures = self._failures
+        failures, old = self._failures, dict[float | None, Message]()
+        wanted = (None, hours) if hours else (0.0,)
         self._hours[hours] += 1
         try:
             async with self._changed:
                 self._changed.notify_all()  # what renews waits for a reader
             while True:
                 async with self._changed:
-                    while old == (new := [self._state, self._series.get(hours)]):
+                    while old == (new := {
+                        key: self._newest[key] for key in wanted if key in self._newest
+                    }):
                         await self._changed.wait()
                         if self._failures != failures:
                             return
-                for before, message in zip(old, new, strict=True):
-                    if message is not before and message is not None:
+                for key, message in new.items():
+                    if old.get(key) is not message:
                         yield message
                 old = new
         finally:
@@ -125,34 +107,33 @@ class News:
         while True:
             async with self._changed:
                 while not self._hours:
-                    self._state, self._series = None, {}  # too old for whoever comes next
+                    self._newest = {}  # too old for whoever comes next
                     await self._changed.wait()
             begun = time.monotonic()
-            wanted = list(self._hours)
             try:
-                state, series = await in_thread(partial(self._make, wanted))
+                self._newest = await asyncio.to_thread(self._make, list(self._hours))
             except Exception:
                 traceback.print_exc()
-                self._state, self._series = None, {}
+                self._newest = {}
                 self._failures += 1
-            else:
-                self._state, self._series = state, series
             async with self._changed:
                 self._changed.notify_all()
             await asyncio.sleep(max(_STATE_S - (time.monotonic() - begun), 0.05))
 
-    def _make(self, wanted: list[float]) -> tuple[Message, dict[float, Message]]:
+    def _make(self, wanted: list[float]) -> dict[float | None, Message]:
         """Make what is newer than what there is."""
-        now = time.monotonic()
-        state = _newer(self._state, Message("state", self._watched.document(time.monotonic())))
-        series = {}
-        for hours in wanted:
-            old = self._series.get(hours)
+        now, before = time.monotonic(), self._newest
+        state = document(self._store, now)
+        made: dict[float | None, Message] = {
+            None: _newer(before.get(None), Message("state", state)),
+            0.0: _newer(before.get(0.0), Message("summary", state["tiles"]["summary"])),
+        }
+        for hours in filter(None, wanted):
+            old = before.get(hours)
             if old is None or now - old.looked >= _SERIES_S:
-                series[hours] = _newer(old, Message("series", self._watched.series(hours)))
-            else:
-                series[hours] = old
-        return state, series
+                old = _newer(old, Message("series", series(self._store, hours)))
+            made[hours] = old
+        return made
 
 
 def _newer(old: Message | None, new: Message) -> Message:

@@ -8,9 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
-from greenroof_ros.model.site import Site
-
 Values = NDArray[np.float64]
 
 AHEAD_S = 12 * 3600.0
@@ -20,25 +17,6 @@ AHEAD_S = 12 * 3600.0
 _TENTHS = 10
 # Less is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
-
-
-def step_ends(site: Site, steps: int) -> Values | None:
-    """Return the ends of a forecast's steps (s from now, shape (steps,)); None where unknown.
-
-    The message has no times: M entries are ticks, others growing steps, which reach whole hours
-    ahead where they are an hour each, and whole six hours where they are six; of another horizon
-    the last step is taken as longer than it is.
-    """
-    if steps == site.M:
-        return site.tau * np.arange(1, steps + 1, dtype=np.float64)
-    longest = growing_steps(LONGEST_HORIZON)
-    if not 0 < steps < len(longest):
-        return None
-    hours = int(longest[steps] // 3600)
-    if longest[steps] - longest[steps - 1] > 3600:
-        hours -= hours % 6
-    ends = growing_steps(hours) if hours else longest
-    return ends[1 : steps + 1] if len(ends) == steps + 1 else longest[1 : steps + 1]
 
 
 class Amount(NamedTuple):
@@ -60,11 +38,13 @@ class Forecast:
 
     Attributes:
         at: when its first step begins (s since 1970).
+        issued: when it was issued (s since 1970); None where that is not known.
         ends: of its steps (s since 1970), shape (steps,).
         rain: mean of each step (m/s), shape (members, steps).
     """
 
     at: float
+    issued: float | None
     ends: Values
     rain: Values
 

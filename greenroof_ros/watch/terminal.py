@@ -13,14 +13,18 @@ import time
 import tty
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.watch.document import document as document_of
+from greenroof_ros.watch.document import series as series_of
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.store import Store
 
 # How often the document is looked at (s), and at the charts.
 _LOOK_S, _CHARTS_S = 0.5, 2.0
@@ -58,8 +62,8 @@ def pages(
     charts, account and events where there is room left. The pages behind it have all of it whole.
 
     Args:
-        document: of :meth:`greenroof_ros.watch.watched.Watched.document`.
-        series: of :meth:`greenroof_ros.watch.watched.Watched.series`.
+        document: of :func:`greenroof_ros.watch.document.document`.
+        series: of :func:`greenroof_ros.watch.document.series`.
         width: of the terminal, columns.
         height: of the terminal, lines; None for one page of all, where none can be turned.
         color: whether there may be colour.
@@ -357,28 +361,38 @@ def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
                 if len(text) <= page.width
             ), f"{what} the pump: see the page or the documentation")
             lines.append(page.line((known, "dim")))
-    return lines
+    keys = [name for here, name in (
+        ("release_here", "r releases the pump"), ("clear_here", "c clears its fault"),
+    ) if stop.get(here)]
+    if keys:
+        lines.append(page.line(("; ".join(keys), "head")))
+    asked = document.get("asked", "")
+    return [*lines, *page.wrapped(asked, 8, style="head")] if asked else lines
 
 
-def run(watched: Watched) -> None:
+def run(store: Store, feed: Feed) -> None:
     """Show what is known until q is pressed, or a signal or the end of the terminal comes.
 
-    The space bar turns to the next page, and from the last to the first.
+    The space bar turns to the next page, and from the last to the first. Where the pump may be
+    released here, or its fault be cleared, r and c do so, once y has confirmed it.
 
     On a terminal all of it is used, and given back as it was. Where nothing can be drawn over, in
     a file or on a dumb terminal, the document is printed again and again.
 
     Args:
-        watched: what is known.
+        store: what is known.
+        feed: asks the pump node.
     """
     signals, console = Signals(), Console(highlight=False)
     ascii_only = not console.encoding.lower().startswith("utf")
     color = console.color_system is not None and not console.no_color
     drawn = console.is_terminal and not console.is_dumb_terminal
+    document: dict[str, Any] = {"stop": {}}
     charts: dict[str, Any] = {}
     charts_at = shown_at = -math.inf
     before: object = None
     number, begun = 0, time.monotonic()
+    release = _Release(feed)
 
     def parts(width: int, height: int | None) -> list[Group]:
         return pages(document, charts, width, height, color, ascii_only=ascii_only)
@@ -390,14 +404,15 @@ def run(watched: Watched) -> None:
             if b"q" in keys.lower():
                 break
             turned = keys.count(b" ")
+            release.press(keys, document["stop"])
             signals.check()
             now = time.monotonic()
-            document = watched.document(now)
+            document = {**document_of(store, now), "asked": release.asks}
             unknown = document["mode"] == "none" or document["tiles"]["roof"]["number"] is None
             if unknown and now - begun < _FOUND_S:
                 continue  # that it is not known is said when that is known
             if now - charts_at >= _CHARTS_S:
-                charts, charts_at = _series(watched), now
+                charts, charts_at = _series(store), now
             size = console.size
             if live is None:
                 if now - shown_at >= _PRINT_S:
@@ -412,15 +427,44 @@ def run(watched: Watched) -> None:
             before = (document, charts, size)
 
 
-def _series(watched: Watched) -> dict[str, Any]:
+def _series(store: Store) -> dict[str, Any]:
     """Return the charts of the last 12 h; of a run that is younger, of fewer hours."""
-    series = watched.series(_HOURS)
+    series = series_of(store, _HOURS)
     begins = [rows[0][0] for rows in series["lines"].values() if rows]
     if not begins or series["now"] is None:
         return series
     known = (series["now"] - min(begins)) / 3600
     hours = next(one for one in (1.0, 3.0, 6.0, math.inf) if known <= one)
-    return series if hours > 6.0 else watched.series(hours)
+    return series if hours > 6.0 else series_of(store, hours)
+
+
+class _Release:
+    """Releases the pump, and clears its fault, after a confirmation.
+
+    Attributes:
+        asks: what stands at the foot: a question, or what came of it; empty for nothing.
+    """
+
+    _KEYS: ClassVar = {b"r": ("release", "release_here", "release_then"),
+                       b"c": ("clear", "clear_here", "clear_then")}
+
+    def __init__(self, feed: Feed) -> None:
+        self.asks = ""
+        self._feed, self._action = feed, ""
+
+    def press(self, keys: bytes, stop: Mapping[str, Any]) -> None:
+        """Take the keys that were pressed, where the pump is so (as the document has it)."""
+        for key in (keys[i:i + 1] for i in range(len(keys))):
+            if key in self._KEYS and stop.get(self._KEYS[key][1]):
+                self._action, _, then = self._KEYS[key]
+                self.asks = f"{self._action.capitalize()} the pump? {stop[then]} y: yes, n: no"
+            elif self._action:
+                action, self._action, self.asks = self._action, "", ""
+                if key.lower() == b"y":
+                    try:
+                        self.asks = self._feed.ask(action)
+                    except StopFailedError as failure:
+                        self.asks = str(failure)
 
 
 @contextmanager

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-from greenroof_ros.watch.alarms import Status
 
 _Result = TypeVar("_Result")
 
@@ -25,6 +24,26 @@ _HEADER = 4
 _STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
 # The numbers of one message: an ensemble of forecasts has some thousands.
 _NUMBERS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Status:
+    """One status of /diagnostics.
+
+    Attributes:
+        name: fully qualified, of a node; of a part of it with the part behind ``": "``.
+        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        message: a sentence.
+        hardware_id: the device that it is about; of a node the machine.
+        values: as on the wire; those of this package's nodes are JSON texts, those of their parts
+            plain ones.
+    """
+
+    name: str
+    level: int
+    message: str
+    hardware_id: str
+    values: Mapping[str, str] = field(default_factory=dict)
 
 
 class _Cursor:
@@ -108,20 +127,24 @@ def text(cursor: _Cursor) -> str:
 
 
 @_whole_or_none
-def rows(cursor: _Cursor) -> NDArray[np.float64]:
-    """Read a ``std_msgs/msg/Float64MultiArray``, in the shape that its layout says, if it does."""
+def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read a ``std_msgs/msg/Float64MultiArray``: its numbers, and what stands in front of them.
+
+    The numbers are in the shape that the layout says, if it does. In front of them is what its
+    ``data_offset`` skips: of a forecast when it was issued and when its steps end.
+    """
     shape = []
     for _ in range(min(cursor.whole(), 8)):
         cursor.text()
         shape.append(cursor.whole())
         cursor.whole()  # the stride, which follows from the sizes
     offset = cursor.whole()
-    found = cursor.numbers(cursor.whole())[offset:]
-    if len(shape) < 2:
-        return found
-    if math.prod(shape) != len(found):
-        raise ValueError
-    return found.reshape(shape)
+    front, found = np.split(cursor.numbers(cursor.whole()), [offset])
+    if len(shape) >= 2:
+        if math.prod(shape) != len(found):
+            raise ValueError
+        found = found.reshape(shape)
+    return found, front
 
 
 @_whole_or_none

@@ -23,8 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.messages import message_class, qos_profile
-from greenroof_ros.watch.advice import OTHER
-from greenroof_ros.watch.alarms import Alarms, Status
+from greenroof_ros.watch.alarms import OTHER, Alarms
+from greenroof_ros.watch.wire import Status
 
 
 @contextmanager

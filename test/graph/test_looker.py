@@ -135,7 +135,7 @@ class Pump(Peer):
         super().__init__(domain, "pump")
         self.asked: list[bool] = []
         self.success, self.words, self.answers_after = True, "held: an operator stopped it", 0.0
-        self.node.create_service(kind, "~/stop", self._on_stop)
+        self.node.create_service(kind, "~/page_stop", self._on_stop)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._over = False
@@ -167,7 +167,7 @@ def test_stop(place: int) -> None:
     looker.prepare_stop("/pump")
     other = Pump(place, Trigger)  # is not called: only what stops a pump as the pump node does
     began = time.monotonic()
-    with pytest.raises(StopFailedError, match="/pump has no stop service that answers"):
+    with pytest.raises(StopFailedError, match="/pump has no page_stop service that answers"):
         looker.stop_pump(0.5)
     assert time.monotonic() - began < 2
     with pytest.raises(StopFailedError):

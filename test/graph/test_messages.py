@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.messages import LockstepError, decoder, encoder  # noqa: E402
+from greenroof_ros.graph.messages import LockstepError, WithFront, decoder, encoder  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
@@ -60,6 +60,20 @@ def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> Non
         assert again == value
     else:
         assert np.asarray(again).tobytes() == np.asarray(value).tobytes()
+
+
+@pytest.mark.parametrize("values", [array("d", [1e-7, 2e-7, 3e-7]), np.arange(6.0).reshape(2, 3)])
+def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
+    """A forecast's issue and the ends of its steps: ROS reads them, and a node the rest alone."""
+    front = array("d", [1_625_641_200.0, 10.0, 20.0, 60.0])
+    written = encoder(NUMBERS, ENSEMBLE)(WithFront(front, values))
+    message = deserialize_message(written, Float64MultiArray)
+    assert message.layout.data_offset == 4
+    assert message.data[:4] == front
+    assert list(message.data[4:]) == np.ravel(values).tolist()
+    again = decoder(NUMBERS)(written)
+    assert type(again) is type(values)
+    np.testing.assert_array_equal(again, values)
 
 
 def test_members_travel_in_the_layout() -> None:

@@ -34,8 +34,6 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.nodes.pump import _Drive
-from greenroof_ros.pumping.interlocks import INTERLOCKS
-from greenroof_ros.watch.advice import advise
 
 
 @pytest.fixture
@@ -135,9 +133,6 @@ def test_a_timeout_that_does_not_guard(
     }, "pump")
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
-    for part in ("drive timeout", "pump"):
-        advice = advise("/pump", "pump", part, problem)
-        assert words is None or advice == INTERLOCKS["drive_timeout"].advice
 
 
 def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> None:

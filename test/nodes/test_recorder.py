@@ -48,14 +48,15 @@ def test_rosbags_decodes_it(recorded: Path) -> None:
             if connection.topic == "/roof/level":
                 levels.append((time_ns, message.data))
             elif connection.topic == "/forecast/precipitation":
-                windows.append(len(message.data))
+                front = message.data[: message.layout.data_offset]
+                windows.append((front[1:].tolist(), len(message.data) - len(front)))
             elif connection.topic == "/clock":
                 clocks.append(message.clock.sec * 10**9 + message.clock.nanosec)
     # Tick 0 is 2021-07-07T02:00-05:00, 1625641200 s after 1970 (date -d ... +%s).
     assert clocks == [(1_625_641_200 + tick) * 10**9 for tick in range(361)]
     assert [time_ns for time_ns, _ in levels] == clocks
     assert levels[0][1] == pytest.approx(0.0457 / 1.3, rel=1e-15)
-    assert windows == [10] * 361
+    assert windows == [(list(range(1, 11)), 10)] * 361  # when each of ten ticks ends, and its rain
 
 
 def test_metadata_and_channels_agree(recorded: Path) -> None:

@@ -2,9 +2,10 @@
 
 ``python test/watch/alarms.py`` does each case to a real live site as ``make faults`` does, and
 holds each fault for longer than the limit once it was said. What a node says is wrong on
-``/diagnostics`` must stand on the page within the limit, in the node's words, and go within it when
-it is over. What lasts less than the limit may be missed, but of each kind its own alarm must be
-seen: what the campaign wants said of it, or what follows from it for the node that it is done to.
+``/diagnostics`` must stand on the page within the limit, with the condition's code, and go within
+it when it is over. What lasts less than the limit may be missed, but of each kind its own alarm
+must be seen: what the campaign wants said of it, or what follows from it for the node that it is
+done to.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "faults"), str(HERE.parent), str(HERE.parent.parent)]
 
 from cases import LIVE, Case, all_cases  # noqa: E402
-from diagnosed import Diagnosed, compared  # noqa: E402
+from diagnosed import Diagnosed  # noqa: E402
 from graphs import Process, free_ports, own_domain  # noqa: E402
 from live import Outcome, run_case  # noqa: E402
 from playwright.sync_api import sync_playwright  # noqa: E402
@@ -43,11 +44,11 @@ _LOOK_S = 0.1
 # A process that was started again is found by each listener in its own time, as Fast DDS announces
 # it again and again. So long (s) the page may hear of it before this program does.
 _AHEAD_S = 3.0
-# What is on the page: of each alarm that stands level and sentence, by the name of its status; the
+# What is on the page: of each alarm that stands level and code, by the name of its status; the
 # events, the newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
-    (one) => [one.dataset.alarm, [one.dataset.level, one.querySelector(".what").textContent]])),
+    (one) => [one.dataset.alarm, `${one.dataset.level} ${one.dataset.code}`])),
   [...document.querySelectorAll("#events li")].map((one) => one.textContent)]"""
 # Kinds that say nothing on this page, by fault and target, and why.
 NOT_SAID = {
@@ -118,8 +119,7 @@ class Page:
                 while not self._ended:
                     began = time.monotonic()
                     alarms, events = page.evaluate(_ON_PAGE)
-                    said = {name: compared(*words) for name, words in alarms.items()}
-                    self.looks.append(Look(began, said, events))
+                    self.looks.append(Look(began, alarms, events))
                     time.sleep(_LOOK_S)
                 browser.close()
         except Exception as error:
@@ -147,6 +147,7 @@ class Comparison:
     """What was said in a time, and what the page showed of it.
 
     Attributes:
+        said: what was said.
         followed: what it showed within the limit.
         missed: what it did not, in words.
     """
@@ -163,6 +164,7 @@ class Comparison:
             until: the page was looked at until then.
             limit: within which it must follow (s).
         """
+        self.said = said
         self.followed: list[Change] = []
         self.missed: list[str] = []
         self._page, self._limit, self._until = page, limit + _LOOK_S, until
@@ -188,7 +190,7 @@ class Comparison:
                     one.at for one in looks
                     if one.at < again and one.alarms.get(name, "") == what
                 ), None)
-                may_miss = self._limit + (_AHEAD_S if what.startswith("stale not heard") else 0.0)
+                may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
                 if self._note(name, what, at, seen, must=then - at > may_miss):
                     shown, shown_at = what, seen or at
 
@@ -260,7 +262,10 @@ def _verdict(case: Case, comparison: Comparison | None) -> list[str]:
     if comparison is None:
         return ["not compared"]
     own = any(
-        re.search(case.expected.alarm, one.what) or one.name == f"/{case.target}"
+        one.name == f"/{case.target}" or any(
+            re.search(case.expected.alarm, sentence)
+            for sentence in comparison.said.sentences[one.name, one.what]
+        )
         for one in comparison.followed if one.what
     )
     if own or (case.fault, case.target) in NOT_SAID:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import time
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from rclpy.node import Node
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.supervision import ENDED, STARTING, STATES
+from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 
 # A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.
 SILENT_S = 2.0
@@ -26,14 +27,7 @@ SILENT_S = 2.0
 _WAITS_S = 5.0
 _LOOK_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
-# So much of a sentence is compared: the page cuts it at 500 characters.
-_COMPARED = 300
-_NUMBER = re.compile(r"-?\b(?:nan|inf)\b|-?\d[\d.]*(?:e[+-]?\d+)?")
-
-
-def compared(level: str, sentence: str) -> str:
-    """Return what is compared of an alarm: not its numbers, which may go on while it stands."""
-    return f"{level} {_NUMBER.sub('', sentence)}"[:_COMPARED]
+_LATCHED = {code for code, one in INTERLOCKS.items() if one.kind == LATCHED}
 
 
 @dataclass
@@ -46,7 +40,6 @@ class _Node:
     before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
     twice: float = -math.inf  # when two processes last reported in turn
     refuses: float = -math.inf  # when it last refused more values than before
-    refused: str = ""  # on these topics
     parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
 
 
@@ -55,12 +48,14 @@ class Diagnosed:
 
     Attributes:
         said: by the name of a status its changes: when, and what is wrong since, as its level and
-            its sentence without numbers; empty for nothing.
+            its code; empty for nothing.
+        sentences: by the name of a status, its level and code, what was said then.
         restarts: when another process came under the name of a node, and the name.
     """
 
     def __init__(self, node: Node) -> None:
         self.said: dict[str, list[tuple[float, str]]] = {}
+        self.sentences: defaultdict[tuple[str, str], set[str]] = defaultdict(set)
         self.restarts: list[tuple[float, str]] = []
         self._nodes: dict[str, _Node] = {}
         profile = qos_profile(read_topics()["/diagnostics"].qos)
@@ -79,10 +74,15 @@ class Diagnosed:
             name, _, part = status.name.partition(": ")
             level = _LEVELS[status.level[0]]
             if part and name in self._nodes:
+                code = next((one.value for one in status.values if one.key == "code"), "")
                 values = self._nodes[name].values
-                if part == "pump" and not values["stands"] and values["speed"] is None:
-                    level = "error"  # whatever the node says: nobody knows whether it turns
-                wrong = compared(level, status.message) if level else ""
+                if part == "pump" and level and not values["stands"]:
+                    if values["speed"] is None:  # nobody knows whether it turns
+                        level, code = "error", code if code in _LATCHED else "stands_unknown"
+                    elif values["stop"] and code not in _LATCHED:
+                        code = "stop_not_followed"
+                wrong = f"{level} {code}" if level else ""
+                self.sentences[status.name, wrong].add(status.message)
                 self._nodes[name].parts[part] = at, wrong
             elif not part and status.message in STATES:
                 values = {one.key: json.loads(one.value) for one in status.values}
@@ -104,12 +104,11 @@ class Diagnosed:
                 node.parts.clear()
                 node.values = {}
         counts = node.values.get("refused") or {}
-        more = [
-            topic for topic, count in (values.get("refused") or {}).items()
-            if count > counts.get(topic, 0)
-        ]
+        more = any(
+            count > counts.get(topic, 0) for topic, count in (values.get("refused") or {}).items()
+        )
         if more and node.values:
-            node.refuses, node.refused = at, ", ".join(more)
+            node.refuses = at
         if state != node.state:
             node.since = at
         node.process, node.state, node.heard, node.values = process, state, at, values
@@ -128,9 +127,8 @@ class Diagnosed:
 def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
     """Return what is wrong with a node, by the name of the status that the page gives it."""
     if node.state == ENDED:
-        failure = node.values.get("failure")
-        return {name: compared("error", f"ended: {failure}")} if failure else {}
-    silent = compared("stale", "not heard for 2 s")
+        return {name: "error node_failed"} if node.values.get("failure") else {}
+    silent = "stale not_heard"
     wrong = {
         f"{name}: {part}": what if at - heard <= SILENT_S or at - node.heard > SILENT_S else silent
         for part, (heard, what) in node.parts.items()
@@ -138,11 +136,9 @@ def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
     if at - node.heard > SILENT_S:
         wrong[name] = silent
     elif at - node.twice <= SILENT_S:
-        two = " and ".join((node.process, *list(node.before)[-1:]))
-        wrong[name] = compared("error", f"two processes report under this name: {two}")
+        wrong[name] = "error two_processes"
     elif node.state == STARTING and at - node.since > _WAITS_S and node.values.get("waiting"):
-        wrong[name] = compared("warn", f"waits for {', '.join(node.values['waiting'])}")
+        wrong[name] = "warn waits"
     if at - node.refuses <= SILENT_S:
-        wrong[f"{name}: refused"] = compared(
-            "warn", f"values of {node.refused} are refused: not plausible")
+        wrong[f"{name}: refused"] = "warn values_refused"
     return {one: what for one, what in wrong.items() if what}

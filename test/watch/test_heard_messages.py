@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -11,10 +12,13 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.wire import Status
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -73,10 +77,11 @@ def test_messages_are_read_as_written(little: bool) -> None:
         )
         found = wire.rows(message)
         assert found is not None
-        np.testing.assert_array_equal(found, expected, strict=True)
+        np.testing.assert_array_equal(found[0], expected, strict=True)
+        np.testing.assert_array_equal(found[1], values[:offset], strict=True)
     empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()), little=little)
     found = wire.rows(empty)
-    assert found is not None and found.shape == (0,)
+    assert found is not None and found[0].shape == (0,)
     assert wire.statuses(diagnostics(little)) == (
         1_700_000_000_000_000_005,
         [
@@ -137,29 +142,35 @@ def test_hostile_diagnostics_are_cut() -> None:
 
 def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
     """Level, forecast and plan of now; an empty plan says that it is unchanged."""
-    watched = Watched()
-    feed = Feed(watched, "", bag=None, site_file=None)  # not entered: no graph
+    store = Store()
+    feed = Feed(store)  # not entered: no graph
     feed._mode = "live"  # a message is of the time when it came
     now_ns = 1_626_757_200 * 10**9
+    now = now_ns / 1e9
+    ends, rain = growing_steps(12)[1:], np.full(32, 1e-7)
     plan = np.array([[3600.0, 1e-4, 0.05], [7200.0, 0.0, 0.04]])
-    rain = np.full(32, 1e-7)
     for topic, message in {
         "/roof/level": written("std_msgs/Float64", 0.045),
         "/forecast/precipitation": written(
-            "std_msgs/Float64MultiArray", *rows_message(rain, (32,))
+            "std_msgs/Float64MultiArray",
+            *rows_message(np.array([now - 60, *ends, *rain]), (), 1 + len(ends)),
+        ),
+        "/controller/plan": written(
+            "std_msgs/Float64MultiArray", *rows_message(plan.ravel(), (2, 3))
         ),
     }.items():
         feed._on_message(topic, message, None, now_ns)
-    for values, shape in ((plan.ravel(), (2, 3)), (np.empty(0), ())):
-        message = written("std_msgs/Float64MultiArray", *rows_message(values, shape))
-        feed._on_message("/controller/plan", message, None, now_ns)
-    feed._show_heard_now()
-    series = watched.series(12)
-    now = now_ns / 1e9
-    assert series["now"] == now
+    empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()))
+    feed._on_message("/controller/plan", empty, None, now_ns)
+    feed._hand_on(time.monotonic())
+    series = read_series(store, 12)
+    assert (series["now"], series["issued"]) == (now, now - 60)
     assert series["plan"] == [
         [now, now + 3600, 1e-4, 0.05], [now + 3600, now + 7200, 0.0, 0.04],
     ]
-    assert [row[2] for row in series["forecast"]] == pytest.approx([1e-7] * 32)
-    assert watched.document(0.0)["tiles"]["roof"]["number"] == 0.045
+    assert [row[:3] for row in series["forecast"]] == [
+        [begin, end, pytest.approx(1e-7)]
+        for begin, end in zip(now + growing_steps(12), now + ends, strict=False)
+    ]
+    assert read_document(store, 0.0)["tiles"]["roof"]["number"] == 0.045
     assert series["lines"]["roof"] == series["lines"]["roof_expected"] == []

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from greenroof_ros.watch.history import KEPT, STRETCH_NS, History, Unknown
+from greenroof_ros.watch.history import KEPT, STRETCH_NS, Gaps, History
 
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # a multiple of 20 s
@@ -121,7 +121,7 @@ def test_ten_thousand_ticks_take_less_than_five_milliseconds() -> None:
 def test_times_at_which_a_value_was_not_known() -> None:
     """From when it was known last until it is again; the newest may last."""
     rows = [[float(at), 1.0, 1.0, 1.0] for at in range(0, 100, 10)]
-    unknown = Unknown()
+    unknown = Gaps()
     assert unknown.cut_out(rows) == rows
     unknown.say(1e9, known=False)  # by another clock, before the run's own was known
     unknown.say(5.0, known=True)

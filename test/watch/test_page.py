@@ -22,11 +22,15 @@ from page_server import page_files, served
 from places import CONFIG, guarding
 from simulators import Simulator
 
+from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.report.drawing import COLOURS
-from greenroof_ros.watch.alarms import Status
-from greenroof_ros.watch.incident_rows import Dated
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.alarms import Alarms
+from greenroof_ros.watch.bag import Dated
+from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.wire import Status
 
 BEGIN = 1_626_757_200  # 2021-07-20 05:00 UTC
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
@@ -51,11 +55,11 @@ PUMP = status(
     stands="true",
 )
 CONTROLLER = status("/mpc", 0, "ready", role='"controller"')
-ALARM = status("/mpc: program", 2, "cannot solve its program")
+ALARM = status("/mpc: program", 2, "cannot solve its program", code="controller_failed")
 
 
 @contextmanager
-def saying(watched: Watched, *statuses: Status) -> Iterator[list[Status]]:
+def saying(watched: Store, *statuses: Status) -> Iterator[list[Status]]:
     """Have nodes say how they are, four times a second as they do; the list may be changed."""
     said, ended = list(statuses), threading.Event()
 
@@ -64,8 +68,6 @@ def saying(watched: Watched, *statuses: Status) -> Iterator[list[Status]]:
             watched.add_statuses(time.monotonic(), list(said))
 
     watched.add_statuses(time.monotonic(), said)
-    if PUMP in said:
-        watched.set_pump(PUMP.name)
     thread = threading.Thread(target=say)
     thread.start()
     try:
@@ -75,12 +77,12 @@ def saying(watched: Watched, *statuses: Status) -> Iterator[list[Status]]:
         thread.join()
 
 
-def site_watched(mode: str = "ended") -> Watched:
+def site_watched(mode: str = "ended") -> Store:
     """Return what is known of a site after four hours, with a forecast and a plan.
 
     Of a run that has ended nothing grows stale while a test looks.
     """
-    watched = Watched()
+    watched = Store()
     watched.set_site(read_site(CONFIG / "site.yaml"))
     watched.set_present(mode=mode, factor=30.0, source="heard", note="A note.")
     seconds = np.arange(BEGIN, BEGIN + 4 * 3600, 10)
@@ -99,9 +101,9 @@ def site_watched(mode: str = "ended") -> Watched:
     watched.add_plan(now_ns, np.stack(
         (ends, np.where(ends < 7200, 0.0, 1e-4), np.full(12, 0.046)), axis=1
     ))
-    watched.add_forecast(
-        "/forecast/precipitation", now_ns, np.outer(np.arange(3), np.full(20, 1e-6))
-    )
+    front = np.array([seconds[-1], *growing_steps(1)[1:]])
+    rain = np.outer(np.arange(3), np.full(len(front) - 1, 1e-6))
+    watched.add_forecast("/forecast/precipitation", now_ns, rain, front)
     return watched
 
 
@@ -144,8 +146,8 @@ def overflow(page: Any) -> int:
     )
 
 
-def document_of(watched: Watched) -> dict[str, Any]:
-    return watched.document(time.monotonic())
+def document_of(watched: Store) -> dict[str, Any]:
+    return read_document(watched, time.monotonic())
 
 
 # ---------------------------------------------------------------------------------- what it shows
@@ -247,7 +249,7 @@ def test_it_fits_every_width(browser: Any, width: int) -> None:
 def test_what_is_old_is_said_to_be(browser: Any) -> None:
     """A value that does not come any more is unknown; what was heard last stands beside it."""
     watched = site_watched("simulated")
-    watched.document(time.monotonic() - 60)  # a look of a minute ago: nothing came since
+    read_document(watched, time.monotonic() - 60)  # a look of a minute ago: nothing came since
     with served(watched) as port, opened(browser, port) as page:
         until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
         sentence = page.locator(".tile[data-key=roof] .sentence").text_content()
@@ -267,17 +269,17 @@ def test_charts_have_one_time_axis_and_the_values(browser: Any) -> None:
     with served(watched) as port, opened(browser, port) as page:
         until_drawn(page)
         places = page.evaluate(
-            "[...charts.views.values()].map(({ view }) => [view.origin()[0], view.width()])"
+            "[...charts.views.values()].map(({ plot }) => [plot.bbox.left, plot.bbox.width])"
         )
         assert len(places) == 4
         assert np.ptp(np.array(places), axis=0).max() <= 1
-        series = watched.series(12)
-        shown = page.evaluate("charts.views.get('roof').view.data('roof').map((row) => row.v)")
+        series = read_series(watched, 12)
+        shown = page.evaluate("charts.rows.roof.map((row) => row.v)")
         measured = [1000 * row[3] for row in series["lines"]["roof"]]
         assert shown[: len(measured)] == pytest.approx(measured)
-        band = page.evaluate("charts.views.get('rain').view.data('forecast')[0]")
+        band = page.evaluate("charts.rows.forecast[0]")
         assert [band["low"], band["v"], band["high"]] == pytest.approx([0.0, 3.6, 7.2])
-        planned = page.evaluate("charts.views.get('pump').view.data('plan').map((row) => row.v)")
+        planned = page.evaluate("charts.rows.plan.map((row) => row.v)")
         assert min(planned) == 0 and max(planned) == pytest.approx(6.0)
         assert page.said == []
 
@@ -289,24 +291,30 @@ def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
     later = np.arange(newest + 2 * 3600, newest + 3 * 3600, 10)
     for topic in ("/roof/level", "/pump/flow"):
         watched.add(topic, later * 10**9, np.full(len(later), 0.05))
-    gaps = '''() => [...charts.views.values()].flatMap(({ view }) => {
-      const found = [];
-      const visit = (item) => {
-        if (item.marktype === "line" && item.items.some((one) => one.datum.v === null)) {
-          found.push(item.items.filter((one) => one.defined === false).length);
-        }
-        for (const one of item.items ?? []) visit(one);
-      };
-      visit(view.scenegraph().root);
-      return found;
-    })'''
+    # What is drawn: of the canvas' columns in which the line has a pixel of its colour.
+    drawn = '''([key, t]) => {
+      const { plot } = charts.views.get(key);
+      const x = Math.round(plot.valToPos(charts.ms(t), "x", true));
+      const { top, height } = plot.bbox;
+      const column = new OffscreenCanvas(1, height + 4);
+      const copy = column.getContext("2d", { willReadFrequently: true });
+      copy.drawImage(plot.ctx.canvas, x, top - 2, 1, height + 4, 0, 0, 1, height + 4);
+      const pixels = copy.getImageData(0, 0, 1, height + 4).data;
+      const ink = key === "roof" ? [0, 0, 0] : [0, 114, 178];
+      return [...Array(height + 4).keys()].some(
+        (i) => pixels[4 * i + 3] > 128
+          && ink.every((one, c) => Math.abs(pixels[4 * i + c] - one) < 40));
+    }'''
     read = '''([key, name, t]) => {
       const { chart } = charts.views.get(key);
       return charts.valueAt(chart, chart.lines.find((line) => line.name === name), charts.ms(t));
     }'''
     with served(watched) as port, opened(browser, port) as page:
         until_drawn(page)
-        assert page.evaluate(gaps) == [1, 1]  # of roof and flow
+        for key in ("roof", "pump"):
+            assert page.evaluate(drawn, [key, newest - 3000])
+            assert not page.evaluate(drawn, [key, newest + 1800])
+            assert page.evaluate(drawn, [key, newest + 2 * 3600 + 1800])
         for key, name in (("roof", "roof"), ("pump", "flow"), ("rain", "rain")):
             assert page.evaluate(read, [key, name, newest - 5]) != ""
             assert page.evaluate(read, [key, name, newest + 3600]) == ""
@@ -319,13 +327,13 @@ def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
 
 def test_a_band_is_where_a_value_went_beyond_its_line(browser: Any) -> None:
     """A roof that merely fills has none; an hour later one gust makes one, of its stretch alone."""
-    watched = Watched()
+    watched = Store()
     watched.set_site(read_site(CONFIG / "site.yaml"))
     watched.set_present(mode="ended", factor=None, source="bag", note="")
     seconds = np.arange(0, 7200, 10)
     level = 0.03 + 1e-5 * np.minimum(seconds, 1800)
     watched.add("/roof/level", (BEGIN + seconds) * 10**9, np.where(seconds == 3600, 0.06, level))
-    read = """charts.views.get('roof').view.data('roof_range')
+    read = """charts.rows.roof_range
       .filter((row) => row.high - row.low > 1e-6)
       .map((row) => [row.t - charts.ms(0), row.low, row.high])"""
     with served(watched) as port, opened(browser, port) as page:
@@ -360,12 +368,13 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(browser: Any) -> None:
         until_shown(page, "#summary", "Alarms are not known")
         assert "ok" not in page.locator("#summary-shape").get_attribute("href")
         watched.set_incidents([
-            Dated("pump", "drive", "no connection to the drive", BEGIN + 60.0, BEGIN + 90.0)
+            Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
         ])
         row = until_shown(page, ".alarm.over", "pump: drive")
         assert not row.locator("button").is_visible()
         until_shown(page, "#summary[data-level=warn]", "1 incident, over.")
-        watched.set_incidents([Dated("pump", "drive", "no connection", BEGIN + 60.0, None)])
+        lasts = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, None)
+        watched.set_incidents([lasts])
         until_shown(page, ".alarm:not(.over)", "pump: drive")
         until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
         assert page.said == []
@@ -384,6 +393,32 @@ def test_the_release_of_a_stop_stands_beside_it(browser: Any) -> None:
         page.wait_for_selector("#release", state="hidden")
 
 
+def test_a_stop_of_the_page_is_released_there_after_a_question(browser: Any) -> None:
+    """With the token alone; here nobody answers, and the page must say so."""
+    watched = site_watched("loop")
+    watched.allow_release = True
+    stopped = replace(PUMP, values={
+        **PUMP.values, "stop": '"somebody stopped it on the page"', "stopped_by": '["page"]',
+    })
+    with (
+        saying(watched, stopped), served(watched, "secret") as port,
+        opened(browser, port, hash_="#token=secret") as page,
+    ):
+        until_shown(page, "#release", "locks it out at the pump itself")
+        assert not page.locator("#release-ros").is_visible()
+        page.locator("#release-button").click()
+        until_shown(page, "#ask", "starts by itself when the controller asks for it")
+        page.locator("#ask-no").click()
+        assert [url for method, url in page.asked if method == "POST"] == []
+        page.locator("#release-button").click()
+        page.locator("#ask-yes").click()
+        until_shown(page, "#answer.failed", "is not known")
+        assert [url for method, url in page.asked if method == "POST"] == [
+            f"http://localhost:{port}/release"
+        ]
+        assert page.said == []
+
+
 def test_pointer_and_keyboard_read_values(browser: Any) -> None:
     watched = site_watched()
     with served(watched) as port, opened(browser, port) as page:
@@ -395,7 +430,7 @@ def test_pointer_and_keyboard_read_values(browser: Any) -> None:
         at, number = re.search(r"(\d{4}-\S+ \S+)[\s\S]*?([\d.]+)[^\n]* mm", tip).groups()
         moment = np.datetime64(at.replace(" ", "T")).astype("datetime64[s]").astype(int)
         offset = document_of(watched)["time"]["utc_offset"]
-        rows = np.array(watched.series(12)["lines"]["roof"])
+        rows = np.array(read_series(watched, 12)["lines"]["roof"])
         level = np.interp(moment - offset * 3600, rows[:, 0], rows[:, 3])
         assert float(number) == pytest.approx(1000 * level, abs=0.06)
         page.mouse.move(5, 5)
@@ -408,7 +443,7 @@ def test_pointer_and_keyboard_read_values(browser: Any) -> None:
 
 def test_zoom_pause_and_how_far_back(browser: Any) -> None:
     watched = site_watched()
-    seen = "charts.views.get('pump').view.scale('x').domain().map(Number)"
+    seen = "(({ min, max }) => [min, max])(charts.views.get('pump').plot.scales.x)"
     with served(watched) as port, opened(browser, port) as page:
         until_drawn(page)
         frame = page.locator(".frame").nth(2)
@@ -428,7 +463,7 @@ def test_zoom_pause_and_how_far_back(browser: Any) -> None:
         page.locator("#pause").click()
         watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * 10**9]), np.array([0.05]))
         until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")  # tiles go on
-        newest = "charts.views.get('roof').view.data('roof').at(-1).v"
+        newest = "charts.rows.roof.at(-1).v"
         page.wait_for_timeout(3000)
         assert page.evaluate(newest) < 50
         page.locator("#pause").click()
@@ -450,7 +485,7 @@ def test_a_low_outlet_has_its_line_and_no_words_stand_on_others(browser: Any) ->
         for width in (1400, 400):
             with opened(browser, port, width) as page:
                 until_drawn(page)
-                marks = page.evaluate("charts.views.get('cistern').view.data('marks')")
+                marks = page.evaluate("charts.views.get('cistern').marks")
                 assert [(one["text"], one["inside"]) for one in marks] == [
                     ("suction level 750 mm", True), ("low outlet 1000 mm", True),
                     ("outlet 3000 mm \u2191", False),
@@ -470,7 +505,7 @@ def test_a_low_outlet_has_its_line_and_no_words_stand_on_others(browser: Any) ->
 
 def test_colours_are_the_reports() -> None:
     """On white each is one of Okabe and Ito's, as in the report."""
-    (style,) = (file for file in page_files() if file.suffix == ".css")
+    (style,) = (file for file in page_files() if file.name == "page.css")
     light = style.read_text(encoding="utf-8").partition("@media")[0]
     for name in ("roof", "cistern", "flow", "command", "rain", "rain-fill", "evapotranspiration"):
         (colour,) = re.findall(rf"--{name}: (#\w+);", light)
@@ -590,6 +625,9 @@ def test_a_page_that_comes_back_is_not_believed_before_it_hears_anew(browser: An
     with served(watched) as port, opened(browser, port) as page:
         until_shown(page, ".tile[data-key=roof]")
         assert page.evaluate(hide, True) is False
+        watched.add_statuses(time.monotonic(), [CONTROLLER, ALARM])
+        wait_for(lambda: page.title() == "1 alarm. Green roof", 60, "the title")
+        assert page.locator(".alarm").count() == 0  # of all else it hears nothing
         assert page.evaluate(hide, False) is False  # seen again, and nothing heard yet
         page.wait_for_selector("#lost", state="hidden")
         assert page.locator(".lost-link").count() == 0
@@ -601,7 +639,7 @@ def test_an_acknowledgement_that_is_refused_is_said(browser: Any) -> None:
     watched.add_statuses(time.monotonic(), [ALARM])
     with served(watched) as port, opened(browser, port) as page:
         button = until_shown(page, ".alarm button").element_handle()
-        watched.begin_anew()
+        watched.alarms = Alarms()  # of another graph
         page.wait_for_selector(".alarm", state="detached")
         button.evaluate("(one) => one.click()")
         until_shown(page, "#answer.failed", "This alarm is not listed any more.")
@@ -683,7 +721,7 @@ def test_stop_holds_a_real_pump(browser: Any, domain: int, tmp_path: Path) -> No
             page.locator("#ask-yes").click()
             until_shown(page, "#answer:not(.failed)", "held")
             held = ".tile[data-key=pump][data-state=held]"
-            until_shown(page, held, "an operator stopped it")
+            until_shown(page, held, "somebody stopped it on the page")
             page.reload()
             until_shown(page, held)
             assert until_shown(page, "#stop-button", "The pump is held off").is_disabled()

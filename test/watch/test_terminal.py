@@ -25,21 +25,24 @@ from rich.cells import cell_len
 from rich.console import Console
 from test_alarms import ERROR, WARN, node
 
-from greenroof_ros.watch.alarms import Status
-from greenroof_ros.watch.outlook import step_ends
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.terminal import pages
-from greenroof_ros.watch.watched import Watched
+from greenroof_ros.watch.wire import Status
 
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC
 
 
-def run_of(hours: float, mode: str = "simulated") -> Watched:
+def run_of(
+    hours: float, mode: str = "simulated", pump: str = "/pump", wall: float = 99.0
+) -> Store:
     """Return a run in which the roof's level rises by 1 mm/h from 40 mm, and it rains now."""
-    one = Watched()
+    one = Store()
     one.set_site(PAPER_SITE)
     one.set_present(mode=mode, factor=30.0, source="heard", note="")
-    one.set_pump(None if mode == "ended" else "/pump")
     times = START + 10 * SECOND * np.arange(int(hours * 360) + 1)
     passed = (times - START) / 3.6e12
     for topic, values in {
@@ -48,70 +51,72 @@ def run_of(hours: float, mode: str = "simulated") -> Watched:
         "/weather/precipitation": np.where(passed > hours / 2, 1e-6, 0.0),
     }.items():
         one.add(topic, times, values)
-    one.add_statuses(99.0, [
-        *node("/mpc", "controller"),
-        *node("/pump", "pump", pump="running: as commanded"),
+    one.add_statuses(wall, [
+        *node("/mpc", "controller"), *node(pump, "pump", pump="running: as commanded"),
     ])
     return one
 
 
-def with_storm() -> Watched:
+def with_storm() -> Store:
     one = run_of(6.0)
     now = START + round(6 * 3.6e12)
-    one.add_forecast("/forecast/precipitation", now, np.outer(np.arange(1.0, 12.0), [1e-7] * 32))
-    ends = step_ends(PAPER_SITE, 32)
-    assert ends is not None
+    ends = growing_steps(12)[1:]
+    rain = np.outer(np.arange(1.0, 12.0), [1e-7] * 32)
+    one.add_forecast("/forecast/precipitation", now, rain, np.array([now / 1e9, *ends]))
     levels = np.linspace(0.046, 0.050, 32)
     one.add_plan(now, np.column_stack([ends, np.full(32, 1e-4), levels]))
     return one
 
 
-def with_a_fault() -> Watched:
+def with_a_fault() -> Store:
     why = "fault: the drive reports: overcurrent (code 2310); the drive is not ready"
     one = run_of(6.0, "loop")
     one.add_statuses(99.5, node(
-        "/pump", "pump", ("pump", ERROR, why), ("drive", ERROR, "the drive reports a fault: over"),
+        "/pump", "pump", ("pump", ERROR, why, "drive_fault"),
+        ("drive", ERROR, "the drive reports a fault: over", "drive_fault"),
         pump=why, fault="the drive reports: overcurrent (code 2310)",
     ))
     return one
 
 
-def with_a_silent_sensor(others: int = 0) -> Watched:
+def with_a_silent_sensor(others: int = 0, wall: float = 99.5) -> Store:
     silent = "/cistern/level is older than 5 s (level_limit)"
-    one = run_of(6.0, "live")
-    one.add_statuses(99.5, [
-        *node("/mpc", "controller", ("inputs", ERROR, silent)),
+    one = run_of(6.0, "live", wall=wall)
+    one.add_statuses(wall, [
+        *node("/mpc", "controller", ("inputs", ERROR, silent, "input_silent")),
         *node(
-            "/pump", "pump", ("pump", WARN, "held: the level of the cistern is unknown"),
-            ("levels", ERROR, silent), ("delivery", WARN, "blind for 3 s: a level is unknown"),
+            "/pump", "pump",
+            ("pump", WARN, "held: the level of the cistern is unknown", "cistern_level_unknown"),
+            ("levels", ERROR, silent, "input_silent"),
+            ("delivery", WARN, "blind for 3 s: a level is unknown", "delivery_blind"),
             pump="held: the level of the cistern is unknown",
         ),
         *node("/cistern_sensor", "cistern_sensor", (
             "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "
-            "within 0.5 s",
+            "within 0.5 s", "sensor_lost",
         )),
         *(Status(f"/camera{number}", ERROR, "no picture", "c", {}) for number in range(others)),
     ])
     return one
 
 
-def ended() -> Watched:
+def ended() -> Store:
     return run_of(30.0, "ended")
 
 
 STATES = {
     "full speed": lambda: run_of(2.0), "storm": with_storm, "fault": with_a_fault,
-    "stale sensor": with_a_silent_sensor, "ended": ended, "nothing": Watched,
+    "stale sensor": with_a_silent_sensor, "ended": ended, "nothing": Store,
     "many alarms": lambda: with_a_silent_sensor(90),
 }
 
 
 def drawn(
-    one: Watched, width: int = 80, height: int | None = 24, *, color: bool = False,
+    one: Store, width: int = 80, height: int | None = 24, *, color: bool = False,
     ascii_only: bool = False, number: int = 0,
 ) -> list[str]:
     """Return what stands on the terminal, line by line."""
-    document, series = one.document(100.0), one.series(12.0)
+    document, series = read_document(one, 100.0), read_series(one, 12.0)
     console = Console(
         width=width, height=height, force_terminal=True, highlight=False,
         color_system="truecolor" if color else None,
@@ -160,16 +165,14 @@ def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
 @pytest.mark.parametrize("name", ["/pump", "/the_pump_of_the_cistern_below_the_house"])
 def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: int) -> None:
     """The first part of that command releases the pump."""
-    one = run_of(1.0)
-    one.add_statuses(99.0, node(name, "pump", pump="running: as commanded"))
-    one.set_pump(name)
+    one = run_of(1.0, pump=name)
     lines = drawn(one, width, 24)
     call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
     assert any(call in line for line in lines) == (len(call) <= width)
     assert any("ros2 service" in line for line in lines) == (len(call) <= width)
     if len(call) > width:
         assert any(line.startswith("stop the pump: see the page") for line in lines)
-    assert "SetBool" not in " ".join(drawn(Watched(), 120, 24))
+    assert "SetBool" not in " ".join(drawn(Store(), 120, 24))
 
 
 def test_the_numbers_of_the_gauges() -> None:
@@ -180,12 +183,12 @@ def test_the_numbers_of_the_gauges() -> None:
 
 def test_a_pump_of_which_no_flow_is_known_yet() -> None:
     """As a site says at first: its state is on /diagnostics, flow and command are not there yet."""
-    one = Watched()
+    one = Store()
     one.set_site(PAPER_SITE)
     one.set_present(mode="live", factor=None, source="heard", note="")
-    assert one.document(0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
+    assert read_document(one, 0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
     one.add_statuses(1.0, node("/pump", "pump", pump="off: no command"))
-    assert one.document(1.0)["tiles"]["pump"]["sentence"] == ""
+    assert read_document(one, 1.0)["tiles"]["pump"]["sentence"] == ""
     assert any(line.startswith("Pump          unknown") for line in drawn(one))
     # And a sentence of nothing but a line's end.
     one.add_statuses(1.5, node("/mpc", "controller", ("program", ERROR, "\n")))
@@ -197,7 +200,7 @@ def test_all_of_it_by_turning_pages() -> None:
     one = with_a_silent_sensor(90)
     for number in range(30):
         one.add_event(99.5, f"event {number}")
-    document = one.document(100.0)
+    document = read_document(one, 100.0)
     (last,) = (line for line in drawn(one) if line.startswith("page 1 of "))
     count = int(last.split()[3].rstrip(";"))
     told = [drawn(one, number=number) for number in range(count)]
@@ -239,7 +242,7 @@ def test_bars_by_hand() -> None:
 
 def test_what_is_constant_is_seen() -> None:
     """Half as high as it may be; of nothing the lowest."""
-    one = Watched()
+    one = Store()
     one.set_site(PAPER_SITE)
     one.set_present(mode="simulated", factor=30.0, source="heard", note="")
     times = START + 10 * SECOND * np.arange(4321)
@@ -255,7 +258,7 @@ def test_what_is_constant_is_seen() -> None:
 def test_what_a_terminal_says_is_in_a_terminal() -> None:
     one = run_of(1.0)
     assert "tile" not in " ".join(drawn(one, height=None))
-    assert "Nothing to do" not in " ".join(drawn(Watched(), height=None))
+    assert "Nothing to do" not in " ".join(drawn(Store(), height=None))
 
 
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
@@ -278,7 +281,7 @@ def test_the_advice_is_never_cut() -> None:
     one.add_statuses(99.5, node(
         "/pump", "pump", ("pump", ERROR, "fault: the cistern falls: a burst pipe or a leak"),
     ))
-    assert one.document(100.0)["advice"] in " ".join(" ".join(drawn(one, 60)).split())
+    assert read_document(one, 100.0)["advice"] in " ".join(" ".join(drawn(one, 60)).split())
 
 
 def test_without_colour_nothing_but_text() -> None:
@@ -308,11 +311,11 @@ def test_hostile_texts_do_nothing_to_the_terminal() -> None:
 # --- as a process on a terminal -------------------------------------------------------------------
 
 PROGRAM = """
-import sys
+import sys, time
 sys.path[:0] = [{tests!r}, {here!r}]
 from test_terminal import with_a_silent_sensor
 from greenroof_ros.watch.terminal import run
-run(with_a_silent_sensor())
+run(with_a_silent_sensor(wall=time.monotonic()))
 """
 
 

@@ -325,7 +325,7 @@ def test_the_release_that_is_shown_releases_the_pump(domain: int, tmp_path: Path
             timeout=120,
         )
         wait_for(lambda: not document(port)["stop"]["release"], 60, "the pump released")
-        assert "operator" not in document(port)["tiles"]["pump"]["why"]
+        assert "stopped" not in document(port)["tiles"]["pump"]["why"]
         process.process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
 

@@ -1,11 +1,11 @@
-// The charts: levels, pump, rain over one time axis. Times are those of the site, as if they were
-// UTC: a reader's browser may stand elsewhere.
+// The charts: levels, pump, rain over one time axis, drawn by uPlot. Times are those of the site, as if
+// they were UTC: a reader's browser may stand elsewhere.
+
+const { uPlot } = window;
 
 const HOUR = 3600_000;
 const AHEAD = 12; // hours
-// What an axis and its title take (px), so that all charts have the same time above one another.
-const AXIS = 44;
-const TITLE = 14;
+const AXIS = 64; // what an axis and its title take (px), so that all charts have the same time above one another
 const FEWEST = 60_000; // ms: what a zoom shows at least
 
 // What each chart shows: its lines, by the names of the series, on the axis of the one that 'shown'
@@ -13,7 +13,7 @@ const FEWEST = 60_000; // ms: what a zoom shows at least
 // is that of the stretch that ends at the time of its row ('past'), or of the step that begins there.
 const CHARTS = [
   {
-    key: "roof", shown: "roof", title: "Roof level", height: 170, marks: ["target"], band: true,
+    key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
     lines: [
       { name: "roof", label: "measured", colour: "--roof", range: "past" },
       { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
@@ -21,12 +21,11 @@ const CHARTS = [
     ],
   },
   {
-    key: "cistern", shown: "cistern", title: "Cistern level", height: 120, marks: ["suction", "low_outlet", "outlet"],
+    key: "cistern", shown: "cistern", title: "Cistern level", height: 150, marks: ["suction", "low_outlet", "outlet"],
     lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: "past" }],
   },
   {
-    key: "pump", shown: "flow", title: "Pump", height: 140, zero: true,
-    right: "command", rightColour: "--command",
+    key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command",
     lines: [
       { name: "flow", label: "flow", colour: "--flow", steps: true, range: "past", rangeLabel: "its range" },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
@@ -34,7 +33,7 @@ const CHARTS = [
     ],
   },
   {
-    key: "rain", shown: "rain", title: "Rain and evapotranspiration", height: 140, zero: true,
+    key: "rain", shown: "rain", title: "Rain and evapotranspiration", height: 195, zero: true,
     right: "evapotranspiration", rightColour: "--evapotranspiration",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
@@ -44,13 +43,22 @@ const CHARTS = [
   },
 ];
 const MARKS = { target: "target", suction: "suction level", low_outlet: "low outlet", outlet: "outlet" };
+const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
+const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const faint = (name) => `color-mix(in srgb, ${colour(name)} 30%, transparent)`;
 const two = (number) => String(number).padStart(2, "0");
+const clock = (at, seconds) => `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}${seconds ? `:${two(at.getUTCSeconds())}` : ""}`;
 const atText = (ms) => {
   const at = new Date(ms);
-  return `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())} `
-    + `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}:${two(at.getUTCSeconds())}`;
+  return `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())} ${clock(at, true)}`;
+};
+// A time of the axis: the day at midnight, else the time.
+const tickText = (ms) => {
+  const at = new Date(ms);
+  if (ms % (24 * HOUR) === 0) return `${DAYS[at.getUTCDay()]} ${two(at.getUTCDate())} ${MONTHS[at.getUTCMonth()]}`;
+  return clock(at, at.getUTCSeconds() > 0);
 };
 
 export const element = (tag, name, text) => {
@@ -60,30 +68,18 @@ export const element = (tag, name, text) => {
   return made;
 };
 
-// The rows of a line's range.
-const rangeOf = (line) => (line.range === "past" ? `${line.name}_range` : line.name);
-
-// A short piece of a line, as in the chart.
-const swatch = (line) => {
+// A short piece of a line, as in the chart; of a range a block.
+const swatch = ({ colour: stroke, dash, block }) => {
   const space = "http://www.w3.org/2000/svg";
   const drawn = document.createElementNS(space, "svg");
   drawn.setAttribute("class", "swatch");
   drawn.setAttribute("viewBox", "0 0 30 12");
   drawn.setAttribute("aria-hidden", "true");
-  if (line.block) {
-    const block = document.createElementNS(space, "rect");
-    block.setAttribute("width", "30");
-    block.setAttribute("height", "12");
-    block.setAttribute("fill", colour(line.block));
-    block.setAttribute("fill-opacity", "0.3");
-    drawn.append(block);
-    return drawn;
-  }
-  const stroke = document.createElementNS(space, "line");
-  const set = { x1: 0, x2: 30, y1: 6, y2: 6, stroke: colour(line.colour), "stroke-width": 2.5 };
-  if (line.dash) set["stroke-dasharray"] = line.dash.join(" ");
-  for (const [key, value] of Object.entries(set)) stroke.setAttribute(key, value);
-  drawn.append(stroke);
+  const made = document.createElementNS(space, block ? "rect" : "line");
+  const set = block ? { width: 30, height: 12, fill: colour(block), "fill-opacity": 0.3 }
+    : { x1: 0, x2: 30, y1: 6, y2: 6, stroke: colour(stroke), "stroke-width": 2.5, "stroke-dasharray": dash?.join(" ") ?? "none" };
+  for (const [key, value] of Object.entries(set)) made.setAttribute(key, value);
+  drawn.append(made);
   return drawn;
 };
 
@@ -104,107 +100,6 @@ const placed = (named, unit, low, high, height) => {
   ];
 };
 
-// Times of an axis: the day at midnight, else the time.
-const CLOCK = "utcFormat(datum.value, utchours(datum.value) + utcminutes(datum.value) + utcseconds(datum.value) === 0"
-  + " ? '%a %d %b' : utcseconds(datum.value) ? '%H:%M:%S' : '%H:%M')";
-
-const x = (field = "t") => ({
-  field, type: "temporal", title: null,
-  scale: { type: "utc", domain: { signal: "[from, to]" }, nice: false },
-  axis: { labelOverlap: true, tickCount: { expr: "max(3, floor(width / 110))" }, labelFlush: true, labelExpr: CLOCK },
-});
-
-// The specification of a chart, without data: those are given with each series.
-const specification = (chart, units) => {
-  const axis = (right) => ({
-    title: right ? units(chart.right).title : units(chart.shown).title,
-    orient: right ? "right" : "left", tickCount: chart.height > 150 ? 5 : 4, minExtent: AXIS, maxExtent: AXIS, format: "~f",
-    ...(right ? { grid: false, titleColor: colour(chart.rightColour), labelColor: colour(chart.rightColour) } : {}),
-  });
-  const y = (line, field = "v") => ({
-    field, type: "quantitative",
-    scale: { domain: { signal: line?.right ? "[rightLow, rightHigh]" : "[low, high]" }, nice: false, zero: false },
-    axis: axis(line?.right),
-  });
-  const data = (name) => ({ name });
-  const left = [{
-    data: data("now"), mark: { type: "rect", color: colour("--ahead"), clip: true },
-    encoding: { x: x("t"), x2: { field: "end" } },
-  }];
-  if (chart.band) {
-    left.push({
-      data: data("band"), mark: { type: "rect", color: colour("--band"), opacity: 0.18, clip: true },
-      encoding: { y: y(null, "low"), y2: { field: "high" } },
-    });
-  }
-  const right = [];
-  for (const line of chart.lines) {
-    const layers = line.right ? right : left;
-    const interpolate = line.steps ? "step-after" : "linear";
-    if (line.range) {
-      layers.push({
-        data: data(rangeOf(line)),
-        mark: {
-          type: "area", color: colour(line.fill ?? line.colour), opacity: 0.3, clip: true,
-          interpolate: line.range === "past" ? "linear" : "step-after",
-        },
-        encoding: { x: x(), y: y(line, "low"), y2: { field: "high" } },
-      });
-    }
-    if (line.fill) {
-      layers.push({
-        data: data(line.name),
-        mark: { type: "area", color: colour(line.fill), opacity: 0.45, interpolate, clip: true },
-        encoding: { x: x(), y: { ...y(line), stack: null } },
-      });
-    }
-    layers.push({
-      data: data(line.name),
-      mark: {
-        type: "line", color: colour(line.colour), strokeWidth: 2.2, interpolate, clip: true,
-        ...(line.dash ? { strokeDash: line.dash } : {}),
-      },
-      encoding: { x: x(), y: y(line) },
-    });
-  }
-  if (chart.marks) {
-    left.push(
-      {
-        data: data("marks"), mark: { type: "rule", color: colour("--reference"), strokeDash: [3, 2] },
-        transform: [{ filter: "datum.inside" }], encoding: { y: y(null) },
-      },
-      {
-        data: data("marks"),
-        mark: { type: "text", align: "left", dx: 4, color: colour("--reference"), fontSize: 12,
-          baseline: { expr: "datum.above ? 'top' : 'bottom'" }, dy: { expr: "datum.above ? 3 : -2" } },
-        encoding: { x: { value: 0 }, y: y(null), text: { field: "text", type: "nominal" } },
-      },
-    );
-  }
-  left.push({
-    data: data("now"), mark: { type: "rule", color: colour("--reference"), strokeWidth: 1.5, clip: true },
-    encoding: { x: x() },
-  });
-  const names = ["now", "band", "marks", ...chart.lines.flatMap((line) => [line.name, rangeOf(line)])];
-  return {
-    $schema: "https://vega.github.io/schema/vega-lite/v6.json",
-    width: "container", height: chart.height, autosize: { type: "fit-x", contains: "padding" },
-    padding: { left: 4, right: chart.right ? 8 : 8 + AXIS + TITLE, top: 6, bottom: 4 },
-    params: ["from", "to", "low", "high", "rightLow", "rightHigh"].map((name, i) => ({ name, value: i % 2 })),
-    datasets: Object.fromEntries(names.map((name) => [name, []])),
-    layer: right.length ? [{ layer: left }, { layer: right }] : left,
-    resolve: right.length ? { scale: { y: "independent" } } : {},
-    config: {
-      mark: { invalid: "break-paths-show-domains" }, // a line has none in a gap
-      font: "Arial, Helvetica, sans-serif", background: null, view: { stroke: colour("--edge") },
-      axis: {
-        labelFontSize: 12, titleFontSize: 12, titleFontWeight: "normal", labelColor: colour("--ink"),
-        titleColor: colour("--ink"), titlePadding: 2, gridColor: colour("--grid"), domainColor: colour("--edge"), tickColor: colour("--edge"),
-      },
-    },
-  };
-};
-
 export class Charts {
   // 'box' takes the charts; 'changed' is called when the zoom has changed, 'speak' with what a
   // reader of the page cannot see.
@@ -215,16 +110,14 @@ export class Charts {
     this.hours = 12;
     this.zoomed = null;
     this.paused = false;
-    this.drawing = null;
     this.series = null;
     this.rows = null;
+    this.keyed = null; // the chart in which a reader moves by keys
     this.views = new Map();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
-    let waiting;
-    addEventListener("resize", () => {
-      clearTimeout(waiting);
-      waiting = setTimeout(() => this.views.forEach(({ view }) => view.resize().runAsync()), 150);
-    });
+    new ResizeObserver(() => this.views.forEach(({ chart, plot, frame }) => {
+      if (plot.width !== frame.clientWidth) plot.setSize({ width: frame.clientWidth, height: chart.height });
+    })).observe(box);
   }
 
   get time() { return this.series && this.ms(this.series.now); }
@@ -237,78 +130,156 @@ export class Charts {
   }
 
   // A new series: drawn at once, or kept while a reader has paused.
-  async take(series, offset) {
+  take(series, offset) {
     this.waiting = { series, offset };
-    if (this.paused || this.building) return;
-    await this.drawWaiting();
+    if (!this.paused) this.drawWaiting();
   }
 
-  async drawWaiting() {
+  drawWaiting() {
     if (!this.waiting || this.waiting.series.now === null) return;
     ({ series: this.series, offset: this.offset } = this.waiting);
     this.waiting = null;
     this.rows = this.rowsOf(this.series);
-    if (!this.views.size) await this.rebuild();
-    else await this.draw();
+    if (this.views.size) this.draw();
+    else this.rebuild();
   }
 
-  async rebuild() {
-    if (!this.series || this.building) return;
-    this.building = true;
-    try {
-      await import("/vega.js");
-      this.views.forEach(({ view }) => view.finalize());
-      this.views.clear();
-      this.box.replaceChildren();
-      for (const chart of CHARTS) await this.build(chart);
-    } finally {
-      this.building = false;
-    }
-    await this.draw();
+  rebuild() {
+    if (!this.series) return;
+    this.views.forEach(({ plot }) => plot.destroy());
+    this.views.clear();
+    this.box.replaceChildren();
+    CHARTS.forEach((chart) => this.build(chart));
+    this.draw();
   }
 
-  async build(chart) {
+  build(chart) {
     const part = element("section");
     const head = element("div", "head");
+    const entry = (name, label, look, isRange) => {
+      const made = element("span", "", label);
+      made.dataset.line = name;
+      if (isRange) made.dataset.range = "";
+      made.prepend(swatch(look));
+      head.append(made);
+    };
     head.append(element("h3", "", chart.title));
     for (const line of chart.lines) {
-      const entry = element("span", "", line.label);
-      entry.dataset.line = line.name;
-      entry.prepend(swatch(line));
-      head.append(entry);
-      if (line.rangeLabel) {
-        const range = element("span", "", line.rangeLabel);
-        range.dataset.line = line.name;
-        range.dataset.range = "";
-        range.prepend(swatch({ block: line.colour }));
-        head.append(range);
-      }
+      entry(line.name, line.label, line);
+      if (line.rangeLabel) entry(line.name, line.rangeLabel, { block: line.colour }, true);
     }
-    if (chart.band) {
-      const band = element("span", "", "good");
-      band.dataset.line = "band";
-      band.prepend(swatch({ block: "--band" }));
-      head.append(band);
-    }
+    if (chart.band) entry("band", "good", { block: "--band" });
     const frame = element("div", "frame");
     frame.tabIndex = 0;
     frame.setAttribute("role", "application");
     frame.setAttribute("aria-label", `${chart.title} over time. Arrow keys move, plus and minus zoom, Escape shows the whole time.`);
-    const place = element("div", "view");
     const tip = element("div", "tip");
     tip.hidden = true;
-    const cursor = element("div", "cursor");
-    const drawn = element("div", "drawn");
-    cursor.hidden = drawn.hidden = true;
-    frame.append(place, drawn, cursor, tip);
     part.append(head, frame);
     this.box.append(part);
-    const { view } = await window.vegaEmbed(place, specification(chart, (name) => this.units(name)), {
-      mode: "vega-lite", ast: true, actions: false, renderer: "canvas", defaultStyle: false, tooltip: false,
-      hover: false,
+    const view = { chart, frame, tip, head, marks: [], band: [], ranges: {} };
+    view.plot = new uPlot(this.options(view), [[]], frame);
+    frame.append(tip);
+    this.views.set(chart.key, view);
+    this.listen(view);
+  }
+
+  // How uPlot draws a chart. Of a line with a range there are two more series, its ends.
+  options(view) {
+    const { chart, frame } = view;
+    const { linear, stepped } = uPlot.paths;
+    const series = [{}];
+    const bands = [];
+    for (const line of chart.lines) {
+      const scale = line.right ? "right" : "left";
+      if (line.range) {
+        const paths = line.range === "past" ? linear() : stepped({ align: 1 });
+        series.push(...[1, 2].map(() => ({ scale, paths, width: 0, points: { show: false } })));
+        bands.push({ series: [series.length - 1, series.length - 2], fill: faint(line.fill ?? line.colour) });
+      }
+      series.push({
+        scale, paths: line.steps ? stepped({ align: 1 }) : linear(), stroke: colour(line.colour), width: 2.2,
+        dash: line.dash, fill: line.fill && faint(line.fill), points: { show: false },
+      });
+    }
+    const axis = (scale, name, ink) => ({
+      scale, side: scale === "right" ? 1 : 3, size: AXIS - 14, labelSize: 14, gap: 3, label: this.units(name).title,
+      labelFont: "12px Arial, Helvetica, sans-serif", font: "12px Arial, Helvetica, sans-serif", stroke: colour(ink), space: 36,
+      grid: { show: scale === "left", stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--edge"), width: 1 },
+      values: (_, splits) => splits.map((one) => String(Number(one.toPrecision(6)))),
     });
-    this.views.set(chart.key, { chart, view, frame, tip, cursor, drawn, head });
-    this.listen(frame, view);
+    const range = (name) => () => view.ranges[name] ?? [0, 1];
+    return {
+      width: frame.clientWidth, height: chart.height, ms: 1, legend: { show: false }, series, bands,
+      padding: [6, chart.right ? 0 : AXIS, 0, 0],
+      tzDate: (at) => uPlot.tzDate(new Date(at), "Etc/UTC"),
+      scales: { x: { range: range("x") }, left: { range: range("left") }, right: { range: range("right") } },
+      axes: [
+        {
+          stroke: colour("--ink"), font: "12px Arial, Helvetica, sans-serif", size: 24, gap: 2, space: 90,
+          grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--edge"), width: 1 },
+          values: (_, splits) => splits.map(tickText),
+        },
+        axis("left", chart.shown, "--ink"),
+        ...(chart.right ? [axis("right", chart.right, chart.rightColour)] : []),
+      ],
+      cursor: {
+        y: false, points: { show: false }, sync: { key: "charts", setSeries: false },
+        drag: { x: true, y: false, setScale: false, dist: 8 },
+        bind: { dblclick: () => () => this.zoom(null) },
+      },
+      hooks: {
+        drawClear: [(plot) => this.drawBehind(plot, view)],
+        draw: [(plot) => this.drawMarks(plot, view)],
+        setSelect: [(plot) => {
+          const { left, width } = plot.select;
+          if (width < 1) return;
+          plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+          this.zoom([plot.posToVal(left, "x"), plot.posToVal(left + width, "x")]);
+        }],
+        setCursor: [(plot) => this.point(view, plot)],
+      },
+    };
+  }
+
+  // What lies ahead, and what counts as good.
+  drawBehind(plot, { band }) {
+    const { ctx, bbox } = plot;
+    const x = Math.min(bbox.left + bbox.width, Math.max(bbox.left, plot.valToPos(this.time, "x", true)));
+    ctx.fillStyle = colour("--ahead");
+    ctx.fillRect(x, bbox.top, bbox.left + bbox.width - x, bbox.height);
+    if (!band.length) return;
+    const [top, bottom] = [band[1], band[0]].map((one) => Math.min(bbox.top + bbox.height, Math.max(bbox.top, plot.valToPos(one, "left", true))));
+    ctx.fillStyle = `color-mix(in srgb, ${colour("--band")} 18%, transparent)`;
+    ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
+  }
+
+  // Now, and the references with their words.
+  drawMarks(plot, { marks }) {
+    const { ctx, bbox } = plot;
+    const ratio = devicePixelRatio;
+    const line = (x0, y0, x1, y1, dash) => {
+      ctx.setLineDash(dash);
+      ctx.beginPath();
+      ctx.moveTo(x0, y0);
+      ctx.lineTo(x1, y1);
+      ctx.stroke();
+    };
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = colour("--reference");
+    ctx.lineWidth = 1.5 * ratio;
+    const x = plot.valToPos(this.time, "x", true);
+    if (bbox.left <= x && x <= bbox.left + bbox.width) line(x, bbox.top, x, bbox.top + bbox.height, []);
+    ctx.lineWidth = ratio;
+    ctx.font = `${12 * ratio}px Arial, Helvetica, sans-serif`;
+    ctx.textAlign = "left";
+    for (const { v, inside, above, text } of marks) {
+      const y = plot.valToPos(v, "left", true);
+      if (inside) line(bbox.left, y, bbox.left + bbox.width, y, [3 * ratio, 2 * ratio]);
+      ctx.textBaseline = above ? "top" : "bottom";
+      ctx.fillText(text, bbox.left + 4 * ratio, y + (above ? 3 : -2) * ratio);
+    }
+    ctx.restore();
   }
 
   // Series as the charts' rows: SI units become the shown ones, and what ends has a row there.
@@ -323,12 +294,10 @@ export class Charts {
         rows[line.name] = broken(points.map(([t, low, high, last]) => ({
           t: this.ms(t), ...(last === null ? NOTHING : { v: last * f, low: low * f, high: high * f }),
         })), series.gaps[line.name] * 1000, line.steps, now);
-        if (line.range === "past") rows[rangeOf(line)] = beyond(rows[line.name], line.steps);
+        if (line.range === "past") rows[`${line.name}_range`] = beyond(rows[line.name], line.steps);
       }
     }
-    const level = factor("roof");
-    const flow = factor("flow");
-    const rain = factor("rain");
+    const [level, flow, rain] = ["roof", "flow", "rain"].map(factor);
     const plan = series.plan.filter(([, end]) => end > series.now);
     rows.plan = steps(plan.map(([t0, t1, one]) => [this.ms(Math.max(t0, series.now)), this.ms(t1), { v: one * flow }]));
     const ahead = plan.map(([, t1, , value]) => ({ t: this.ms(t1), v: value * level }));
@@ -344,6 +313,8 @@ export class Charts {
     return rows;
   }
 
+  rangeRows(line) { return this.rows[line.range === "past" ? `${line.name}_range` : line.name]; }
+
   // From the first value, or as far back as was chosen, to the end of what lies ahead.
   whole() {
     const { now, from } = this.series;
@@ -357,8 +328,7 @@ export class Charts {
 
   // The range of an axis: that of what is seen, with the references that are near it.
   range(chart, right, [from, to], marks) {
-    let low = Infinity;
-    let high = -Infinity;
+    let [low, high] = [Infinity, -Infinity];
     const take = (value) => {
       if (!Number.isFinite(value)) return;
       low = Math.min(low, value);
@@ -368,10 +338,7 @@ export class Charts {
       const rows = this.rows[line.name];
       for (const [i, row] of rows.entries()) {
         const next = rows[i + 1]?.t ?? row.t;
-        if (next < from || row.t > to) continue;
-        take(row.v);
-        take(row.low);
-        take(row.high);
+        if (next >= from && row.t <= to) [row.v, row.low, row.high].forEach(take);
       }
     }
     if (right && chart.right === "command") [low, high] = [0, Math.max(100, high)];
@@ -385,44 +352,42 @@ export class Charts {
     return [Math.max(0, low - margin), high + margin];
   }
 
-  async draw() {
+  draw() {
     const whole = this.whole();
     // Of another run, or scrolled out on the left.
     if (this.zoomed && (this.zoomed[0] >= whole[1] || this.zoomed[1] <= whole[0])) this.zoomed = null;
     const seen = this.zoomed ?? whole;
-    const [from, to] = seen;
-    const now = this.time;
-    for (const { chart, view, head } of this.views.values()) {
+    const known = this.series.marks;
+    for (const view of this.views.values()) {
+      const { chart, plot, head } = view;
       const { factor, decimals, unit } = this.units(chart.shown);
-      const known = this.series.marks;
-      const marks = (chart.marks ?? []).filter((name) => Number.isFinite(known[name]));
-      const band = chart.band && known.band ? known.band.map((one) => one * factor) : [];
-      const [low, high] = this.range(chart, false, seen, [...marks.map((name) => known[name] * factor), ...band]);
-      const [rightLow, rightHigh] = chart.right ? this.range(chart, true, seen, []) : [0, 1];
-      const set = { from, to, low, high, rightLow, rightHigh };
-      for (const [name, value] of Object.entries(set)) view.signal(name, value);
-      for (const line of chart.lines) {
-        for (const name of new Set([line.name, rangeOf(line)])) view.data(name, this.rows[name]);
-      }
+      const named = (chart.marks ?? []).filter((name) => Number.isFinite(known[name])).map((name) => {
+        const value = known[name] * factor;
+        return { value, text: `${MARKS[name]} ${value.toFixed(decimals)}` };
+      });
+      view.band = chart.band && known.band ? known.band.map((one) => one * factor) : [];
+      const left = this.range(chart, false, seen, [...named.map(({ value }) => value), ...view.band]);
+      view.ranges = { x: seen, left, right: chart.right && this.range(chart, true, seen, []) };
+      view.marks = placed(named, unit, ...left, chart.height - 30);
       for (const entry of head.querySelectorAll("[data-line]")) {
-        const { line, range } = entry.dataset;
-        const rows = this.rows[range === undefined ? line : rangeOf(chart.lines.find(({ name }) => name === line))];
-        entry.hidden = line === "band" ? !band.length
-          : range === undefined ? !rows.length : !rows.some((row) => row.high > row.low);
+        const line = chart.lines.find(({ name }) => name === entry.dataset.line);
+        entry.hidden = !line ? !view.band.length
+          : entry.dataset.range === undefined ? !this.rows[line.name].length : !this.rangeRows(line).some((row) => row.high > row.low);
       }
-      view.data("now", [{ t: now, end: Math.max(to, now) }]);
-      if (chart.band) view.data("band", band.length ? [{ low: Math.max(low, band[0]), high: Math.min(high, band[1]) }] : []);
-      if (chart.marks) {
-        const named = marks.map((name) => {
-          const value = known[name] * factor;
-          return { value, text: `${MARKS[name]} ${value.toFixed(decimals)}` };
-        });
-        view.data("marks", placed(named, unit, low, high, chart.height));
-      }
+      plot.setData(this.table(chart), true);
     }
-    await Promise.all([...this.views.values()].map(({ view }) => view.runAsync()));
-    if (this.pointed) this.point(this.pointed.key, this.pointed.t);
     this.changed();
+  }
+
+  // The rows of a chart as uPlot has them: all times, and of each series its values there. What has no
+  // value at a time goes on (undefined); from where nothing is known (null) to its next value a line has a gap.
+  table(chart) {
+    const parts = chart.lines.flatMap((line) => {
+      const column = (rows, key) => [rows.map(({ t }) => t), rows.map((row) => row[key])];
+      const ends = line.range ? ["low", "high"].map((key) => column(this.rangeRows(line), key)) : [];
+      return [...ends, column(this.rows[line.name], "v")];
+    });
+    return uPlot.join(parts, parts.map((part) => part.map(() => 2)));
   }
 
   setHours(hours) {
@@ -432,7 +397,7 @@ export class Charts {
 
   pause(paused) {
     this.paused = paused;
-    if (!paused && !this.building) this.drawWaiting();
+    if (!paused) this.drawWaiting();
   }
 
   // Show from one time to another; without times everything.
@@ -442,11 +407,8 @@ export class Charts {
       const [start, end] = this.whole();
       let [from, to] = range;
       if (to - from < FEWEST) [from, to] = [(from + to - FEWEST) / 2, (from + to + FEWEST) / 2];
-      if (to - from >= end - start) range = null;
-      else {
-        const shift = Math.max(0, start - from) - Math.max(0, to - end);
-        range = [from + shift, to + shift];
-      }
+      const shift = Math.max(0, start - from) - Math.max(0, to - end);
+      range = to - from >= end - start ? null : [from + shift, to + shift];
     }
     this.zoomed = range;
     this.draw();
@@ -456,64 +418,26 @@ export class Charts {
   scale(by) {
     if (!this.series) return;
     const [from, to] = this.zoomed ?? this.whole();
-    const middle = this.pointed?.t ?? (from + to) / 2;
+    const middle = this.pointed ?? (from + to) / 2;
     this.zoom([middle - (middle - from) * by, middle + (to - middle) * by]);
   }
 
-  // Where a time is in a chart's frame.
-  pixel(view, t) {
-    const [from, to] = this.zoomed ?? this.whole();
-    return view.origin()[0] + view.padding().left + ((t - from) / (to - from)) * view.width();
-  }
-
-  listen(frame, view) {
-    const key = [...this.views].find(([, one]) => one.view === view)[0];
-    const at = (event) => {
-      const left = frame.querySelector("canvas").getBoundingClientRect().left + view.origin()[0] + view.padding().left;
-      const width = view.width();
-      const share = Math.min(1, Math.max(0, (event.clientX - left) / width));
-      const [from, to] = this.zoomed ?? this.whole();
-      return from + share * (to - from);
-    };
-    const range = (event) => [this.drawing.start, at(event)].sort((a, b) => a - b);
-    const end = () => {
-      this.drawing = null;
-      this.views.forEach(({ drawn }) => { drawn.hidden = true; });
-    };
-    frame.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || event.pointerType === "touch") return;
-      this.drawing = { start: at(event), pixel: event.clientX };
-      frame.setPointerCapture(event.pointerId);
+  listen(view) {
+    const { frame, plot } = view;
+    frame.addEventListener("pointermove", () => { this.keyed = null; });
+    frame.addEventListener("blur", () => {
+      this.keyed = null;
+      plot.setCursor({ left: -10, top: -10 }, true, true);
     });
-    frame.addEventListener("pointermove", (event) => {
-      this.point(key, at(event));
-      if (!this.drawing) return;
-      const [from, to] = range(event);
-      for (const one of this.views.values()) {
-        const left = this.pixel(one.view, from);
-        one.drawn.hidden = false;
-        one.drawn.style.left = `${left}px`;
-        one.drawn.style.width = `${this.pixel(one.view, to) - left}px`;
-      }
-    });
-    frame.addEventListener("pointerup", (event) => {
-      if (!this.drawing) return;
-      const chosen = range(event);
-      const far = Math.abs(event.clientX - this.drawing.pixel) > 8;
-      end();
-      if (far) this.zoom(chosen);
-    });
-    frame.addEventListener("pointercancel", end);
-    frame.addEventListener("pointerleave", () => this.point(null));
-    frame.addEventListener("dblclick", () => this.zoom(null));
-    frame.addEventListener("blur", () => this.point(null));
     frame.addEventListener("keydown", (event) => {
       const [from, to] = this.zoomed ?? this.whole();
+      const t = this.pointed ?? Math.min(this.time, to);
       const step = (to - from) / 50;
-      const t = this.pointed?.t ?? Math.min(this.time, to);
       const moves = { ArrowLeft: t - step, ArrowRight: t + step, Home: from, End: to };
       if (event.key in moves) {
-        this.point(key, Math.min(to, Math.max(from, moves[event.key])), true);
+        this.aloud = true;
+        this.keyed = frame;
+        plot.setCursor({ left: plot.valToPos(Math.min(to, Math.max(from, moves[event.key])), "x"), top: 10 }, true, true);
       } else if (event.key === "+") this.scale(0.5);
       else if (event.key === "-") this.scale(2);
       else if (event.key === "Escape") this.zoom(null);
@@ -523,28 +447,29 @@ export class Charts {
   }
 
   // Show the values at a time: a line through all charts, the numbers beside the one pointed at.
-  point(key, t, aloud = false) {
-    this.pointed = key === null ? null : { key, t };
-    const [from, to] = this.zoomed ?? this.whole();
-    for (const [name, { chart, view, frame, tip, cursor }] of this.views) {
-      cursor.hidden = key === null || t < from || t > to;
-      cursor.style.left = `${this.pixel(view, t)}px`;
-      tip.hidden = name !== key;
-      if (tip.hidden) continue;
-      const lines = chart.lines.map((line) => [line, this.valueAt(chart, line, t)]).filter(([, text]) => text);
-      tip.replaceChildren(element("strong", "", atText(t)));
-      for (const [line, text] of lines) {
-        const row = element("p", "", line.label);
-        row.prepend(swatch(line));
-        row.append(element("b", "", text));
-        tip.append(row);
-      }
-      const place = this.pixel(view, t);
-      const width = tip.offsetWidth;
-      const left = place + 12 + width < frame.clientWidth ? place + 12 : Math.max(0, place - 12 - width);
-      tip.style.left = `${left}px`;
-      if (aloud) this.speak([atText(t), ...lines.map(([line, text]) => `${line.label} ${text}`)].join(", "));
+  point({ chart, frame, tip }, plot) {
+    const { left } = plot.cursor;
+    const own = left >= 0 && (this.keyed ? this.keyed === frame : frame.matches(":hover"));
+    tip.hidden = !own;
+    if (!own) {
+      if (left < 0) this.pointed = null;
+      return;
     }
+    const t = plot.posToVal(left, "x");
+    this.pointed = t;
+    const lines = chart.lines.map((line) => [line, this.valueAt(chart, line, t)]).filter(([, text]) => text);
+    tip.replaceChildren(element("strong", "", atText(t)));
+    for (const [line, text] of lines) {
+      const row = element("p", "", line.label);
+      row.prepend(swatch(line));
+      row.append(element("b", "", text));
+      tip.append(row);
+    }
+    const place = left + AXIS;
+    const width = tip.offsetWidth;
+    tip.style.left = `${place + 12 + width < frame.clientWidth ? place + 12 : Math.max(0, place - 12 - width)}px`;
+    if (this.aloud) this.speak([atText(t), ...lines.map(([line, text]) => `${line.label} ${text}`)].join(", "));
+    this.aloud = false;
   }
 
   valueAt(chart, line, t) {
@@ -556,7 +481,7 @@ export class Charts {
     const { decimals, unit } = this.units(line.right ? chart.right : chart.shown);
     let value = row.v;
     const next = rows[before + 1];
-    if (!line.steps && next && next.t > row.t) {
+    if (!line.steps && next && next.v !== null && next.t > row.t) {
       value += ((next.v - row.v) * (t - row.t)) / (next.t - row.t);
     }
     const { low, high } = line.range === "past" && next && t > row.t ? next : row;
@@ -574,9 +499,9 @@ const NOTHING = { v: null, low: null, high: null };
 const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
   const next = rows[i + 1];
   if (next && next.v !== null && next.t - row.t <= gap) return [row];
-  const t = holds ? Math.min(row.t + gap, next?.v === null ? next.t : now, now) : row.t;
-  const end = t > row.t && row.v !== null ? [row, { t, v: row.v, low: row.v, high: row.v }] : [row];
-  return next ? [...end, { t, ...NOTHING }] : end;
+  const t = holds ? Math.min(row.t + gap, next?.v === null ? next.t - 1 : now, now) : row.t;
+  const end = t > row.t && row.v !== null ? [row, { ...row, t }] : [row];
+  return next && row.v !== null && next.v !== null ? [...end, { t: t + 1, ...NOTHING }] : end;
 });
 
 // How far a value went beyond its line, from row to row: what merely rises or falls has no band.
@@ -587,7 +512,7 @@ const beyond = (rows, holds) => rows.flatMap((row, i) => {
   const end = holds ? before.v : row.v;
   const under = Math.max(0, Math.min(before.v, end) - row.low);
   const over = Math.max(0, row.high - Math.max(before.v, end));
-  return [[before.t, before.v], [row.t, end]].map(([t, v]) => ({ t, low: v - under, high: v + over }));
+  return [[before.t + 1, before.v], [row.t, end]].map(([t, v]) => ({ t, low: v - under, high: v + over }));
 });
 
 // Points of steps [start, end, values]: each holds until its end.

@@ -155,6 +155,7 @@ const makeAlarm = () => {
 const fillAlarm = (row, alarm) => {
   row.dataset.level = alarm.level;
   row.dataset.alarm = alarm.id;
+  row.dataset.code = alarm.code;
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
@@ -196,6 +197,10 @@ const makeAccount = () => {
 
 // The document
 
+const showTitle = ({ level, word }) => {
+  document.title = `${level === "ok" ? "" : `${word} `}Green roof`;
+};
+
 let shown = null;
 let announced = { text: "", at: 0 };
 
@@ -210,7 +215,7 @@ const show = (document_) => {
   setText(byId("summary-word"), summary.word);
   setText(byId("summary-sentence"), summary.sentence);
   setText(byId("advice"), document_.advice);
-  document.title = `${summary.level === "ok" ? "" : `${summary.word} `}Green roof`;
+  showTitle(summary);
   keep(byId("notes"), document_.notes, (note) => note, () => element("li"), setText);
   keep(byId("tiles"), TILES.filter((key) => document_.tiles[key]), (key) => key, makeTile,
     (tile, key) => fillTile(tile, document_.tiles[key]));
@@ -246,9 +251,13 @@ const showStop = (stop) => {
   byId("stop").hidden = !stop.possible;
   byId("stop-button").disabled = stop.stopped;
   setText(byId("stop-button"), stop.label);
-  setText(byId("ask-sentence"), stop.sentence);
   setText(byId("release-call"), stop.release);
   byId("release").hidden = !stop.release;
+  byId("release-ros").hidden = stop.release_here;
+  byId("release-button").hidden = !stop.release_here;
+  byId("clear").hidden = !stop.clear_here && !stop.no_clear;
+  setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
+  byId("clear-button").hidden = !stop.clear_here;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
   // An answer is of its time: it goes when the pump was released, or stands at last.
@@ -281,18 +290,27 @@ const post = async (path, body) => {
   return said;
 };
 
-const stopPump = async () => {
-  byId("stop-button").disabled = true;
-  answer("The pump is told to stop ...", false);
+// Each asks once, and says what came of it.
+const ACTIONS = {
+  stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump stops" },
+  release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump is released" },
+  clear: { title: "Clear the fault?", yes: "Yes, clear the fault", then: "clear_then", doubt: "the fault is cleared" },
+};
+
+const act = async (name) => {
+  const button = byId(`${name}-button`);
+  button.disabled = true;
+  answer("The pump node is asked ...", false);
   // A browser has six connections to a server, and each open page holds one: this page's is given up.
   stream.close();
   try {
-    const { ok, sentence } = await post("/stop", {});
+    const { ok, sentence } = await post(`/${name}`, {});
     answer(sentence, !ok);
   } catch (error) {
-    answer(`It is not known whether the pump stops: ${error.message}. Try again, or stop it at the pump itself.`, true);
+    const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
+    answer(`It is not known whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
   } finally {
-    byId("stop-button").disabled = Boolean(shown?.stop.stopped);
+    button.disabled = name === "stop" && Boolean(shown?.stop.stopped);
     stream.open();
   }
 };
@@ -309,11 +327,20 @@ const acknowledge = async (id) => {
   }
 };
 
-byId("stop-button").addEventListener("click", () => byId("ask").showModal());
+let asked = "stop";
+for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
+  byId(`${name}-button`).addEventListener("click", () => {
+    asked = name;
+    setText(byId("ask-title"), title);
+    setText(byId("ask-yes"), yes);
+    setText(byId("ask-sentence"), shown.stop[then]);
+    byId("ask").showModal();
+  });
+}
 byId("ask-no").addEventListener("click", () => byId("ask").close());
 byId("ask-yes").addEventListener("click", () => {
   byId("ask").close();
-  stopPump();
+  act(asked);
 });
 
 // Charts
@@ -344,9 +371,9 @@ for (const button of document.querySelectorAll("[data-hours]")) {
   });
 }
 
-const takeSeries = async (series) => {
+const takeSeries = (series) => {
   try {
-    await charts.take(series, shown?.time.utc_offset ?? 0);
+    charts.take(series, shown?.time.utc_offset ?? 0);
     document.documentElement.dataset.drawn = "yes";
   } catch (error) {
     setText(byId("charts-note"), `The charts cannot be drawn: ${error.message}`);
@@ -364,7 +391,7 @@ const stream = {
 
   open() {
     clearTimeout(this.timer);
-    if (this.controller || document.hidden) return;
+    if (this.controller) return;
     const controller = new AbortController();
     this.controller = controller;
     this.read(controller).catch((error) => error).then((reason) => {
@@ -388,7 +415,7 @@ const stream = {
       if (Date.now() - heard > SILENT) controller.abort();
     }, 1000);
     try {
-      const response = await fetch(`/events?hours=${charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
+      const response = await fetch(`/events?hours=${document.hidden ? 0 : charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
       if (!response.ok) throw new Refused((await response.json()).sentence);
       const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
       let text = "";
@@ -411,11 +438,15 @@ const stream = {
     const lines = part.split("\n");
     const name = lines.find((line) => line.startsWith("event: "))?.slice(7);
     const data = lines.filter((line) => line.startsWith("data: ")).map((line) => line.slice(6)).join("\n");
-    if (name !== "state" && name !== "series") return;
+    if (!["state", "series", "summary"].includes(name)) return;
     this.wait = 500;
+    const taken = JSON.parse(data);
+    if (name === "summary") {
+      showTitle(taken);
+      return;
+    }
     byId("lost").hidden = true;
     document.body.classList.remove("lost-link");
-    const taken = JSON.parse(data);
     if (name === "state") show(taken);
     else takeSeries(taken);
   },
@@ -429,20 +460,18 @@ const stream = {
   },
 
   ended(reason) {
+    document.title = "Not connected: Green roof";
     this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
   },
 };
 
-// A page that nobody sees holds no connection: others of the same browser need it.
+// A page that nobody sees hears of alarms alone, for its title; what it shows is then of before.
 document.addEventListener("visibilitychange", () => {
-  if (document.hidden) {
-    stream.close();
-    stream.lost("");
-  } else {
-    stream.open();
-  }
+  stream.close();
+  if (document.hidden) stream.lost("");
+  stream.open();
 });
 addEventListener("online", () => stream.open());
 addEventListener("hashchange", () => {

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -19,13 +20,15 @@ from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
+from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.watch import tiles, words
-from greenroof_ros.watch.alarms import Status
-from greenroof_ros.watch.incident_rows import Dated
-from greenroof_ros.watch.outlook import step_ends
-from greenroof_ros.watch.watched import LINES, Watched
+from greenroof_ros.watch import words
+from greenroof_ros.watch.bag import Dated
+from greenroof_ros.watch.document import LINES
+from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.wire import Status
 
 STOPPED = "an operator stopped it"
 SITE = replace(PAPER_SITE, utc_offset=-5.0)
@@ -39,20 +42,28 @@ QUIET = {
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
 
 
-def watched(**values: float) -> Watched:
+def watched(**values: float) -> Store:
     """Return what is known after a minute in which these held; ``_`` stands for ``/``."""
     given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="simulated", factor=30.0, source="heard", note="")
     hear(one, 0, 61, given)
     return one
 
 
-def hear(one: Watched, first: int, last: int, values: dict[str, float]) -> None:
+def hear(one: Store, first: int, last: int, values: dict[str, float]) -> None:
     times = START + SECOND * np.arange(first, last)
     for topic, value in values.items():
         one.add(topic, times, np.full(len(times), value))
+
+
+def forecast(
+    one: Store, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
+) -> None:
+    """Have a forecast, of steps that grow up to some hours ahead."""
+    front = np.array([issued, *growing_steps(hours)[1:]])
+    one.add_forecast("/forecast/precipitation", time_ns, rain, front)
 
 
 def leaves(value: Any) -> Iterator[Any]:
@@ -66,9 +77,9 @@ def leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def shown(one: Watched, wall: float = 100.0) -> dict[str, Any]:
+def shown(one: Store, wall: float = 100.0) -> dict[str, Any]:
     """Return the document, which is JSON that a browser takes, and short."""
-    document = one.document(wall)
+    document = read_document(one, wall)
     assert len(json.dumps(document, allow_nan=False)) < 100_000
     for leaf in leaves(document):
         if isinstance(leaf, float):
@@ -122,7 +133,7 @@ def test_cistern(level: float, state: str, sentence: str) -> None:
     (1.0, "6.2 m3 above the suction level can be pumped"),
 ])
 def test_a_low_outlet(level: float, sentence: str) -> None:
-    one = Watched()
+    one = Store()
     one.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     one.set_present(mode="simulated", factor=30.0, source="heard", note="")
     hear(one, 0, 61, {**QUIET, "/cistern/level": level})
@@ -174,34 +185,37 @@ def test_the_pump_state_of_a_bag() -> None:
 def test_rain_and_what_is_to_come() -> None:
     """Members of 1..11 times 1e-7 m/s for 12 h: 4.32 mm times 1 to 11, mean 6, tenths 2 and 10."""
     one = watched(weather_precipitation=1 / 3.6e6)
-    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
+    forecast(one, START + 60 * SECOND, ENSEMBLE)
     tile = shown(one)["tiles"]["rain"]
     assert tile["value"] == "1.0 mm/h"
     assert tile["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
-    one.add_forecast("/forecast/precipitation", START + 61 * SECOND, ENSEMBLE[:3])
+    forecast(one, START + 61 * SECOND, ENSEMBLE[:3])
     tile = shown(one)["tiles"]["rain"]
     assert tile["sentence"] == "8.6 mm expected in the next 12 h (4.3 to 13)"
-    one.add_forecast("/forecast/precipitation", START + 62 * SECOND, ENSEMBLE[0])
+    forecast(one, START + 62 * SECOND, ENSEMBLE[0])
     assert shown(one)["tiles"]["rain"]["sentence"] == "4.3 mm expected in the next 12 h"
 
 
 def test_a_forecast_of_ten_ticks_is_none_of_the_next_hours() -> None:
     one = watched()
-    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, np.full(10, 1e-7))
+    front = np.array([math.nan, *range(1, 11)])
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, np.full(10, 1e-7), front)
     sentence = shown(one)["tiles"]["rain"]["sentence"]
     assert sentence == "no forecast of the next hours: it reaches 10 s ahead"
 
 
-@pytest.mark.parametrize("hours", [0.5, 1, 3, 6, 12, 24, 48, 120, 240])
-def test_the_steps_of_a_forecast_follow_from_their_number(hours: float) -> None:
-    ends = growing_steps(hours)[1:]
-    found = step_ends(PAPER_SITE, len(ends))
-    assert found is not None
-    if len(ends) == PAPER_SITE.M:
-        ends = np.arange(1.0, 11.0)
-    assert found[:-1] == pytest.approx(ends[:-1])
-    # The last one of a horizon of less than five hours may be cut.
-    assert found[-1] == pytest.approx(ends[-1]) or hours < 5
+@pytest.mark.parametrize("front", [
+    [math.nan], [math.nan, *range(1, 11), 12], [math.nan, *range(10)], [math.nan, 1, *range(1, 10)],
+    [math.nan, *range(1, 10), math.inf],
+], ids=["none", "of another one", "from now", "twice", "endless"])
+def test_a_forecast_that_does_not_say_when_its_steps_end_is_not_shown(front: list[float]) -> None:
+    """Not even where there are as many as ticks of a look-ahead."""
+    one = watched()
+    one.add_forecast(
+        "/forecast/precipitation", START + 60 * SECOND, np.full(10, 1e-7), np.array(front)
+    )
+    assert shown(one)["tiles"]["rain"]["sentence"] == "no forecast is known"
+    assert read_series(one, 3)["forecast"] == []
 
 
 @pytest.mark.parametrize(("values", "level", "advice"), [
@@ -227,7 +241,7 @@ def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
 
 def test_the_pump_state_alone_is_something_that_was_heard() -> None:
     """And of a controller whose command nobody hears one cannot say that it works."""
-    one = Watched()
+    one = Store()
     one.add_statuses(100.0, [
         node("pump", pump="held: there is frost"), node("controller", "mpc"),
     ])
@@ -250,7 +264,7 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
 
 def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
     """Of a simulation that is joined late: in its time, and so in order with what comes later."""
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="simulated", factor=30.0, source="heard", note="")
     lost = [node("pump", pump="off: lost"), Status("/pump: drive", 2, "lost", "host 7")]
@@ -264,7 +278,9 @@ def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
     one.add_statuses(100.4, [Status("/pump: limits", 1, "5 m3 are outstanding", "host 7")])
     document = shown(one)
     since = {row["id"]: row["since_text"] for row in document["alarms"]}
-    assert since == {"/pump: drive": "00:00:05", "/pump: limits": "00:00:07"}
+    assert since == {
+        "/pump: drive": "00:00:05", "/fan": "00:00:05", "/pump: limits": "00:00:07",
+    }
     assert [event["at_text"] for event in document["events"]] == ["00:00:00"]
 
 
@@ -297,7 +313,7 @@ def test_a_plan_of_no_numbers_is_no_plan() -> None:
     one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
     one.add_plan(START + 61 * SECOND, np.full((1, 3), np.nan))
     assert shown(one)["tiles"]["controller"]["sentence"] == "commands no pumping now"
-    assert one.series(3)["plan"] == []
+    assert read_series(one, 3)["plan"] == []
 
 
 def test_an_empty_plan_is_the_one_before() -> None:
@@ -338,7 +354,7 @@ def test_a_controller_with_an_error() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1.0, -1e300])
 def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     one = watched()
-    before = one.document(100.0)["account"]["rows"]
+    before = read_document(one, 100.0)["account"]["rows"]
     for topic in QUIET:
         one.add(topic, np.array([START + 61 * SECOND]), np.array([value]))
     document = shown(one)
@@ -347,7 +363,7 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
         assert (tile["value"], tile["state"]) == ("not a plausible value", "alarm"), name
         assert tile["number"] is None
     assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
-    series = one.series(3)
+    series = read_series(one, 3)
     json.dumps(series, allow_nan=False)
     assert {len(series["lines"][name]) for name in LINES} == {2}  # 0-39 and 40-60 s
     after = document["account"]["rows"]
@@ -359,7 +375,7 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
 
 @pytest.mark.parametrize("at", [0, -5, 2**62, 2**63 - 1])
 def test_what_has_no_time_was_not_heard(at: int) -> None:
-    one = Watched()
+    one = Store()
     one.add("/roof/level", np.array([at]), np.array([0.04]))
     document = shown(one)
     assert document["time"]["now"] is None
@@ -372,7 +388,7 @@ def test_minus_zero_is_zero() -> None:
         one.add(topic, np.array([START + 61 * SECOND]), np.array([-0.0]))
     document = shown(one)
     assert document["tiles"]["roof"]["value"] == "0.0 mm"
-    assert "-0.0" not in json.dumps(one.series(3))
+    assert "-0.0" not in json.dumps(read_series(one, 3))
 
 
 def test_one_good_value_ends_it() -> None:
@@ -387,16 +403,16 @@ def test_hostile_forecasts_and_plans() -> None:
     for values in (
         np.empty(0), np.empty((0, 0)), np.full((3, 3, 3), 1e-7), np.full(32, np.nan),
         np.full(32, 1e300), np.full(32, -1e-9), np.full(100_000, 1e-7), np.full((5000, 32), 1e-7),
-        np.full(len(growing_steps(LONGEST_HORIZON)), 1e-7),  # a step more than there may be
     ):
-        one.add_forecast("/forecast/precipitation", at, values)
+        steps = np.arange(1.0, 1 + (values.shape[-1] if values.ndim else 0))
+        one.add_forecast("/forecast/precipitation", at, values, np.array([at, *steps]))
         assert shown(one)["tiles"]["rain"]["sentence"] == "no forecast is known"
     for later, rows in enumerate((
         np.ones(3), np.ones((2, 2)), np.ones((2, 3, 1)), np.full((2, 3), 1e300), np.ones((2, 3)),
         np.array([[-1.0, 0, 0]]), np.array([[0.0, 0, 0]]), np.full((10_000, 3), 1.0),
     )):
         one.add_plan(at + later * SECOND, rows)
-        assert one.series(3)["plan"] == []
+        assert read_series(one, 3)["plan"] == []
     one.add_plan(2**63, np.array([[1.0, 0, 0]]))
     one.add("/roof/level", np.array([2**63 - 1, at + 5 * SECOND]), np.array([0.1, 0.02]))
     one.add("/no/such/topic", np.array([at]), np.array([1.0]))
@@ -413,15 +429,15 @@ def test_what_is_not_newer_is_left_out() -> None:
     one = watched(roof_level=0.04)
     one.add("/roof/level", START + SECOND * np.array([60, 5]), np.array([0.01, 0.02]))
     assert shown(one)["tiles"]["roof"]["number"] == 0.04
-    rows = one.series(3)["lines"]["roof"]
+    rows = read_series(one, 3)["lines"]["roof"]
     assert {low for _, low, _, _ in rows} == {0.04}
 
 
 def test_a_batch_out_of_order_is_put_right() -> None:
     one = watched()
     one.add("/roof/level", START + SECOND * np.array([70, 65, 80]), np.array([0.01, 0.5, 0.02]))
-    assert one.series(3)["lines"]["roof"][-1] == [START / 1e9 + 80, 0.02, 0.02, 0.02]
-    assert max(high for _, _, high, _ in one.series(3)["lines"]["roof"]) == 0.0457
+    assert read_series(one, 3)["lines"]["roof"][-1] == [START / 1e9 + 80, 0.02, 0.02, 0.02]
+    assert max(high for _, _, high, _ in read_series(one, 3)["lines"]["roof"]) == 0.0457
 
 
 def test_a_value_that_does_not_come_any_more_is_stale() -> None:
@@ -478,7 +494,7 @@ def test_the_time_of_a_live_site_goes_on_without_values() -> None:
     document = shown(one, 112.0)
     assert document["time"]["text"] == "2021-07-20 00:01:12 UTC-05:00"
     assert document["notes"] == ["No values have come for 12 s."]
-    assert one.series(1.0)["now"] == START / 1e9 + 72
+    assert read_series(one, 1.0)["now"] == START / 1e9 + 72
 
 
 def test_a_live_clock_that_is_set_back() -> None:
@@ -522,13 +538,13 @@ def test_nothing_of_an_ended_run_is_stale() -> None:
     ("live", None, "Live site"),
 ])
 def test_headings(mode: str, factor: float | None, heading: str) -> None:
-    one = Watched()
+    one = Store()
     one.set_present(mode=mode, factor=factor, source="heard", note="")
     assert shown(one)["heading"] == heading
 
 
 def test_a_watcher_that_knows_nothing() -> None:
-    one = Watched("/site1")
+    one = Store("/site1")
     document = shown(one, 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
@@ -538,7 +554,7 @@ def test_a_watcher_that_knows_nothing() -> None:
         "unknown"
     }
     assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
-    series = one.series(12)
+    series = read_series(one, 12)
     assert series["now"] is None
     assert not any(series["lines"].values())
 
@@ -550,7 +566,7 @@ def test_another_run_begins() -> None:
     one.begin_anew()
     assert shown(one)["mode"] == "none"
     assert shown(one)["tiles"]["roof"]["number"] is None
-    assert not shown(one)["stop"]["possible"]
+    assert not shown(one, 120.0)["stop"]["possible"]  # nobody of the run before is heard now
     # It may be of an earlier day.
     one.set_present(mode="simulated", factor=1.0, source="heard", note="")
     hear(one, -86_400, -86_300, QUIET)
@@ -566,7 +582,7 @@ def test_the_account_of_a_run_in_words() -> None:
     run = paper_run("--hours", "0.2", "--controller", "onoff")
     metrics = Metrics()
     happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    one = Watched()
+    one = Store()
     one.set_site(run.site)
     times = START + SECOND * np.arange(len(happened.time))
     for topic, column in {
@@ -601,7 +617,7 @@ def test_gaps_are_said() -> None:
 
 def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
     """Read in one batch, topic by topic: of what never comes nobody can say so but by waiting."""
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="ended", factor=None, source="bag", note="")
     live = {topic: value for topic, value in QUIET.items() if topic.count("/") == 2}
@@ -627,7 +643,6 @@ def test_notes() -> None:
 def stop_after(state: str, wall: float = 100.0, **said: Any) -> dict[str, Any]:
     """Return the document when the pump node said so at 100 s."""
     one = watched()
-    one.set_pump("/pump")
     one.add_statuses(100.0, [node("pump", pump=state, **said)])
     return shown(one, wall)
 
@@ -636,17 +651,21 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
     one = watched()
     assert not shown(one)["stop"]["possible"]
     one.add_statuses(100.0, [node("pump", pump="running: as commanded", stands=False)])
-    assert not shown(one)["stop"]["possible"]  # it was there: whoever listens says whether it is
-    one.set_pump("/pump")
     assert shown(one)["stop"] == {
         "possible": True, "stopped": False, "node": "/pump", "label": "Stop the pump",
         "warning": "",
         "sentence": "Holds the pump off until somebody releases it at the pump node.",
         "call": 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: true}"', "release": "",
+        "release_here": False, "release_then": ANY, "clear_here": False, "clear_then": ANY,
+        "no_clear": "",
     }
-    one.set_pump("/pump", "Two nodes say so.")
-    stop = shown(one)["stop"]
-    assert (stop["possible"], stop["warning"]) == (False, "Two nodes say so.")
+    for wall in (100.2, 100.4):
+        for process in ("host 7", "host 8"):
+            pump = node("pump", pump="running: as commanded", stands=False, process=process)
+            one.add_statuses(wall, [pump])
+    stop = shown(one, 100.5)["stop"]
+    assert not stop["possible"]
+    assert "/pump (host 8) and /pump (host 7)" in stop["warning"]
 
 
 def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
@@ -664,6 +683,34 @@ def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
 def test_a_pump_that_is_off_can_be_kept_off(state: str) -> None:
     stop = stop_after(state, stands=True)["stop"]
     assert (stop["possible"], stop["stopped"], stop["label"]) == (True, False, "Keep the pump off")
+
+
+LEAK = {"fault": "a leak", "page_may_not_clear": "somebody has to look"}
+
+
+@pytest.mark.parametrize(("allowed", "said", "release", "clear", "then"), [
+    (False, {"stopped_by": ["page"], "stands": True}, False, False, "starts by itself"),
+    (True, {"stopped_by": ["page"], "stands": True}, True, False, "starts by itself"),
+    (True, {"stopped_by": ["page", "service"], "stands": True}, True, False, "stays off"),
+    (True, {"stopped_by": ["service"], "stands": True}, False, False, ""),
+    (True, {"stopped_by": ["page"], "stands": False}, False, False, ""),
+    (True, {"stopped_by": [], "stands": True, "fault": "slow", "page_may_not_clear": ""}, False,
+     True, ""),
+    (True, {"stopped_by": [], "stands": True, **LEAK}, False, False, ""),
+    (True, {"stopped_by": 7, "stands": True}, False, False, ""),
+])
+def test_what_may_be_released_here(
+    allowed: bool, said: dict[str, Any], release: bool, clear: bool, then: str
+) -> None:
+    """What the page stopped, and nothing else; each with what happens then."""
+    one = watched()
+    one.allow_release = allowed
+    one.add_statuses(100.0, [node("pump", pump="held: stopped", stop="stopped", **said)])
+    stop = shown(one)["stop"]
+    assert (stop["release_here"], stop["clear_here"]) == (release, clear)
+    assert then in stop["release_then"]
+    assert "locks it out at the pump itself" in stop["release_then"]
+    assert bool(stop["no_clear"]) == ("fault" in said and not clear)
 
 
 @pytest.mark.parametrize("state", ["held: an operator stopped it", "fault: a leak"])
@@ -685,14 +732,14 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert "what the pump does is not known" in document["tiles"]["summary"]["sentence"]
 
 
-def with_pump(one: Watched, wall: float, state: str, **said: Any) -> dict[str, Any]:
+def with_pump(one: Store, wall: float, state: str, **said: Any) -> dict[str, Any]:
     """Return the document when the pump node said so, with its part, and a warning beside it."""
-    one.set_pump("/pump")
     pump = node("pump", pump=state, **said)
-    part = replace(pump, name="/pump: pump", level=1, message=state, values={})
-    one.add_statuses(wall, [
-        pump, part, replace(part, name="/pump: limits", message="3 m3 are outstanding"),
-    ])
+    part = replace(
+        pump, name="/pump: pump", level=1, message=state, values={"code": "drive_lost"}
+    )
+    limits = replace(part, name="/pump: limits", message="3 m3", values={"code": "limited"})
+    one.add_statuses(wall, [pump, part, limits])
     return shown(one, wall)
 
 
@@ -717,15 +764,12 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
 
 def test_a_recording_guesses_no_reason_of_a_pump_that_is_unknown() -> None:
     """A bag says nothing of the pump node: flow and command alone look as if it rested."""
-    still, asked = tiles.Value(0.0), tiles.Value(0.5)
-    pumping = tiles.Pumping(
-        said=None, gone=False, heard=False, may_turn=True, flow_known=False, flow=still,
-        command=asked, roof=None, cistern=None, frost=None, kept_off=False,
-    )
-    tile = tiles.pump(pumping, None)
+    one = watched(pump_command=0.5, roof_level=0.04)
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    assert shown(one)["tiles"]["pump"]["why"] == "it rests between two runs"
+    one.set_incidents([incident(ended=None)])
+    tile = shown(one)["tiles"]["pump"]
     assert (tile["value"], tile["why"]) == ("unknown", "")
-    rests = replace(pumping, heard=True, may_turn=False, flow_known=True)
-    assert tiles.pump(rests, None)["why"] == "it rests between two runs"
 
 
 @pytest.mark.parametrize(("said", "value", "alarm"), [
@@ -779,14 +823,14 @@ def test_a_flow_that_is_not_known_is_a_gap() -> None:
     say(70, {"stands": False, "speed": None, "flow": None})
     hear(one, 61, 161, {**QUIET, "/pump/flow": 0.0})
     one.look(300.0, START / 1e9 + 160)
-    flow = one.series(1)["lines"]["flow"]
+    flow = read_series(one, 1)["lines"]["flow"]
     at = [round(row[0] - START / 1e9) for row in flow]
     assert (at[-1], flow[-1][1:]) == (60, [None, None, None])
     assert all(row[1] == 1e-3 for row in flow[:-1]) and len(flow) > 1
     say(160, known)
     hear(one, 161, 181, {**QUIET, "/pump/flow": 1e-3})
     one.look(301.0, START / 1e9 + 180)
-    flow = one.series(1)["lines"]["flow"]
+    flow = read_series(one, 1)["lines"]["flow"]
     assert [row[1] for row in flow if row[0] > START / 1e9 + 60] == [1e-3] * 2
     document = shown(one, 301.0)
     (pumped,) = (row for row in document["account"]["rows"] if row["key"] == "pumped")
@@ -809,13 +853,11 @@ def with_outlook(
 ) -> dict[str, Any]:
     """Return the document where so much rain (m) is to fall from 02:00 to 04:00, and a plan."""
     one = watched(roof_level=level, pump_command=command)
-    steps = np.zeros((11, 32))
-    ends = step_ends(SITE, 32)
-    assert ends is not None
+    steps, ends = np.zeros((11, 32)), growing_steps(12)[1:]
     begins = np.append(0.0, ends[:-1])
     steps[:, (begins >= 7200) & (ends <= 14400)] = 1.0
     share = np.linspace(0.5, 1.5, 11)[:, None] * mean / ((ends - begins) @ steps[0])
-    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, steps * share)
+    forecast(one, START + 60 * SECOND, steps * share)
     if plan is not None:
         one.add_plan(START + 60 * SECOND, np.array(plan))
     return shown(one)
@@ -862,7 +904,7 @@ def test_a_horizon_is_of_whole_hours() -> None:
 
 def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
     """Nodes stamp with the system's time until the first tick."""
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="simulated", factor=None, source="heard", note="")
     pump = node("pump")
@@ -880,7 +922,8 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
 
 
 def incident(**changes: Any) -> Dated:
-    given = Dated("pump", "drive", "no connection to the drive", START / 1e9 + 10, START / 1e9 + 30)
+    at, why = START / 1e9, "no connection to the drive"
+    given = Dated("pump", "drive", why, "drive_lost", at + 10, at + 30)
     return replace(given, **changes)
 
 
@@ -892,7 +935,7 @@ def incident(**changes: Any) -> Dated:
 def test_an_incident_of_a_recording_stands_while_it_did(
     second: int, level: str, word: str, value: str
 ) -> None:
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="ended", factor=None, source="bag", note="")
     one.set_incidents([incident()])
@@ -909,13 +952,13 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     assert row["since_text"] == "00:00:10" and "The drive is not heard" in row["do"]
     assert row["over_text"] == ("00:00:30" if second == 60 else "")
     assert "0.0 L/min" in tile["sentence"] or value == "unknown"
-    flow = [row[0] - START / 1e9 for row in one.series(1)["lines"]["flow"] if row[1] is not None]
-    assert not any(10 < at < 30 for at in flow)
+    flow = read_series(one, 1)["lines"]["flow"]
+    assert not any(10 < row[0] - START / 1e9 < 30 for row in flow if row[1] is not None)
 
 
 def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; what stands there, and what came since, the nodes say themselves."""
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="live", factor=None, source="heard", note="")
     before = time.time()
@@ -929,7 +972,7 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
 
 
 def test_an_incident_that_lasted_to_the_end_stands() -> None:
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     one.set_present(mode="ended", factor=None, source="bag", note="")
     one.set_incidents([incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12)])
@@ -969,7 +1012,6 @@ def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
     one = watched()
     shown(one, 100.0)
     one.set_present(mode="live", factor=None, source="heard", note="")
-    one.set_pump("/pump")
     one.add_statuses(130.0, [node("pump", pump="fault: the drive reports: brake check")])
     tile = shown(one, 130.0)["tiles"]["pump"]
     assert (tile["value"], tile["stale"]) == ("fault", False)
@@ -978,7 +1020,7 @@ def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
 
 def test_water_of_the_mains_is_not_saved() -> None:
     """Below its level the valve gives its flow, here all that is pumped."""
-    one = Watched()
+    one = Store()
     one.set_site(replace(SITE, mains_level=1.0, mains_flow=1e-3))
     one.set_present(mode="simulated", factor=30.0, source="heard", note="")
     hear(one, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
@@ -994,19 +1036,19 @@ def test_a_plan_goes_with_its_controller() -> None:
     one.add_statuses(100.0, [node("controller", "mpc")])
     one.add_plan(START + 60 * SECOND, plan)
     one.add_statuses(100.2, [node("controller", "mpc")])
-    assert one.series(3)["plan"]
+    assert read_series(one, 3)["plan"]
     one.add_statuses(101.0, [node("controller", "mpc", "host 8")])
-    assert one.series(3)["plan"] == []
+    assert read_series(one, 3)["plan"] == []
     # Its own, which came before its next word, stays.
     one.add_plan(START + 61 * SECOND, plan)
     one.add_statuses(102.0, [node("controller", "mpc", "host 9")])
-    assert one.series(3)["plan"]
+    assert read_series(one, 3)["plan"]
 
 
 def test_an_ended_run_has_no_future() -> None:
     one = watched()
     one.add_plan(START + 60 * SECOND, np.array([[43_200.0, 1e-4, 0.045]]))
-    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, np.full(32, 1e-7))
+    forecast(one, START + 60 * SECOND, np.full(32, 1e-7))
     one.set_present(mode="ended", factor=None, source="bag", note="")
     tiles = shown(one)["tiles"]
     assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
@@ -1022,7 +1064,7 @@ def test_an_ended_run_has_no_future() -> None:
 def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     one = watched()
     steps = len(growing_steps(48)) - 1
-    one.add_forecast("/forecast/precipitation", START, np.full(steps, 1e-7))
+    forecast(one, START, np.full(steps, 1e-7), 48)
     hear(one, round(hours * 3600), round(hours * 3600) + 1, QUIET)
     assert shown(one)["tiles"]["rain"]["sentence"] == sentence
 
@@ -1033,7 +1075,7 @@ def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
     for minute in range(0, 240, 10):
         at = START + minute * 60 * SECOND
         rain = np.full(32, (1 if minute < 120 else 4) * 1e-7 + minute * 1e-11)
-        one.add_forecast("/forecast/precipitation", at, rain)
+        forecast(one, at, rain)
         hear(one, minute * 60, minute * 60 + 1, {"/roof/level": 0.0457})
     events = shown(one)["events"]
     assert [event["what"] for event in events] == [
@@ -1073,12 +1115,12 @@ def test_alarms_are_acknowledged_by_their_id() -> None:
 
 
 def test_the_charts_have_the_values_of_the_ticks() -> None:
-    one = Watched()
+    one = Store()
     one.set_site(SITE)
     values = np.random.default_rng(1).uniform(0.01, 0.05, 3600)
     times = START + SECOND * np.arange(3600)
     one.add("/roof/level", times, values)
-    series = one.series(12)
+    series = read_series(one, 12)
     assert len(series["lines"]["roof"]) <= 401
     for at, low, high, last in series["lines"]["roof"]:
         tick = round(at - START / 1e9)
@@ -1106,18 +1148,18 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     at = START / 1e9
     one.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
     one.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
-    assert one.series(3)["lines"]["roof_expected"] == []  # it is still to come
-    assert one.series(3)["plan"] == [
+    assert read_series(one, 3)["lines"]["roof_expected"] == []  # it is still to come
+    assert read_series(one, 3)["plan"] == [
         [at + 720, at + 4320, 0.0, 0.03], [at + 4320, at + 7920, 0.0, 0.03],
     ]
     one.add("/roof/level", np.array([START + 5000 * SECOND]), np.array([0.042]))
-    rows = one.series(3)["lines"]["roof_expected"]
+    rows = read_series(one, 3)["lines"]["roof_expected"]
     assert [row for row in rows if row[0] <= at + 4320][-1] == [
         at + 4320, *[pytest.approx(0.042, abs=1e-12)] * 3,
     ]
     # Up to an hour after the newest value of the charts.
     one.add("/roof/level", np.array([START + 9000 * SECOND]), np.array([0.042]))
-    rows = one.series(3)["lines"]["roof_expected"]
+    rows = read_series(one, 3)["lines"]["roof_expected"]
     assert rows[-1] == [at + 7920, *[pytest.approx(0.03, abs=1e-12)] * 3]
     # A point in 5 min at least, though the plans' steps are of an hour: there are no gaps.
     assert np.diff([row[0] for row in rows]).max() <= 300
@@ -1130,11 +1172,11 @@ def expected_of(look: bool) -> list[list[float]]:
         times = START + (begin * 3600 + np.arange(61, 3 * 3600, 10)) * SECOND
         one.add("/roof/level", times, np.full(len(times), 0.04))
         if look:
-            one.series(12)
+            read_series(one, 12)
         for hour in range(begin, begin + 3):
             rows = [[step * 3600.0, 0.0, 0.001 * hour] for step in range(1, 13)]
             one.add_plan(START + hour * 3600 * SECOND, np.array(rows))
-    return one.series(12)["lines"]["roof_expected"]
+    return read_series(one, 12)["lines"]["roof_expected"]
 
 
 def test_a_look_changes_nothing_of_what_was_expected() -> None:
@@ -1156,59 +1198,59 @@ def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
     for place in (0, 1, 0, 2):  # each 600 s
         one.add_plan(START + place * 600 * SECOND, plans[place])
     one.add("/roof/level", np.array([START + 5400 * SECOND]), np.array([0.04]))
-    found = one.series(3)["lines"]["roof_expected"]
+    found = read_series(one, 3)["lines"]["roof_expected"]
     assert [round(row[3], 3) for row in found] == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
     """A value whose past is still on its way is of now, and its past comes to the charts."""
     one = watched()
-    one.preview("/roof/level", START + 100 * SECOND, 0.05)
-    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
-    assert one.document(0.0)["time"]["now"] == START / 1e9 + 100
-    assert max(row[0] for row in one.series(3)["lines"]["roof"]) == START / 1e9 + 60
+    one.add_now("/roof/level", START + 100 * SECOND, 0.05)
+    assert read_document(one, 0.0)["tiles"]["roof"]["number"] == 0.05
+    assert read_document(one, 0.0)["time"]["now"] == START / 1e9 + 100
+    assert max(row[0] for row in read_series(one, 3)["lines"]["roof"]) == START / 1e9 + 60
     one.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
-    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
-    assert one.series(3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
+    assert read_document(one, 0.0)["tiles"]["roof"]["number"] == 0.05
+    assert read_series(one, 3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
     # What is older than the glance, or not plausible, is not of now or said to be so.
-    one.preview("/roof/level", START + 99 * SECOND, 0.03)
-    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
-    one.preview("/roof/level", START + 101 * SECOND, math.nan)
-    assert one.document(0.0)["tiles"]["roof"]["value"] == words.NOT_PLAUSIBLE
-    one.preview("/no/topic", START + 102 * SECOND, 1.0)
-    assert one.document(0.0)["time"]["now"] == START / 1e9 + 101
+    one.add_now("/roof/level", START + 99 * SECOND, 0.03)
+    assert read_document(one, 0.0)["tiles"]["roof"]["number"] == 0.05
+    one.add_now("/roof/level", START + 101 * SECOND, math.nan)
+    assert read_document(one, 0.0)["tiles"]["roof"]["value"] == words.NOT_PLAUSIBLE
+    one.add_now("/no/topic", START + 102 * SECOND, 1.0)
+    assert read_document(one, 0.0)["time"]["now"] == START / 1e9 + 101
 
 
 def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     """What was read of 13 h ago is over by now; it is not said to be the newest."""
     one, hours = watched(), 13 * 3600
     plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
-    one.add_forecast("/forecast/precipitation", START, ENSEMBLE)
+    forecast(one, START, ENSEMBLE)
     one.add_plan(START, plan)
-    one.preview("/roof/level", START + hours * SECOND, 0.044)
-    assert one.document(0.0)["tiles"]["rain"]["sentence"] == "no forecast is known"
-    assert "plan" not in one.document(0.0)["tiles"]["controller"]["sentence"]
-    assert one.series(24)["forecast"] == one.series(24)["plan"] == []
+    one.add_now("/roof/level", START + hours * SECOND, 0.044)
+    assert read_document(one, 0.0)["tiles"]["rain"]["sentence"] == "no forecast is known"
+    assert "plan" not in read_document(one, 0.0)["tiles"]["controller"]["sentence"]
+    assert read_series(one, 24)["forecast"] == read_series(one, 24)["plan"] == []
     # The newest are shown as soon as they are heard, whatever is still read.
-    one.add_forecast("/forecast/precipitation", START + hours * SECOND, ENSEMBLE)
-    one.preview_plan(START + hours * SECOND, plan + np.array([0, 1e-4, 0]))
-    one.add_forecast("/forecast/precipitation", START + 3600 * SECOND, 2 * ENSEMBLE)
+    forecast(one, START + hours * SECOND, ENSEMBLE)
+    one.add_plan(START + hours * SECOND, plan + np.array([0, 1e-4, 0]), past=False)
+    forecast(one, START + 3600 * SECOND, 2 * ENSEMBLE)
     one.add_plan(START + 3600 * SECOND, plan)
-    tiles = one.document(0.0)["tiles"]
+    tiles = read_document(one, 0.0)["tiles"]
     assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
     assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
-    assert [row[2] for row in one.series(24)["plan"]] == [1e-4] * 12
+    assert [row[2] for row in read_series(one, 24)["plan"]] == [1e-4] * 12
     # Nothing that was shown only is kept as expected.
     one.add("/roof/level", np.array([START + (hours + 1) * SECOND]), np.array([0.044]))
-    assert one.series(24)["lines"]["roof_expected"][-1][0] == START / 1e9 + hours
-    one.preview_plan(START + (hours + 2) * SECOND, np.full((1, 3), np.nan))
-    assert one.series(24)["plan"] == []
+    assert read_series(one, 24)["lines"]["roof_expected"][-1][0] == START / 1e9 + hours
+    one.add_plan(START + (hours + 2) * SECOND, np.full((1, 3), np.nan), past=False)
+    assert read_series(one, 24)["plan"] == []
 
 
 def test_the_forecast_of_the_charts() -> None:
     one = watched()
-    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
-    rows = one.series(3)["forecast"]
+    forecast(one, START + 60 * SECOND, ENSEMBLE)
+    rows = read_series(one, 3)["forecast"]
     assert len(rows) == 32
     assert rows[0] == pytest.approx([START / 1e9 + 60, START / 1e9 + 70, 6e-7, 2e-7, 1e-6])
     assert rows[-1][1] == START / 1e9 + 60 + 43_200
@@ -1220,10 +1262,10 @@ def test_the_forecast_of_the_charts() -> None:
     (3000, 12, 9000.0),  # samples; three of them
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
-    one = Watched()
+    one = Store()
     times = START + np.arange(0, 10 * 3600, seconds) * SECOND
     one.add("/roof/level", times, np.full(len(times), 0.04))
-    series = one.series(hours)
+    series = read_series(one, hours)
     assert series["gaps"]["roof"] == gap
     assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
     assert series["gaps"].keys() == series["lines"].keys()
@@ -1232,7 +1274,7 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
 @pytest.mark.parametrize("hours", [-1.0, 0.0, 1e9, math.nan, math.inf])
 @pytest.mark.parametrize("points", [-5, 0, 10**9])
 def test_odd_windows(hours: float, points: int) -> None:
-    series = watched().series(hours, points)
+    series = read_series(watched(), hours, points)
     assert series["lines"]["roof"]
     assert 0.1 <= (series["now"] - series["from"]) / 3600 <= 168
 
@@ -1254,8 +1296,8 @@ def test_one_thread_writes_while_another_reads() -> None:
     def read() -> None:
         try:
             while not done.is_set():
-                json.dumps(one.document(time.monotonic()), allow_nan=False)
-                json.dumps(one.series(1.0), allow_nan=False)
+                json.dumps(read_document(one, time.monotonic()), allow_nan=False)
+                json.dumps(read_series(one, 1.0), allow_nan=False)
         except BaseException as error:
             errors.append(error)
 

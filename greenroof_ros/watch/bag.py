@@ -4,14 +4,29 @@ The files of this package's recorders grow by whole chunks. Where the last whole
 remembered, so that each byte is read once. A file may be cut short, damaged, removed as the oldest
 of its bag, or be another one under the same name: none of these raises anything here; it is in
 the note.
+
+A process of its own reads, which gives way to all others of the machine. A thread could not: one
+that waits for the processor while it holds Python's lock stops the page as well, on a busy machine
+for tens of seconds.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import pickle
 import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -20,9 +35,16 @@ from mcap.records import Channel, Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
+from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
+from greenroof_ros.experiment.summary import SUMMARY
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files, read_index
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.words import plain
 
 # How far back the past of a bag in many files is read, from its newest message (ns).
 _PAST_NS = 7 * 86_400 * 10**9
@@ -32,6 +54,9 @@ _BATCH = 1 << 20
 _LONGEST = 1 << 28
 # What is left to read beyond this is worth a note (bytes).
 _MUCH = 1 << 23
+# How often it is looked at a bag of which all was read (s).
+_LOOK_S = 0.5
+_MOST_TEXT = 500
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -307,9 +332,9 @@ class Recorded:
         elif kind == _ARRAY and name != _PLAN:
             batch.forecasts[name] = time_ns, message
         elif kind == _ARRAY:
-            rows = wire.rows(message)
-            if rows is not None and len(rows):
-                batch.plans.append((time_ns, rows))
+            plan = wire.rows(message)
+            if plan is not None and len(plan[0]):
+                batch.plans.append((time_ns, plan[0]))
 
     def _take_text(self, name: str, time_ns: int, message: bytes, batch: Batch) -> None:
         text = wire.text(message)
@@ -352,3 +377,184 @@ def _needed(data: bytes, start: int) -> int:
     if length > _LONGEST:
         raise _DamagedError(f"a record says that it has {length} bytes")
     return start + _HEAD.size + int(length)
+
+
+# --- a process that reads -------------------------------------------------------------------------
+
+
+class FollowedBag:
+    """A bag that is read by a process of its own.
+
+    Attributes:
+        bag: its directory.
+        until_ns: all up to then was handed on (ns since 1970).
+        grew: when that last changed (steady clock, s).
+        problem: why not all of it can be read; empty where it can.
+        progress: how far it has been read, where that takes long; otherwise empty.
+        more: whether there is more to be read.
+        replaced: whether it is another bag by now.
+    """
+
+    def __init__(
+        self, bag: Path, namespace: str | None, on_batch: Callable[[FollowedBag, Batch], None]
+    ) -> None:
+        """Start to read.
+
+        Args:
+            bag: its directory.
+            namespace: of its topics; None for that of the first level.
+            on_batch: called in a thread of its own with each batch.
+        """
+        self.bag = bag
+        self.until_ns, self.grew = 0, time.monotonic()
+        self.problem = self.progress = ""
+        self.more, self.replaced = True, False
+        self._on_batch = on_batch
+        self._closed = False
+        arguments = [str(bag)] if namespace is None else [str(bag), namespace]
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", f"from {__name__} import main; main()", *arguments],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env=asked_to_end_with_this(),
+        )
+        self._thread = threading.Thread(target=self._receive, name="bag", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the process; nothing is handed on afterwards."""
+        self._closed = True
+        self._process.kill()
+
+    def _receive(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            while not self._closed:
+                try:
+                    batch, *state = pickle.load(stream)  # noqa: S301 - from main below alone
+                    self._on_batch(self, batch)
+                except Exception as error:  # whatever ended it, it is shown
+                    self.problem = (
+                        "The recording is not read any more, and what it has of later is missing "
+                        f"({type(error).__name__}{f': {error}' if str(error) else ''})."
+                    )
+                    self.more = False
+                    break
+                if batch.newest_ns > self.until_ns:
+                    self.until_ns, self.grew = batch.newest_ns, time.monotonic()
+                self.problem, self.progress, self.more, self.replaced = state
+        self._process.kill()
+        self._process.wait()
+
+
+def main() -> None:
+    """Read a bag, and write what is in it to the standard output."""
+    end_with_parent()
+    with suppress(AttributeError, OSError):  # not Linux, or a container that forbids it
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    bag, *namespace = sys.argv[1:]
+    recorded = Recorded(Path(bag), *namespace)
+    last: tuple[object, ...] = ()
+    with suppress(BrokenPipeError, KeyboardInterrupt):
+        while True:
+            batch = recorded.read()
+            state = (recorded.problem, recorded.progress, recorded.more, recorded.replaced)
+            if (state, recorded.newest_ns) != last or batch.texts:
+                last = (state, recorded.newest_ns)
+                pickle.dump((batch, *state), sys.stdout.buffer)
+                sys.stdout.buffer.flush()
+            if not recorded.more:
+                time.sleep(_LOOK_S)
+
+
+# --- what stands beside a bag ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Dated:
+    """An incident with its times as the recording has them (s since 1970).
+
+    Attributes:
+        node: that says so, or that was lost.
+        part: of it; empty for the node itself.
+        cause: in words.
+        code: of it, for programs.
+        began: when.
+        ended: when; None where it lasted to the end.
+    """
+
+    node: str
+    part: str
+    cause: str
+    code: str
+    began: float
+    ended: float | None
+
+    @property
+    def name(self) -> str:
+        """As that of an alarm."""
+        return f"{self.node}: {self.part}" if self.part else self.node
+
+    def stands(self, now: float) -> bool:
+        """Whether it has begun at a time, and is not over."""
+        return self.began <= now and (self.ended is None or now < self.ended)
+
+    @property
+    def of_pump(self) -> bool:
+        """Whether what the pump does is not known while it stands."""
+        return self.part == "drive" or (self.node, self.part) == (PUMP, "")
+
+
+def read_incidents_of(bag: Path) -> list[Dated]:
+    """Return the incidents of a run whose bag is read, in the order in which they began.
+
+    They stand in a file of their own, and in the summary where that could not be written.
+
+    Raises:
+        ValueError: they cannot be read, or not when they were.
+    """
+    directory = bag.parent
+    try:
+        found = read_incidents(directory)
+        if not (directory / SUMMARY).exists():
+            return _all_dated(found, {})
+        summary = json.loads(read_text(directory / SUMMARY))
+        found = found or [Incident(**one) for one in summary.get("incidents", ())]
+        return _all_dated(found, summary)
+    except (OSError, ConfigurationError, KeyError, TypeError, AttributeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"{directory / INCIDENTS} cannot be shown ({why})") from error
+
+
+def _all_dated(incidents: Sequence[Incident], summary: Mapping[str, Any]) -> list[Dated]:
+    """Return incidents with their times: by ticks where the site is simulated, else by the wall."""
+    start, tau = 0.0, 0.0
+    if any(one.began_tick is not None for one in incidents):
+        start = datetime.fromisoformat(summary["start"]).timestamp()
+        tau = float(summary["tau_s"])
+
+    def at(tick: int | None, wall: str | None) -> float | None:
+        if tick is not None:
+            return start + tick * tau
+        return None if wall is None else datetime.fromisoformat(wall).timestamp()
+
+    dated = []
+    for one in incidents:
+        began = at(one.began_tick, one.began)
+        assert began is not None
+        whole = one.part == PROCESS
+        dated.append(Dated(
+            one.node, "" if whole else one.part, plain(one.cause, _MOST_TEXT),
+            # A node that stays away ends the run; of another one the incident is its return.
+            "started_again" if whole and one.ended else one.code,
+            began, at(one.ended_tick, one.ended),
+        ))
+    return sorted(dated, key=lambda one: one.began)
+
+
+def controller_of(bag: Path) -> str:
+    """Return who commanded in a recorded run, by the summary beside its bag; empty: unknown."""
+    try:
+        name = json.loads(read_text(bag.parent / SUMMARY))["controller"]
+    except (ConfigurationError, ValueError, KeyError, TypeError):
+        return ""
+    return name if isinstance(name, str) else ""

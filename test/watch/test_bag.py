@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from greenroof_ros.common.interface import read_topics, recorded_topics
 from greenroof_ros.recording.bag_writer import FLUSH_S, BagWriter, LiveBag
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.recorded import Recorded
+from greenroof_ros.watch.bag import Recorded
 
 START_NS = 1_625_641_200 * 10**9
 DAY_NS = 86_400 * 10**9
@@ -126,7 +126,7 @@ def test_each_byte_is_read_once(finished: Path, tmp_path: Path) -> None:
     time_ns, message = reader.forecasts[-1]
     assert time_ns == START_NS + 499 * 10**9
     rows = wire.rows(message)
-    assert rows is not None and rows.tolist() == [499.0] * 10
+    assert rows is not None and rows[0].tolist() == [499.0] * 10
 
 
 def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:

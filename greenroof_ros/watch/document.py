@@ -1,0 +1,460 @@
+"""What page and terminal show, as JSON has it: the document, and the series of the charts.
+
+Each is made by one function of a store.
+
+The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``source``, ``notes``,
+``tiles`` (with the ``summary``), ``advice``, ``alarms``, ``alarms_known``, ``events``, ``account``
+and ``stop``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.watch import tiles, words
+from greenroof_ros.watch.account import HOLDS_NS
+from greenroof_ros.watch.alarms import row
+from greenroof_ros.watch.history import Gaps, stretch_of
+from greenroof_ros.watch.outlook import AHEAD_S
+from greenroof_ros.watch.registry import ERROR, Node, Trouble
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.tiles import Look, Tile, band_of
+
+LINES = {
+    "roof": "/roof/level",
+    "cistern": "/cistern/level",
+    "command": "/pump/command",
+    "flow": "/pump/flow",
+    "rain": "/weather/precipitation",
+    "evapotranspiration": "/weather/evapotranspiration",
+}
+"""Lines of the charts, each with its topic."""
+
+# The past that a series may have (h), and how many points of a line.
+LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, (10, 2000)
+# A line has a gap where so many of its values are missing.
+_INTERVALS = 3
+# Characters of all alarms, and of all events, so that the document stays below 100 kB.
+_MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
+
+# Entries of the account, in order, with their labels.
+_ENTRIES = {
+    "stress": "Water stress of the plants",
+    "evapotranspiration_ratio": "Evapotranspired, of what plants ask for",
+    "kept": "Rain kept on the roof",
+    "kept_hour": "Rain kept of storms above 20 mm/h",
+    "kept_day": "Rain kept of storms above 10 mm in 24 h",
+    "deviation": "Mean deviation from the target",
+    "rain": "Rain on the roof",
+    "pumped": "Pumped onto the roof",
+    "drained": "Drained off the roof",
+    "evapotranspired": "Evapotranspired",
+    "stored": "Change of the water on the roof",
+    "unexplained": "Unexplained",
+    "inflow": "Rain into the cistern",
+    "overflow": "Outflow to the sewer",
+    "mains": "Mains water into the cistern, computed from the level",
+    "saved": "Potable water saved",
+    "energy": "Energy of the pump",
+}
+# Without rain, or such storms, there is nothing to say of these.
+_OF_RAIN = ("kept", "kept_hour", "kept_day")
+# Unit, decimals and factor of those that are no volume.
+_UNITS = {
+    "stress": ("h", 1, 1.0), "deviation": ("mm", 1, 1.0), "energy": ("kWh", 3, 1.0),
+    **dict.fromkeys(("evapotranspiration_ratio", *_OF_RAIN), ("%", 0, 100.0)),
+}
+_HEADINGS = {
+    "none": "Nothing is heard yet", "ended": "Ended run", "live": "Live site",
+    "simulated": "Simulated run", "loop": "Simulated site with a drive",
+}
+
+
+def document(store: Store, wall: float) -> dict[str, Any]:
+    """Return all that page and terminal show, below 100 kB, in plain texts.
+
+    Args:
+        store: what is known.
+        wall: now (steady clock, s).
+    """
+    with store.lock:
+        store.note(wall)
+        return _document(store, wall)
+
+
+def _document(store: Store, wall: float) -> dict[str, Any]:
+    now, alarms = store.now, store.alarms
+
+    def say_time(at: float) -> str:
+        return words.time_of_day(at, store.utc_offset, at if now is None else now)
+
+    known = store.graph.anybody or store.mode != "ended"
+    incidents = [
+        row(
+            one.name, Trouble(ERROR, one.cause, one.code, one.node), since=one.began,
+            over=None if one.stands(now or 0.0) else one.ended, say_time=say_time, recorded=True,
+        )
+        for one in store.incidents(now)
+    ]
+    rows = [*incidents, *alarms.rows(say_time)]
+    rows.sort(key=lambda one: one["over"] is not None)
+    present = [one for one in rows if one["over"] is None]
+    standing = sum(one["recorded"] for one in present)
+    look = Look(store, wall, present)
+    shown = {
+        "roof": tiles.roof(look), "cistern": tiles.cistern(look), "pump": tiles.pump(look),
+        "rain": tiles.rain(look), "controller": tiles.controller(look),
+    }
+    stop, waits = _stop(look), tiles.waiting(look, shown["pump"]["idle"])
+    serious, warnings, following = alarms.counts()
+    over = len(incidents) - standing
+    worst = "error" if stop["warning"] or standing else alarms.worst()
+    shown["summary"] = {
+        "word": "Nothing is heard yet:" if store.mode == "none" else _word(
+            serious + standing, warnings, following, over, known
+        ),
+        "sentence": _sentence(look, shown, waits),
+        "level": _judged(store.mode, shown, worst, bool(waits), over=over, known=known),
+    }
+    listed = _within(rows, _MOST_ALARMS)
+    return {
+        "heading": _heading(store),
+        "mode": store.mode,
+        "namespace": store.namespace,
+        "time": {
+            "now": now,
+            "utc_offset": store.utc_offset,
+            "factor": store.factor,
+            "text": words.UNKNOWN if now is None
+            else words.date_time_and_zone(now, store.utc_offset),
+        },
+        "source": store.source,
+        "notes": _notes(store, wall, known, bool(incidents), len(rows) - len(listed)),
+        "tiles": shown,
+        "advice": alarms.advice() if len(present) > standing else _advice(store, shown, waits),
+        "alarms": listed,
+        "alarms_known": known,
+        "events": _within(alarms.events(say_time), _MOST_EVENTS),
+        "account": _account(store),
+        "stop": stop,
+    }
+
+
+def _heading(store: Store) -> str:
+    heading, factor = _HEADINGS[store.mode], store.factor
+    if factor is None or store.mode not in ("simulated", "loop"):
+        return heading
+    times = words.number(factor, 0 if factor >= 9.95 else 1).removesuffix(".0")
+    return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
+
+
+def _notes(store: Store, wall: float, known: bool, incidents: bool, hidden: int) -> list[str]:
+    notes = [*store.notes]
+    if not known:
+        notes.append(
+            "A recording tells when a drive, a sensor or a node was lost; other alarms are not "
+            "recorded." if incidents else "A recording does not tell which alarms there were."
+        )
+    if hidden:
+        notes.append(f"{hidden} more alarms are not shown.")
+    newest = store.newest.values()
+    silent = min((one.silent_for(wall) for one in newest), default=None)
+    if store.mode not in ("none", "ended") and silent and all(one.stale for one in newest):
+        notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
+    return [note for note in notes if note]
+
+
+# --- the sentence above the tiles -----------------------------------------------------------------
+
+
+def _word(alarms: int, warnings: int, following: int, over: int, known: bool) -> str:
+    """Return how much is wrong, as the alarms below say in full."""
+    counts = [
+        f"{count} {name}" if count == 1 else f"{count} {name}s"
+        for count, name in ((alarms, "alarm"), (warnings, "warning"), (over, "incident")) if count
+    ]
+    if over:
+        counts[-1] += ", over" if over == 1 else ", all over"
+    none = "No alarms" if known else "Alarms are not known"
+    more = f" ({following} more caused by these)" if following else ""
+    return f"{', '.join(counts) or none}{more}."
+
+
+def _judged(
+    mode: str, shown: dict[str, Tile], worst: str, waits: bool, *, over: int, known: bool
+) -> str:
+    """Return how bad it is: ``ok``, ``warn``, ``error``, or ``stale`` where that is not known."""
+    roof, pump = shown["roof"]["state"], shown["pump"]["state"]
+    if mode == "none":
+        return "warn"
+    attention = (
+        roof in ("unknown", "alarm") or pump in ("unknown", "alarm", "fault", "held")
+        or (roof in ("low", "high") and not waits)
+    )
+    if worst != "ok":
+        return worst
+    return "warn" if attention or over else "ok" if known else "stale"
+
+
+def _sentence(look: Look, shown: dict[str, Tile], waits: str) -> str:
+    """Return how roof and pump are, and what is to come of that."""
+    if look.store.mode == "none":
+        return "no run and no site is found."
+    roof, verb = shown["roof"], "was" if look.ended else "is"
+    if roof["state"] in ("unknown", "alarm"):
+        said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
+            f"The roof's level is {roof['value']}"
+        )
+    else:
+        judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
+        said = f"The roof {verb} {judged}{roof['sentence']}"
+    clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"], verb)
+    parts = ["The run has ended." if look.ended else "", f"{said}; {clause}.", tiles.too_wet(look)]
+    return " ".join(filter(None, parts))
+
+
+def _pump_clause(pump: Tile, verb: str) -> str:
+    state, why = pump["state"], pump["why"]
+    if pump["alarm"]:
+        return f"whether the pump {'stood' if verb == 'was' else 'stands'} is not known"
+    if state == "unknown":
+        return "what the pump does is not known"
+    if state in ("running", "starting", "stopping"):
+        clause = f"the pump {verb} {state}"
+        return f"{clause} at {tiles.flow(pump['number'])}" if pump["number"] else clause
+    if state == "fault":
+        return f"the pump {'had' if verb == 'was' else 'has'} a fault: {why}"
+    if state == "held":
+        return f"the pump {verb} held off: {why}"
+    return f"the pump {verb} off" + (f", since {why}" if why else "")
+
+
+def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
+    """Return what to do where there is no alarm: what goes on, where something is not as wanted."""
+    roof, pump = shown["roof"]["state"], shown["pump"]
+    runs = pump["state"] in ("starting", "running")
+    if store.mode == "none":
+        return (
+            "Start a run or a site; where one runs, see that this watcher has its ROS_DOMAIN_ID "
+            "and --namespace."
+        )
+    if store.mode == "ended":
+        return "This was recorded: what is now is not shown."
+    if {roof, pump["state"]} & {"unknown", "alarm"}:
+        return (
+            "Nothing is reported as wrong, but not all is known: see whether sensors and programs "
+            "run."
+        )
+    if roof == "high" and runs:
+        return "The roof has enough, and the pump runs: see whether it should."
+    if roof == "high":
+        return "Nothing to do: the roof drains and dries by itself."
+    if roof != "low" or waits:
+        return "Nothing to do."
+    if runs:
+        return "Nothing to do: the pump waters the roof."
+    if pump["idle"]:
+        return f"Nothing to do now: the controller {shown['controller']['sentence']}."
+    why = f": {pump['why']}" if pump["why"] else ""
+    return f"The roof is not watered, since the pump is {pump['state']}{why}."
+
+
+LOCK_OUT = (
+    "Whoever works on the pump locks it out at the pump itself: nothing on this page does that."
+)
+_THEN = (
+    "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
+    "but not sooner than it may after its last run. "
+)
+
+
+# --- stopping the pump ----------------------------------------------------------------------------
+
+
+def _stop(look: Look) -> dict[str, Any]:
+    """Return whether the pump can be stopped from here, is so, and what is wrong with that.
+
+    It is where an operator stopped it and it stands: the stop alone says that it should. ``call``
+    and ``release`` are what somebody types to stop and release it; empty where that would do
+    nothing.
+    """
+    node, two = look.store.graph.pump(look.wall), look.store.graph.two_pumps(look.wall)
+    two = two and words.plain(
+        f"Two nodes say that they are the pump's, {two}: which one has it is not known. Stop the "
+        "pump at its drive's panel, and end the node that should not run.", 500,
+    )
+    if node is None or two:
+        sentence = two or "There is no pump node that could be stopped from here."
+        return {
+            "possible": False, "stopped": False, "node": None, "label": "Stop the pump",
+            "sentence": sentence, "warning": two, "call": "", "release": "", **_release(None, None),
+        }
+    asked, gone = bool(node.values.get("stop")), look.gone(node)
+    call = f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
+    stands = not gone and node.values.get("stands") is True
+    warning = ""
+    if asked and not stands and not gone:
+        warning = (
+            "Stop was accepted, but the pump still turns, or it is not known whether it stands. "
+            "Stop it at its drive's panel if it does not stand within seconds."
+        )
+    state = (look.says_of_pump() or "").partition(": ")[0]
+    off, stopped = state in ("off", "held", "fault") and stands, asked and stands
+    return {
+        "possible": True, "stopped": stopped, "node": node.name,
+        "label": "The pump is held off" if stopped
+        else "Keep the pump off" if off else "Stop the pump",
+        "sentence": ("It was held off when last heard. " if asked and gone else "")
+        + ("The pump is held" if stopped else "Holds the pump")
+        + " off until somebody releases it at the pump node.",
+        "warning": warning,
+        "call": "" if stopped else f'{call} "{{data: true}}"',
+        "release": f'{call} "{{data: false}}"' if asked else "",
+        **_release(None if gone or not look.store.allow_release else node, stands),
+    }
+
+
+def _release(node: Node | None, stands: bool | None) -> dict[str, Any]:
+    """Return what may be released and cleared here, and what happens then.
+
+    Args:
+        node: of the pump; None where nothing may.
+        stands: whether the pump does.
+    """
+    owners = node.values.get("stopped_by") if node is not None else ()
+    owners = owners if isinstance(owners, list) else []
+    fault = "" if node is None else node.text("fault")
+    refusal = "" if node is None else node.text("page_may_not_clear")
+    others = [str(one) for one in owners if one != "page"]
+    stays = f"It stays off for all that: it is held off by {' and '.join(others)}, too. "
+    return {
+        "release_here": "page" in owners and bool(stands),
+        "release_then": (stays if others else _THEN) + LOCK_OUT,
+        "clear_here": bool(fault) and not refusal and bool(stands),
+        "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
+        "no_clear": refusal if fault else "",
+    }
+
+
+# --- the water account ----------------------------------------------------------------------------
+
+
+def _account(store: Store) -> dict[str, Any]:
+    account = store.account
+    totals = {} if account is None else dict(account.totals())
+    if "pumped" in totals:
+        totals["saved"] = totals["pumped"] - totals.get("mains", 0.0)
+    labels = {key: label for key, label in _ENTRIES.items() if key in totals or key not in _OF_RAIN}
+    if store.site is None or store.site.mains_level is None:
+        del labels["mains"]
+    since, sentence = "", "not known yet"
+    if account is not None and account.since is not None:
+        since = f"since {words.date_and_time(account.since / 1e9, store.utc_offset)}"
+        if not account.measured:
+            for key in ("drained", "overflow"):
+                labels[key] += ", computed from the level"
+        if "unexplained" in totals:
+            sentence = f"{words.volume(abs(totals['unexplained']))} not accounted for"
+        if account.gap_s:
+            sentence += f", with gaps of {words.length_of_time(account.gap_s)}"
+    return {
+        "since_text": since,
+        "sentence": sentence,
+        "rows": [
+            {
+                "key": key, "label": label, "number": totals.get(key),
+                "value": words.UNKNOWN if key not in totals
+                else words.quantity(totals[key], *_UNITS.get(key, ("m3", 3, 1.0))),
+            }
+            for key, label in labels.items()
+        ],
+    }
+
+
+def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
+    """Return the first rows that together have at most so many characters as JSON."""
+    length = 0
+    for place, one in enumerate(rows):
+        length += len(json.dumps(one)) + 2
+        if length > most:
+            return rows[:place]
+    return rows
+
+
+# --- the charts -----------------------------------------------------------------------------------
+
+
+def series(store: Store, hours: float, points: int = 400) -> dict[str, Any]:
+    """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
+
+    Nothing is known between two rows of a line that are further apart than its entry of ``gaps``
+    (s), and no value holds for longer. Nor from a row of None on to the next.
+
+    Args:
+        store: what is known.
+        hours: how far back, at most a week.
+        points: of each line, at most, about.
+    """
+    hours = min(max(hours, LEAST_HOURS), MOST_HOURS) if math.isfinite(hours) else 12.0
+    points = min(max(int(points), _POINTS[0]), _POINTS[1])
+    with store.lock:
+        now = store.now
+        lines: dict[str, list[list[Any]]] = {name: [] for name in (*LINES, "roof_expected")}
+        stretch = 0
+        if now is not None:
+            newest = max((one.time_ns for one in store.newest.values()), default=0)
+            last = max(newest, round(now * 1e9))
+            first = last - round(hours * 3.6e12)
+            stretch = stretch_of(first, last, points)
+            for name, topic in LINES.items():
+                if topic in store.past:
+                    lines[name] = store.past[topic].window(first, last, points)
+            for history in (store.expected, store.expected_next()):
+                lines["roof_expected"] += history.window(first, last, points)
+        gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
+        lost = Gaps()
+        for one in store.incidents(now):
+            if one.of_pump:
+                lost.add(one.began, math.inf if one.ended is None else one.ended)
+        lines["flow"] = lost.cut_out(store.unknown_flow.cut_out(lines["flow"]))
+        forecast, plan = store.forecast, store.plan
+        return {
+            "now": now,
+            "from": None if now is None else now - hours * 3600,
+            "to": None if now is None else now + AHEAD_S,
+            "lines": lines,
+            "gaps": gaps,
+            "issued": None if forecast is None else forecast.issued,
+            "forecast": [] if forecast is None else forecast.rows(),
+            "plan": [] if plan is None or now is None else plan.rows(now),
+            "marks": _marks(store.site),
+            "display": {name: asdict(words.display_of(topic)) for name, topic in LINES.items()},
+        }
+
+
+def _marks(site: Site | None) -> dict[str, Any]:
+    """Return the references of the charts (m); None where there is none."""
+    if site is None:
+        return dict.fromkeys(("target", "band", "suction", "low_outlet", "outlet"))
+    return {
+        "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
+        "low_outlet": site.low_outlet_level, "outlet": site.z_o,
+    }
+
+
+def _gap(rows: list[list[Any]], stretch_ns: int) -> float:
+    """Return beyond which time between its rows a line has a gap (s).
+
+    It is that of the account, or two stretches of which a row tells where those are longer. What
+    usually comes less often has a gap where so many of its values are missing that it is stale:
+    samples of a run at full speed may be an hour apart.
+    """
+    gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9
+    usual = float(np.median(np.diff([row[0] for row in rows]))) if len(rows) > 1 else 0.0
+    return _INTERVALS * usual if usual > gap else gap

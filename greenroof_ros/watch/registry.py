@@ -1,0 +1,589 @@
+"""Who is in a graph, and what each said last on /diagnostics, which is read here alone.
+
+A node is known by its name, and each process under a name is another one: a restart. Alarms, the
+tiles and what is subscribed to all follow from what is kept here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import socket
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.interface import Topic
+from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
+from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.words import plain
+
+OK, WARN, ERROR, STALE = range(4)
+# A node reports four times a second; one that is not heard for so long (s) is not there, as for
+# bringup. Of other devices, which report once a second, the default of diagnostic_aggregator.
+SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
+# A silent node may be replaced by another process; after so long (s) it is gone.
+_GONE_S = 10.0
+# A node that waits for another one for so long (s) says so as an alarm: a start takes seconds.
+_WAITS_S = 5.0
+# Over what time the speed of a simulation is measured, at least and at most (s).
+_SPEED_S, _SPEED_MOST_S = 1.0, 3.0
+# What a hostile sender can make this remember: nodes, parts of each, statuses of other devices,
+# values of a status, characters of a sentence, a name and a value. A graph has seven nodes.
+_NODES, _PARTS, _FOREIGN, _VALUES = 32, 24, 200, 100
+_TEXT, _NAME, _VALUE = 500, 160, 100_000
+_NEWEST = 50  # changes of parameters, and warnings, that are told at a time
+# No tick of a run is beyond this, and no time (ns since 1970) fits into 64 bits beyond that.
+_LAST_TICK, _LAST_NS = 2**40, 2**63
+# What ROS lets a node be called; its name is part of a command that is advised.
+_NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_PLANT = "plant"
+_SAMPLES = {
+    "/cistern/level": "cistern_level", "/roof/level": "roof_level", "/pump/command": "command",
+}
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What is wrong at present under the name of a status.
+
+    Attributes:
+        level: WARN, ERROR or STALE.
+        what: a sentence.
+        code: of the table of conditions, or of what is seen from here, such as ``not_heard``.
+        role: of the node, as the interface calls it; empty for another device.
+        part: of the node; empty for the node itself.
+        cause: the code from which it follows, where the node says that.
+        names: topics that it is about, or nodes that are waited for, where that is known.
+        gist: what makes it another trouble, where the code does not.
+        at_least: whether it may have been so before anybody listened here.
+    """
+
+    level: int
+    what: str
+    code: str = ""
+    role: str = ""
+    part: str = ""
+    cause: str = ""
+    names: tuple[str, ...] = ()
+    gist: str = ""
+    at_least: bool = False
+
+
+@dataclass
+class _Part:
+    """A part of a node, or another device, as it was last heard."""
+
+    status: Status
+    heard: float  # wall time (s)
+    first: bool  # whether it was heard now for the first time, and its node too
+    times: int = 1
+
+
+@dataclass
+class Node:
+    """A process of this package's, as it was last heard; times are of the steady clock (s).
+
+    Attributes:
+        name: fully qualified.
+        role: as the interface calls it.
+        process: that runs it: its machine and number.
+        state: one of :mod:`greenroof_ros.graph.supervision`.
+        values: what else it says; a number that is not finite is None.
+        began: when it was first heard.
+        heard: when it was last.
+        since: since when it has been in its state.
+        first: whether it was heard only once so far.
+        refused_at: when its count of refused values last grew.
+        refused: the topics of these.
+    """
+
+    name: str
+    role: str
+    process: str
+    state: str
+    values: dict[str, Any]
+    began: float
+    heard: float
+    since: float
+    first: bool = True
+    parts: dict[str, _Part] = field(default_factory=dict)
+    refused_at: float = -math.inf
+    refused: tuple[str, ...] = ()
+
+    @property
+    def over(self) -> bool:
+        """Whether its last word was its end."""
+        return self.state in (FINISHED, ENDED)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether it acts in lockstep; those of a live graph do not number their ticks."""
+        return "run_length" in self.values
+
+    @property
+    def may_turn(self) -> bool:
+        """Of a pump: whether it knows neither that the pump stands nor what it turns at."""
+        values = self.values
+        return values.get("stands") is not True and "speed" in values and values["speed"] is None
+
+    def is_heard(self, wall: float) -> bool:
+        """Whether it is heard now."""
+        return not self.over and wall - self.heard <= SILENT_S
+
+    def is_here(self, wall: float) -> bool:
+        """Whether it is heard, or was a moment ago."""
+        return not self.over and wall - self.heard < _GONE_S
+
+    def text(self, key: str) -> str:
+        """Return a text that it says; empty where it does not."""
+        value = self.values.get(key)
+        return plain(value, _TEXT) if isinstance(value, str) else ""
+
+
+class Registry:
+    """What is heard of one namespace on /diagnostics.
+
+    Attributes:
+        runs: counts the runs: a plant that was started again begins another one.
+        samples: levels and command that the plant said last, with the tick's time (ns since 1970);
+            None before it said any.
+    """
+
+    def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
+        """Begin without anybody.
+
+        Args:
+            namespace: such as ``/site1``; the statuses of other ones are those of other devices.
+            on_event: called with what happened, in a sentence.
+        """
+        self.runs = 0
+        self.samples: tuple[int, dict[str, float]] | None = None
+        self._namespace = "/" + namespace.strip("/")
+        self._say = on_event or (lambda _: None)
+        self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
+        self._latest: dict[str, Node] = {}  # of each name the process that was heard last
+        self._holders: dict[str, Node] = {}  # of each role the node that has it
+        self._foreign: dict[str, _Part] = {}
+        self._ticks: deque[tuple[float, int]] = deque()
+        self._start_ns = 0
+
+    # --- hearing --------------------------------------------------------------------------------
+
+    def is_own(self, status: Status) -> bool:
+        """Whether a status has the name of a node of this namespace, or of a part of one."""
+        name = status.name.partition(": ")[0]
+        return (
+            len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
+            and (name.rpartition("/")[0] or "/") == self._namespace
+        )
+
+    def hear(
+        self, wall: float, statuses: Sequence[Status], *, stamp_ns: int = 0,
+        arrived: float | None = None, tau: float = 1.0,
+    ) -> None:
+        """Take what came, from one message or several; nothing in it raises.
+
+        Args:
+            wall: now (steady clock, s).
+            statuses: what is said.
+            stamp_ns: the time that the message says, in a simulation the tick's (ns since 1970).
+            arrived: when it came (s); now where that is not known.
+            tau: duration of a tick (s).
+        """
+        rest: list[tuple[str, Status]] = []
+        for status in statuses:
+            name = plain(status.name, _NAME)
+            values = self._values_of(name, status)
+            if values is None:
+                rest.append((name, status))
+            elif (node := self._hear_node(wall, name, status.message, values)) is not None and (
+                self._holders.get(_PLANT) is node
+            ):
+                self._hear_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
+        crowded = False
+        for name, status in rest:
+            node_name, _, part = name.partition(": ")
+            node = self._latest.get(node_name)
+            if node is None or not part:
+                crowded = self._hear_foreign(wall, name, status, crowded)
+            elif part in node.parts or len(node.parts) < _PARTS:
+                node.parts[part] = _Part(_fit(status), wall, node.first)
+
+    def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
+        """Return what a node of this graph says of itself; None for any other status."""
+        if ": " in name or status.message not in STATES or not self.is_own(status):
+            return None
+        values = {}
+        for key, text in list(status.values.items())[:_VALUES]:
+            if len(text) > _VALUE:
+                continue
+            try:
+                values[key] = _read_value(text)
+            except (ValueError, RecursionError):
+                return None
+        named = all(isinstance(values.get(key), str) for key in ("role", "process"))
+        return values if named else None
+
+    def _hear_node(
+        self, wall: float, name: str, state: str, values: dict[str, Any]
+    ) -> Node | None:
+        role, process = (plain(values[key], _NAME) for key in ("role", "process"))
+        node = self._nodes.get((name, process))
+        if node is None:
+            if not self._make_room(wall):
+                return None
+            node = Node(name, role, process, state, values, wall, wall, wall)
+            if name in self._latest:
+                node.first = False
+                self._say(f"{name} was started again")
+            self._nodes[name, process] = node
+            for other in [one for one in self._foreign if one.startswith(f"{name}: ")]:
+                del self._foreign[other]
+        else:
+            before, node.values, node.first = node.values, values, False
+            if state != node.state:
+                node.since = wall
+                if state == FINISHED:
+                    self._say(f"{name} has finished: the run is over")
+                elif state == ENDED:
+                    self._say(f"{name} ended")
+            node.role, node.state, node.heard = role, state, wall
+            self._compare(wall, node, before)
+        self._latest[name] = node
+        self._hold(wall, node)
+        return node
+
+    def _make_room(self, wall: float) -> bool:
+        """Let go of the node that is silent for longest where there are too many."""
+        if len(self._nodes) < _NODES:
+            return True
+        silent = min(self._nodes.values(), key=lambda one: one.heard)
+        if wall - silent.heard <= SILENT_S:
+            return False
+        self._forget(silent)
+        return True
+
+    def _forget(self, node: Node) -> None:
+        del self._nodes[node.name, node.process]
+        for table, key in ((self._latest, node.name), (self._holders, node.role)):
+            if table.get(key) is node:
+                del table[key]
+
+    def _hold(self, wall: float, node: Node) -> None:
+        """Give a node its role where it is free, or was that of the process before it."""
+        before = self._holders.get(node.role)
+        if before is node:
+            return
+        if before is not None and before.is_heard(wall) and (
+            before.name != node.name or before.began > node.began
+        ):
+            return
+        if before is not None and before.name == node.name and before.began > node.began:
+            return  # a process that was replaced
+        self._holders[node.role] = node
+        if node.role == _PLANT and before is not None:
+            self.runs += 1
+            self._start_ns, self.samples = 0, None
+            self._ticks.clear()
+            # What the others said was of the run before.
+            for one in list(self._nodes.values()):
+                if not one.is_heard(wall):
+                    self._forget(one)
+
+    def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
+        """Tell as events, and note as trouble, what changed in a node's values."""
+        values, name = node.values, node.name
+        for change in _new(before, values, "parameter_changes", "parameter_change_count"):
+            if isinstance(change, dict):
+                what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
+                self._say(f"{name}: {what} was changed from {old} to {new}")
+        for warning in _new(before, values, "warnings", ""):
+            self._say(f"{name} warns: {warning}")
+        counts = _counts(before)
+        grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
+        if grown:
+            node.refused_at, node.refused = wall, tuple(grown[:10])
+        was, now = (bool(one.get("stop")) for one in (before, values))
+        if was != now:
+            self._say(
+                "stop was asked for: the pump is held off" if now else "the stop was released"
+            )
+        fault = node.text("fault")
+        if before.get("fault", "") != values.get("fault", ""):
+            self._say(
+                f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
+            )
+
+    def _hear_foreign(self, wall: float, name: str, status: Status, crowded: bool) -> bool:
+        """Take the status of another device; return whether there is no room for a new one.
+
+        One that is all right gives way to one that is not.
+        """
+        known, status = self._foreign.get(name), _fit(status)
+        if known is None and len(self._foreign) >= _FOREIGN:
+            if crowded:
+                return True
+
+            def worth(one: str) -> tuple[bool, float]:
+                part = self._foreign[one]
+                fresh = wall - part.heard <= _FOREIGN_SILENT_S
+                return fresh and part.status.level != OK, part.heard
+
+            least = min(self._foreign, key=worth)
+            if worth(least)[0] or (
+                status.level == OK and wall - self._foreign[least].heard <= _FOREIGN_SILENT_S
+            ):
+                return status.level != OK
+            del self._foreign[least]
+        times = 1 if known is None else known.times + 1
+        self._foreign[name] = _Part(status, wall, times == 1, times)
+        return False
+
+    def _hear_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
+        tick = node.values.get("tick")
+        if type(tick) is not int or not 0 < tick <= _LAST_TICK:
+            return  # until the first tick the stamp is not yet the run's
+        self._ticks.append((arrived, tick))
+        while arrived - self._ticks[0][0] > _SPEED_MOST_S:
+            self._ticks.popleft()
+        # The tick that waits for its time is not yet on the clock, so that the later start is it.
+        self._start_ns = max(self._start_ns, stamp_ns - round(tick * tau * 1e9))
+        said = {topic: node.values.get(key) for topic, key in _SAMPLES.items()}
+        found = {
+            topic: float(value) for topic, value in said.items() if isinstance(value, (int, float))
+        }
+        time_ns = self._start_ns + round(tick * tau * 1e9)
+        self.samples = (time_ns, found) if time_ns < _LAST_NS else None
+
+    def forgive(self, seconds: float) -> None:
+        """Count a time in which nobody could be heard (s) as no silence of anybody."""
+        for node in self._nodes.values():
+            node.heard += seconds
+            for part in node.parts.values():
+                part.heard += seconds
+        for part in self._foreign.values():
+            part.heard += seconds
+
+    # --- what graph it is -----------------------------------------------------------------------
+
+    @property
+    def anybody(self) -> bool:
+        """Whether anything was heard of any node or device."""
+        return bool(self._nodes or self._foreign)
+
+    def node(self, role: str) -> Node | None:
+        """Return the node of a role; None where none was heard."""
+        return self._holders.get(role)
+
+    def factor(self, tau: float) -> float | None:
+        """Return the simulated time per wall time of the last seconds; None where unknown."""
+        if len(self._ticks) < 2:
+            return None
+        (began, first), (ended, last) = self._ticks[0], self._ticks[-1]
+        return None if ended - began < _SPEED_S else (last - first) * tau / (ended - began)
+
+    def mode(self, wall: float) -> str:
+        """Return what graph it is: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
+        plant, pump = self._holders.get(_PLANT), self.pump(wall) is not None
+        here = [one for one in self._holders.values() if one.is_here(wall)]
+        if plant is not None and plant.is_here(wall):
+            return "loop" if pump else "simulated"
+        if any(not one.lockstep for one in here):
+            return "live"
+        if plant is not None and pump:
+            return "loop"  # a pump may turn when its plant is gone
+        if here and plant is None:
+            return "none"  # they wait for their plant
+        # Who fell silent without a word may run on unheard, and so may a pump.
+        if any(not one.lockstep and not one.over for one in self._holders.values()):
+            return "live" if plant is None else "loop"
+        return "ended" if self._holders else "none"
+
+    def pump(self, wall: float) -> Node | None:
+        """Return the pump node that is there; None where there is none."""
+        node = self._holders.get(PUMP)
+        return node if node is not None and node.is_here(wall) else None
+
+    def two_pumps(self, wall: float) -> str:
+        """Return which two present nodes say that they are the pump's; empty where no two do."""
+        node = self._holders.get(PUMP)
+        rival = None if node is None else self._rival(node, wall, lambda one: one.role == PUMP)
+        if node is None or rival is None:
+            return ""
+        return " and ".join(f"{one.name} ({one.process})" for one in (node, rival))
+
+    def _rival(self, node: Node, wall: float, alike: Callable[[Node], bool]) -> Node | None:
+        """Return another process that is heard in turn with one; None where none is.
+
+        One that is started again in place of one that is gone makes no two: the one before is not
+        heard any more.
+        """
+        for one in self._nodes.values():
+            if one is not node and alike(one) and one.is_heard(wall) and node.is_heard(wall):
+                older, newer = sorted((one, node), key=lambda each: each.began)
+                if older.heard > newer.began:
+                    return one
+        return None
+
+    def begins_with_run(self, topic: Topic) -> bool:
+        """Whether a topic's publisher is a node of this package: its first message is tick 0's."""
+        return any(role in self._holders for role in topic.publishers)
+
+    @property
+    def records(self) -> bool:
+        """Whether there is a recorder, be it on another machine."""
+        return RECORDER in self._holders
+
+    def bag(self) -> Path | None:
+        """Return the bag that the recorder writes, if it is on this machine."""
+        return self._path(RECORDER, "bag")
+
+    def site(self) -> Path | None:
+        """Return the site file of the graph, if it is on this machine."""
+        return self._path(_PLANT, "site") or self._path("controller", "site")
+
+    def _path(self, role: str, key: str) -> Path | None:
+        node = self._holders.get(role)
+        if node is None or node.process.rpartition(" ")[0] != socket.gethostname():
+            return None
+        text = node.values.get(key)
+        if not isinstance(text, str) or not text.startswith("/") or "\0" in text:
+            return None
+        path = Path(text)
+        try:
+            return path if path.exists() else None
+        except OSError:
+            return None
+
+    # --- what is wrong --------------------------------------------------------------------------
+
+    def troubles(self, wall: float) -> dict[str, Trouble]:
+        """Return all that is wrong now, each by the name of its status."""
+        self._foreign = {
+            name: part for name, part in self._foreign.items()
+            if wall - part.heard <= _FOREIGN_SILENT_S or not self._has_ended(name, part)
+        }
+        found: dict[str, Trouble] = {}
+        for name, part in self._foreign.items():
+            silent, status = wall - part.heard > _FOREIGN_SILENT_S, part.status
+            # One that was heard once perhaps never meant to report again and again.
+            if silent and part.times > 1:
+                found[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
+            elif status.level != OK and not silent:
+                found[name] = Trouble(status.level, status.message, at_least=part.first)
+        for node in self._latest.values():
+            found.update(self._troubles_of(node, wall))
+        return found
+
+    def _has_ended(self, name: str, part: _Part) -> bool:
+        """Whether it is of another graph's node, or a part of it, whose last word was its end."""
+        node = self._foreign.get(name.partition(": ")[0])
+        return (
+            node is not None and node.status.message in (FINISHED, ENDED)
+            and part.heard <= node.heard
+        )
+
+    def _troubles_of(self, node: Node, wall: float) -> Iterator[tuple[str, Trouble]]:
+        name, role = node.name, node.role
+        if node.over:
+            if failure := node.text("failure"):
+                yield name, Trouble(
+                    ERROR, f"ended: {failure}", "node_failed", role, at_least=node.first
+                )
+            return
+        silent = wall - node.heard > SILENT_S
+        not_heard = f"not heard for {SILENT_S:g} s"
+        twin = self._rival(node, wall, lambda one: one.name == name)
+        waiting = node.values.get("waiting")
+        if silent:
+            yield name, Trouble(STALE, not_heard, "not_heard", role)
+        elif twin is not None:
+            two = " and ".join(one.process for one in sorted(
+                (node, twin), key=lambda one: one.began
+            ))
+            yield name, Trouble(
+                ERROR, f"two processes report under this name: {two}", "two_processes", role
+            )
+        elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
+            who = tuple(str(one) for one in waiting[:10])
+            yield name, Trouble(
+                WARN, f"waits for {plain(', '.join(who), _TEXT)}", "waits", role, names=who
+            )
+        if wall - node.refused_at <= SILENT_S:
+            topics = plain(", ".join(node.refused), _TEXT)
+            yield f"{name}: refused", Trouble(
+                WARN, f"values of {topics} are refused: not plausible", "values_refused", role,
+                "refused", names=node.refused,
+            )
+        for part, one in node.parts.items():
+            # What a silent node last said was wrong stays so, as far as anybody knows.
+            if not silent and wall - one.heard > SILENT_S:
+                yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
+            elif one.status.level != OK:
+                yield f"{name}: {part}", _trouble_of_part(node, part, one)
+
+
+def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
+    """Return what a part says is wrong with it."""
+    status, level = said.status, said.status.level
+    code, cause = (status.values.get(key, "") for key in ("code", "cause"))
+    gist = ""
+    if (node.role, part) == (PUMP, PUMP):
+        gist = node.text("fault")
+        latched = code in INTERLOCKS and INTERLOCKS[code].kind == LATCHED
+        if node.may_turn:
+            level = ERROR  # it may flood the roof, whatever the pump was told
+            code = code if latched else "stands_unknown"
+        elif node.values.get("stop") and node.values.get("stands") is False and not latched:
+            code = "stop_not_followed"
+    elif code in ("drive_fault", "drive_warning"):
+        gist = status.message  # with the number that the drive gives it
+    return Trouble(level, status.message, code, node.role, part, cause, (), gist, said.first)
+
+
+def _fit(status: Status) -> Status:
+    """Return a status as it can be shown and kept; a level that there is not is an error."""
+    level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
+    values = {
+        key: plain(text, _NAME) for key in ("code", "cause") if (text := status.values.get(key))
+    }
+    message = plain(status.message, _TEXT) or "says nothing"
+    return Status("", level, message, "", values)
+
+
+def _read_value(text: str) -> Any:
+    """Return a value of a status of this package's nodes, which is a JSON text.
+
+    A number that is not finite, or has 20 characters or more without being a fraction, is None: no
+    quantity is such, and what is computed with it would fail.
+    """
+    return json.loads(
+        text, parse_int=lambda one: int(one) if len(one) < 20 else None,
+        parse_float=lambda one: value if math.isfinite(value := float(one)) else None,
+        parse_constant=lambda _: None,
+    )
+
+
+def _counts(values: Mapping[str, Any]) -> dict[str, int]:
+    """Return how many values of each topic a node refused so far."""
+    refused = values.get("refused")
+    given: Iterable[tuple[str, Any]] = refused.items() if isinstance(refused, dict) else ()
+    return {topic: count for topic, count in given if isinstance(count, int)}
+
+
+def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
+    """Return what came to the end of a list, of which perhaps only the newest are kept."""
+    old, all_now = before.get(key), values.get(key)
+    if not isinstance(old, list) or not isinstance(all_now, list):
+        return []
+    first, last = (
+        number if isinstance(number := said.get(count), int) else len(entries)
+        for said, entries in ((before, old), (values, all_now))
+    )
+    added = max(0, last - first)
+    return all_now[-min(added, _NEWEST):] if added else []

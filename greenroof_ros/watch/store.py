@@ -1,0 +1,611 @@
+"""All that is known of one graph, as it comes: its newest values, its past, and who says what.
+
+*Now* is the newest value of each topic, by whichever way it came. The *past* is what charts and
+account have; it comes in the order of time, from the recording where there is one, and may be some
+seconds behind. What people see of it is made by :mod:`.document` and :mod:`.series`.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.graph.supervision import PUMP
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.site import Site
+from greenroof_ros.watch import words
+from greenroof_ros.watch.account import HOLDS_NS, Account
+from greenroof_ros.watch.account import TOPICS as ACCOUNTED
+from greenroof_ros.watch.alarms import Alarms
+from greenroof_ros.watch.bag import Dated
+from greenroof_ros.watch.history import Gaps, History
+from greenroof_ros.watch.outlook import Forecast, Plan
+from greenroof_ros.watch.registry import Node, Registry
+from greenroof_ros.watch.wire import Status
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+_Outlook = TypeVar("_Outlook", Forecast, Plan)
+
+MODES = ("none", "simulated", "loop", "live", "ended")
+FLOW, RAIN_FORECAST, _PUMP_STATE = "/pump/flow", "/forecast/precipitation", "/pump/state"
+_NUMBER = "std_msgs/msg/Float64"
+# No quantity of any site is beyond this, in any unit, although a topic may have no limit.
+_LARGEST = 1e9
+# A value is stale after so many of its usual intervals, and after so long at least (s). That it
+# comes less often than the longest is never usual.
+INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
+# No time of a graph is beyond this (ns since 1970): the year 2116.
+_LATEST_NS = 2**62
+# An account waits for topics that are behind; when nothing came for so long (s), not any more.
+_QUIET_S = 2.0
+# By so much the system's clock may be set back, or a live site's values be ahead of it (s): less is
+# caught up with in a minute.
+_SET_BACK_S = 60.0
+# A forecast is another one where its rain differs by so much (m), once in so long (s).
+_NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
+# How long before a time a level is expected that is compared with the one that came (s), how often
+# what one plan expects is kept, though its steps are longer (s), and how much of it at most (s).
+_LEAD_S, _EXPECTED_EVERY_S, _WEEK_S = 3600.0, 300.0, 7 * 86_400.0
+_MOST_TEXT = 500
+# Steps of a forecast or a plan: of the longest look-ahead that there is.
+_MOST_STEPS = 1000
+
+
+class Newest:
+    """The newest value of a topic, and how often values come, by the looks at it.
+
+    Attributes:
+        time_ns: of it (ns since 1970).
+        value: None where it is not plausible.
+        past_ns: up to here it is in the past.
+        stale: whether it should have been followed by another one.
+    """
+
+    def __init__(self) -> None:
+        """Know none yet."""
+        self.time_ns = self.past_ns = 0
+        self.value: float | None = None
+        self.stale = False
+        self._came = False
+        self._heard: float | None = None  # wall time (s)
+        self._intervals: deque[float] = deque(maxlen=9)
+
+    def take(self, time_ns: int, value: float | None) -> None:
+        """Take a value, unless a newer one is there."""
+        self._came = True
+        if time_ns >= self.time_ns:
+            self.time_ns, self.value = time_ns, value
+
+    def look(self, wall: float) -> None:
+        """Note whether something came since the last look, or is overdue."""
+        if self._came or self._heard is None:
+            if self._heard is not None:
+                self._intervals.append(min(wall - self._heard, _LONGEST_S))
+            self._came, self._heard = False, wall
+        usual = float(np.median(self._intervals)) if self._intervals else 0.0
+        self.stale = wall - self._heard > max(_STALE_S, INTERVALS * usual)
+
+    def silent_for(self, wall: float) -> float:
+        """Return how long ago something came (s of wall time)."""
+        return 0.0 if self._heard is None else max(0.0, wall - self._heard)
+
+
+class Store:
+    """What is known of one graph; any thread may call any method, and read under ``lock``.
+
+    Times of the graph are its own: simulated, or the system's. ``wall`` is the steady clock's time
+    (s): a system's clock that is set makes no value old or new.
+
+    Attributes:
+        lock: held by whoever reads several attributes.
+        namespace: of the graph; empty where it has none.
+        site: by which levels are judged; None before that is known.
+        notes: what an operator should know of the site file, and of what is watched.
+        mode: one of ``MODES``: nothing was heard yet, a simulation, one with the drive of a real
+            pump, a live site, or a run that has ended.
+        factor: simulated time per wall time; None where there is none.
+        source: where the values come from: ``heard``, ``bag`` or ``samples``.
+        allow_release: whether the pump may be released from here.
+        alarms: of the nodes, and the registry of what they say.
+        newest: the newest value of each topic.
+        past: of each topic.
+        expected: of the roof's level, an hour before.
+        account: of the water; None before the site is known.
+        pump_state: of a recording: when it was said (ns) and the words.
+        recorded_controller: who commanded in the run whose recording is shown; empty: unknown.
+    """
+
+    def __init__(self, namespace: str = "") -> None:
+        """Know nothing yet.
+
+        Args:
+            namespace: of the graph; empty where it has none.
+        """
+        self.lock = threading.RLock()
+        self.namespace = namespace
+        self.allow_release = False
+        self.site: Site | None = None
+        self.notes = ["", ""]
+        self.recorded_controller = ""
+        self.alarms = Alarms(namespace)
+        self._nobody = Registry()
+        self._interface = read_topics()
+        self._incidents: Sequence[Dated] = ()
+        self._began = time.time()  # s since 1970
+        self._system: float | None = None  # the system's time at the last look (s since 1970)
+        # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
+        self._stamp: float | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self.alarms.begin_anew()
+        self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
+        self.mode, self.source = "none", "heard"
+        self.factor: float | None = None
+        self._forget_values()
+
+    def _forget_values(self) -> None:
+        self.newest: dict[str, Newest] = {}
+        self.past: dict[str, History] = {}
+        self.expected = History()
+        self._expected_until = -math.inf  # s since 1970
+        self.account = None if self.site is None else Account(self.site)
+        self._forecast: Forecast | None = None
+        self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
+        # The plan of now and the newest of the past, each with when it, or that there is none, was
+        # said (s since 1970).
+        self._plan: tuple[float, Plan | None] = -math.inf, None
+        self._past_plan: tuple[float, Plan | None] = -math.inf, None
+        self.pump_state: tuple[int, str] | None = None
+        self._controller: tuple[str, str] | None = None  # name and process
+        self._controller_at = -math.inf  # when it was last heard (s since 1970)
+        self.unknown_flow = Gaps()
+        self._clock_began: float | None = None  # of a simulation, as far as known (s since 1970)
+        self._came = False
+        self._quiet_since: float | None = None  # wall time (s)
+
+    # --- what is watched ------------------------------------------------------------------------
+
+    @property
+    def graph(self) -> Registry:
+        """Who says what in the graph that is shown; nobody where another one is there."""
+        return self.alarms.registry if self.alarms.shown else self._nobody
+
+    @property
+    def pump(self) -> Node | None:
+        """The pump node, as it was last heard; None where there was none."""
+        return self.graph.node(PUMP)
+
+    def set_site(self, site: Site, note: str = "") -> None:
+        """Say by which site levels are judged; with another one the account begins anew.
+
+        Args:
+            site: its parameters.
+            note: what an operator should know of that; empty where it is plain.
+        """
+        with self.lock:
+            if site != self.site:
+                self.account = Account(site)
+                self.account.live = self.mode == "live"
+            self.site = site
+            self.notes[0] = words.plain(note, _MOST_TEXT)
+
+    def set_present(
+        self, *, mode: str, factor: float | None, source: str, note: str, graph_shown: bool = True
+    ) -> None:
+        """Say what is watched now: ``mode`` and others as in the attributes.
+
+        Args:
+            mode: one of ``MODES``.
+            factor: simulated time per wall time; None where there is none.
+            source: where the values come from.
+            note: what an operator should know of that; empty where it is plain.
+            graph_shown: whether it is the graph that is there.
+
+        Raises:
+            ValueError: there is no such mode.
+        """
+        if mode not in MODES:
+            raise ValueError(f"no mode: {mode}")
+        with self.lock:
+            self.mode, self.source, self.alarms.shown = mode, source, graph_shown
+            self.factor = factor if factor is not None and math.isfinite(factor) else None
+            self.notes[1] = words.plain(note, _MOST_TEXT)
+            if self.account is not None:
+                self.account.live = mode == "live"
+
+    def set_recording(self, controller: str) -> None:
+        """Say which controller commanded in the run whose recording is shown; empty: unknown."""
+        with self.lock:
+            self.recorded_controller = words.plain(controller, _MOST_TEXT)
+
+    def set_incidents(self, incidents: Sequence[Dated]) -> None:
+        """Say which incidents the run had whose recording is shown."""
+        with self.lock:
+            self._incidents = incidents
+
+    def begin_anew(self) -> None:
+        """Forget all of a graph but who is there: another one began."""
+        with self.lock:
+            self._forget()
+
+    def look(self, wall: float, system: float) -> None:
+        """Note what came, and what did not: often, be there a document to show or not.
+
+        Where the clock of a live site is set back, charts and account begin anew: what comes would
+        be older than what is there.
+
+        Args:
+            wall: now.
+            system: the system's time, which is that of a live site (s since 1970).
+        """
+        with self.lock:
+            before, self._system = self._system, system
+            if self.mode == "live" and before is not None and system < before - _SET_BACK_S:
+                self._forget_values()
+                if self.account is not None:
+                    self.account.live = True
+                back = words.length_of_time(before - system)
+                self.alarms.add_event(
+                    system, f"The system's clock was set back by {back}: charts and account begin "
+                    "anew",
+                )
+            self.note(wall)
+
+    def note(self, wall: float) -> None:
+        """Note what came since the last look; the system's time is as it was then."""
+        for newest in self.newest.values():
+            newest.look(wall)
+        self._date_anew()
+        self.alarms.look(wall, self._now_or(time.time()))
+        if self._came or self._quiet_since is None:
+            self._came, self._quiet_since = False, wall
+        quiet = wall - self._quiet_since > _QUIET_S
+        if self.account is not None and self.mode == "ended" and quiet:
+            self.account.end()
+
+    # --- values ---------------------------------------------------------------------------------
+
+    def add(self, topic: str, times_ns: Stamps, values: Values) -> None:
+        """Take values of a topic of single numbers, now and for the past.
+
+        What is not newer than the past is left out. What is out of the topic's range is shown as
+        not plausible, and counts nowhere.
+
+        Args:
+            topic: its name in the interface, without a namespace.
+            times_ns: since 1970, shape (n,), in their order.
+            values: in the topic's unit, shape (n,).
+        """
+        entry = self._interface.get(topic)
+        if entry is None or entry.type != _NUMBER or not len(times_ns):
+            return
+        # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
+        times = np.array(times_ns, dtype=np.int64)
+        numbers = np.asarray(values, dtype=np.float64) + 0.0
+        with self.lock:
+            newest = self.newest.get(topic) or Newest()
+            possible = np.where(times < _LATEST_NS, times, 0)
+            before = np.empty_like(times)
+            before[0] = newest.past_ns
+            before[1:] = possible[:-1]
+            newer = possible > np.maximum.accumulate(before)
+            newer &= possible <= self._latest_ns()
+            if not newer.all():
+                times, numbers = times[newer], numbers[newer]
+            if not len(times):
+                return
+            self.newest[topic] = newest
+            fine = _plausible(entry, numbers)
+            newest.take(int(times[-1]), float(numbers[-1]) if fine[-1] else None)
+            newest.past_ns = int(times[-1])
+            self._came = True
+            numbers = np.where(fine, numbers, np.nan)
+            if topic == FLOW:
+                numbers[self.unknown_flow.at(times / 1e9)] = np.nan
+            known = np.isfinite(numbers)
+            self.past.setdefault(topic, History()).add(times[known], numbers[known])
+            if self.account is not None and topic in ACCOUNTED:
+                self.account.add(topic, times, numbers)
+
+    def add_now(self, topic: str, time_ns: int, value: float) -> None:
+        """Take a value of now; its past comes another way.
+
+        Args:
+            topic: its name in the interface, without a namespace.
+            time_ns: since 1970; where something newer is there, this is left out.
+            value: in the topic's unit.
+        """
+        entry = self._interface.get(topic)
+        if entry is None or entry.type != _NUMBER:
+            return
+        with self.lock:
+            newest = self.newest.get(topic) or Newest()
+            if newest.time_ns < time_ns <= self._latest_ns():
+                self.newest[topic] = newest
+                fine = _plausible(entry, np.array([value]))[0]
+                newest.take(time_ns, value + 0.0 if fine else None)
+
+    def _latest_ns(self) -> float:
+        """Return the latest time that a value may have (ns since 1970)."""
+        if self.mode == "live" and self._system is not None:
+            return (self._system + _SET_BACK_S) * 1e9
+        return _LATEST_NS
+
+    def add_text(self, topic: str, time_ns: int, text: str) -> None:
+        """Take a text: the pump's state, such as ``off: nothing is commanded``."""
+        if topic != _PUMP_STATE:
+            return
+        with self.lock:
+            if self.pump_state is None or time_ns > self.pump_state[0]:
+                self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
+
+    # --- what is to come ------------------------------------------------------------------------
+
+    def add_forecast(self, topic: str, time_ns: int, values: Values, front: Values) -> None:
+        """Take a forecast; that of rain is shown, where it says when its steps end.
+
+        Args:
+            topic: its name in the interface.
+            time_ns: when its first step begins, since 1970.
+            values: in the topic's unit, shape (steps,), or (members, steps) of an ensemble.
+            front: when it was issued (s since 1970, NaN where that is not known), and the end of
+                each step (s from ``time_ns``), shape (1 + steps,).
+        """
+        if topic != RAIN_FORECAST or not 0 < time_ns < _LATEST_NS:
+            return
+        rain = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        limits, at = self._interface[topic], time_ns / 1e9
+        members, steps = rain.shape if rain.ndim == 2 else (0, 0)
+        ends = front[1:]
+        fits = (
+            0 < members <= MOST_MEMBERS and 0 < steps <= _MOST_STEPS and len(ends) == steps
+            and np.all(np.diff(ends, prepend=0.0) > 0) and ends[-1] < _LARGEST
+            and np.all((rain >= limits.low) & (rain <= limits.high))
+        )
+        with self.lock:
+            if not fits:
+                self._forecast = None
+            elif self._forecast is None or at > self._forecast.at:
+                issued = float(front[0]) if 0 < front[0] <= at else None
+                self._forecast = Forecast(at, issued, at + ends, rain)
+                self._announce(at)
+
+    def _announce(self, now: float) -> None:
+        """Note it as an event where the rain that is expected has become another."""
+        assert self._forecast is not None
+        amount = self._forecast.amount(now)
+        if amount is None or amount.reach_s < _NEW_FORECAST_S:
+            return
+        if self._announced is None:
+            self._announced = (now, amount.mean)
+            return
+        at, before = self._announced
+        if abs(amount.mean - before) >= _NEW_FORECAST_M and now - at >= _NEW_FORECAST_S:
+            self._announced = (now, amount.mean)
+            reach = words.horizon(amount.reach_s)
+            self.alarms.add_event(
+                now, f"New forecast: {words.rain(amount.mean)} of rain in the next {reach}; "
+                f"before, it was {words.rain(before)}",
+            )
+
+    def add_plan(self, time_ns: int, rows: Values, *, past: bool = True) -> None:
+        """Take what the controller means to pump.
+
+        Args:
+            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
+            rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
+                that is expected at its end (m), shape (steps, 3). Empty: nothing has changed. With
+                a number that cannot be: there is no plan now.
+            past: whether it is for the past, too: what it expects is kept, and all plans before it
+                have come.
+        """
+        at = time_ns / 1e9
+        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+            return
+        with self.lock:
+            if past and at > self._past_plan[0]:
+                self._keep_expected(at)
+                self._past_plan = at, _plan_of(at, rows)
+            if not past and at > self._plan[0]:
+                self._plan = at, _plan_of(at, rows)
+
+    @property
+    def plan(self) -> Plan | None:
+        """The newest plan; None where it is not known, or there is none."""
+        at, plan = self._plan
+        return plan if at > self._past_plan[0] else self._of_now(self._past_plan[1])
+
+    @property
+    def forecast(self) -> Forecast | None:
+        """The newest forecast of rain; None where it is not known."""
+        return self._of_now(self._forecast)
+
+    def _of_now(self, newest: _Outlook | None) -> _Outlook | None:
+        """Return a forecast or plan; None where newer ones may still be to be read."""
+        now_ns = max((one.time_ns for one in self.newest.values()), default=0)
+        past_ns = self._past_ns()
+        if newest is None or (now_ns - past_ns > HOLDS_NS and newest.at * 1e9 <= past_ns):
+            return None
+        return newest
+
+    def _keep_expected(self, until: float) -> None:
+        """Keep what the plan expects that held until then: it is known that none came before."""
+        times, levels = self._not_kept(until)
+        if len(times):
+            self.expected.add((times * 1e9).astype(np.int64), levels)
+            self._expected_until = float(times[-1])
+
+    def expected_next(self) -> History:
+        """Return what is expected of the times after those of ``expected``."""
+        times, levels = self._not_kept(self._past_ns() / 1e9)
+        found = History()
+        found.add((times * 1e9).astype(np.int64), levels)
+        return found
+
+    def _not_kept(self, until: float) -> tuple[Values, Values]:
+        """Return what the plan that holds until then expects, of times that nothing is kept of.
+
+        Of each time what the plan of an hour before it expects: times (s since 1970), levels (m).
+        """
+        plan = self._past_plan[1]
+        if plan is None:
+            return np.empty(0), np.empty(0)
+        end = min(until + _LEAD_S, float(plan.ends[-1]))
+        begin = max(self._expected_until, plan.at + _LEAD_S, end - _WEEK_S)
+        if end <= begin:
+            return np.empty(0), np.empty(0)
+        often = np.arange(begin + _EXPECTED_EVERY_S, end, _EXPECTED_EVERY_S)
+        times = np.unique(np.concatenate([
+            plan.ends[(plan.ends > begin) & (plan.ends < end)], often, [end],
+        ]))
+        return times, np.interp(times, plan.ends, plan.level)
+
+    # --- what nodes say -------------------------------------------------------------------------
+
+    def add_statuses(
+        self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0,
+        arrived: float | None = None,
+    ) -> None:
+        """Take what nodes said on /diagnostics.
+
+        Args:
+            wall: now.
+            statuses: of one message.
+            stamp_ns: the message's time (ns since 1970), in a simulation that of its clock.
+            arrived: when it came (s since 1970); None where that is not known.
+        """
+        with self.lock:
+            own = any(map(self.alarms.registry.is_own, statuses))
+            if self.alarms.shown and own and 0 < stamp_ns < _LATEST_NS:
+                self._stamp = stamp_ns / 1e9
+            now = self._now_or(time.time())
+            if self._heard_since is None:
+                self._heard_since = time.time()
+            self._date_anew()
+            tau = 1.0 if self.site is None else self.site.tau
+            self.alarms.hear(
+                wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=tau
+            )
+            self._note_controller(now)
+            pump = self.pump
+            if pump is not None and "flow" in pump.values:
+                # It is 0 on its topic while it is not known.
+                known = pump.values["flow"] is not None
+                self.unknown_flow.say(self._stamp or now, known=known)
+
+    def _note_controller(self, now: float) -> None:
+        """Drop the plan of a controller in whose place another one, or another process, is."""
+        node = self.graph.node("controller")
+        if node is None:
+            return
+        controller = node.name, node.process
+        if self._controller not in (None, controller):
+            self._keep_expected(self._past_ns() / 1e9)
+            # The new one's first plan may have come before its first word.
+            if self._past_plan[0] <= self._controller_at:
+                self._past_plan = self._past_plan[0], None
+            if self._plan[0] <= self._controller_at:
+                self._plan = self._plan[0], None
+        self._controller, self._controller_at = controller, now
+
+    def add_event(self, system: float, text: str) -> None:
+        """Note an event of now.
+
+        Args:
+            system: the system's time, for a graph that has said none yet (s since 1970).
+            text: what happened.
+        """
+        with self.lock:
+            self.alarms.add_event(self._now_or(system), text)
+
+    def forgive(self, seconds: float) -> None:
+        """Take nobody for silent who was not heard while the watcher stood still, so long (s)."""
+        with self.lock:
+            self.alarms.registry.forgive(seconds)
+
+    def acknowledge(self, alarm_id: str) -> bool:
+        """Note that somebody saw an alarm; False where there is none such."""
+        with self.lock:
+            return self.alarms.acknowledge(alarm_id)
+
+    def incidents(self, now: float | None) -> list[Dated]:
+        """Return the recorded incidents that have begun; none where nodes say how they are.
+
+        On a live site those that were over before the nodes were heard here.
+        """
+        if self.mode == "live" and self._heard_since is not None:
+            return [
+                one for one in self._incidents
+                if one.ended is not None and one.ended < self._heard_since
+            ]
+        if self.graph.anybody or self.mode != "ended" or now is None:
+            return []
+        return [one for one in self._incidents if one.began <= now]
+
+    # --- time -----------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float | None:
+        """The graph's time (s since 1970); None before any is known.
+
+        Of a live site it is the system's, otherwise that of the newest value.
+        """
+        if self.mode == "live" and self._system is not None:
+            return self._system
+        times = [newest.time_ns for newest in self.newest.values()]
+        return max(times) / 1e9 if times else None
+
+    @property
+    def utc_offset(self) -> float:
+        """Of the times that are shown (h): the site's, UTC where it has none."""
+        offset = None if self.site is None else self.site.utc_offset
+        return 0.0 if offset is None else offset
+
+    def _date_anew(self) -> None:
+        """Date what was noted before the clock of a simulation was known by that clock's begin."""
+        first, last = self._began - _SET_BACK_S, time.time() + _SET_BACK_S
+        times = (self._clock_began, self.now, self._stamp)
+        known = [at for at in times if at is not None and not first <= at <= last]
+        if known:
+            self._clock_began = min(known)
+            if self.mode in ("simulated", "loop"):
+                self.alarms.date_anew(first, last, self._clock_began)
+
+    def _now_or(self, system: float) -> float:
+        """Return the time of what happens now (s since 1970).
+
+        Before any value is known it is what the graph's nodes say; before that, the system's.
+        """
+        known = (self.now, self._stamp, system)
+        return next(at for at in known if at is not None)
+
+    def _past_ns(self) -> int:
+        """Return how far the past has come (ns since 1970): the newest value of any topic."""
+        return max((newest.past_ns for newest in self.newest.values()), default=0)
+
+
+def _plan_of(at: float, rows: Values) -> Plan | None:
+    """Return the plan of some time (s since 1970); None where one of its numbers cannot be."""
+    plan = np.asarray(rows, dtype=np.float64)
+    if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
+        return None
+    ends, flow, level = plan.T
+    if not np.all((plan >= 0) & (plan <= _LARGEST)) or np.any(np.diff(ends, prepend=0.0) <= 0):
+        return None
+    return Plan(at, at + ends, flow, level)
+
+
+def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:
+    """Return of which values of a topic, in its unit, each is in its range; a NaN is not."""
+    low, high = max(topic.low, -_LARGEST), min(topic.high, _LARGEST)
+    return (numbers >= low) & (numbers <= high)
