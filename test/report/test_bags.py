@@ -33,7 +33,7 @@ from inputs import (
     write_bag,
     write_study,
 )
-from paper import PAPER_SITE, paper_run
+from paper import paper_run
 from places import CONFIG
 from rosbags.rosbag2 import StoragePlugin
 
@@ -687,4 +687,4 @@ def test_one_run_alone(tmp_path: Path) -> None:
     assert "energy-1" in figures_of(both)
     assert len(both.windows()) == 1  # their sites are equal, each with its own copy
     assert both.single[0][TOTAL] == both.single[1][TOTAL]
-    assert both.runs["run"].site == PAPER_SITE
+    assert both.runs["run"].site == paper_run().site

@@ -124,7 +124,8 @@ def noisy_study(
                 )
                 about = {**row, "initial": initial, "controller": controller,
                          "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
-                         f"parameter:{key}": value}
+                         f"parameter:{key}": value,
+                         "total_deviation_m3": 30_000.0 * (1 + random.random())}
                 runs.append((about, trajectory))
     write_study(directory, runs)
 

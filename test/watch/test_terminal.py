@@ -314,8 +314,10 @@ PROGRAM = """
 import sys, time
 sys.path[:0] = [{tests!r}, {here!r}]
 from test_terminal import with_a_silent_sensor
+from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.terminal import run
-run(with_a_silent_sensor(wall=time.monotonic()))
+store = with_a_silent_sensor(wall=time.monotonic())
+run(store, Feed(store))
 """
 
 
