@@ -50,7 +50,7 @@ def test_alarms_come_and_go_and_stop_holds(domain: int, tmp_path: Path) -> None:
             rig.until_running()
         page.locator("#stop-button:enabled").click()
         page.locator("#ask-yes").click()
-        held = ".tile[data-key=pump][data-state=held]:has-text('an operator stopped it')"
+        held = ".tile[data-key=pump][data-state=held]:has-text('somebody stopped it on the page')"
         page.wait_for_selector(held)
         wait_for(lambda: rig.truth.speed < 0.005, 60, "a pump that stands")
         before = rig.pids()["controller"]
