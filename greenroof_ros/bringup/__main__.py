@@ -193,7 +193,7 @@ def _wait_for_drive(
 ) -> None:
     """Wait until the pump node may run its drive: no run begins that could not pump.
 
-    What was latched in another run holds the pump in this one, and is said.
+    What was latched in another run keeps the pump off in this one, and is said.
 
     Raises:
         NodeFailed: it ended, or something speaks against the drive for too long.

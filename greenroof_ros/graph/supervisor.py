@@ -46,7 +46,7 @@ _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
 # A pause of this process itself (s): what it did not hear is not the nodes' silence.
 _PAUSE_S = 1.0
 
-# Of a live site: a node that says nothing for so long (s) holds the pump; reports come four times a
+# Of a live site: a node that says nothing for so long (s) stops the pump; reports come four times a
 # second. A pump node that did not say that the pump stands is killed then.
 SILENT_S = 2.0
 # How long after the permit was withdrawn the pump node may say that it runs the pump (s); the pump
