@@ -32,6 +32,7 @@ from layouts import rows as displays
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Parameter
@@ -43,7 +44,7 @@ from greenroof_ros.forecast.climate import Climate
 from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
-from greenroof_ros.pumping.interlocks import CONDITIONS, INTERLOCKS
+from greenroof_ros.pumping.interlocks import INTERLOCKS
 from greenroof_ros.pumping.limits import pump_parameters
 from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 
@@ -322,11 +323,12 @@ def pump_settings() -> str:
 
 def interlocks() -> str:
     """Return what keeps the pump off, in its order."""
+    meanings = read_conditions()
     return markdown(
         ("code", "active when", "found in", "limit (parameter)", "kind"),
         (
             (
-                f"`{code}`", one.reason, f"`{one.source}`",
+                f"`{code}`", meanings[code].meaning, f"`{one.source}`",
                 ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind,
             )
             for code, one in INTERLOCKS.items()
@@ -339,8 +341,8 @@ def conditions() -> str:
     return markdown(
         ("code", "meaning", "what to do"),
         (
-            (f"`{code}`", meaning, advice.format(node="/pump"))
-            for code, (meaning, advice) in CONDITIONS.items()
+            (f"`{code}`", one.meaning, one.advise("/pump"))
+            for code, one in read_conditions().items()
         ),
     )
 

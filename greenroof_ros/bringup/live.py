@@ -21,6 +21,7 @@ import yaml
 from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.processes import (
@@ -46,7 +47,6 @@ from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
-from greenroof_ros.pumping.interlocks import advice_on
 
 # How often systemd is told (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
@@ -80,7 +80,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory,
     ):
-        record, start = _Record(site, state), _Start()
+        record, start = _Record(site, state), _Start(arguments.namespace)
         start.look({}, "starting")
         names = {node.name for node in nodes} | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
@@ -165,7 +165,9 @@ class _Start:
     the codes in it: their sentences have numbers. Of what is lost later an incident tells.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str) -> None:
+        """Begin the start of a graph in a namespace, such as ``/site1``; empty for none."""
+        self._namespace = namespace
         self._over = False
         self._late_until = time.monotonic() + _LATE_S
         # What is missing, by node, part and code: what is said, and what is seen since when.
@@ -197,7 +199,8 @@ class _Start:
             (part.node, part.name, part.said["code"]) for part in listed
         ]
         lines = [
-            f"  {part.node}: {part.name}: {part.said['message']}. {advice_on(part.said['code'])}"
+            f"  {part.node}: {part.name}: {part.said['message']}. "
+            f"{self._advice(part.node, part.said['code'])}"
             for part in listed
         ]
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
@@ -217,6 +220,11 @@ class _Start:
             say("\n".join([title, *lines]))
         if self._over:
             say(f"running: {levels}")
+
+    def _advice(self, node: str, code: str) -> str:
+        """Return what to do about a code; of another version's, to read what is said."""
+        known = read_conditions().get(code)
+        return known.advise(f"{self._namespace}/{node}") if known else "Read its message."
 
 
 class _Record:

@@ -297,7 +297,7 @@ class LinkedNode(Node):
             part: its name.
             level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
             message: a sentence.
-            code: of :data:`greenroof_ros.pumping.interlocks.CONDITIONS`; empty where all is well.
+            code: of :mod:`greenroof_ros.common.conditions`; empty where all is well.
             cause: the code that it follows from, if that is known.
         """
         before = self.reports.diagnoses.get(part)

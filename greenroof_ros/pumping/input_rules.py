@@ -37,8 +37,8 @@ class Verdict(NamedTuple):
     """What is wrong with an input.
 
     Attributes:
-        code: names the rule that it breaks, in :data:`.interlocks.CONDITIONS`; empty where it is
-            good.
+        code: names the rule that it breaks, in :mod:`greenroof_ros.common.conditions`; empty where
+            it is good.
         why: what it does, for a sentence that begins with its name.
     """
 

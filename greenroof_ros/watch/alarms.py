@@ -2,8 +2,7 @@
 
 An alarm is a status that is not OK, a node that failed, or one that is not heard. It is known by
 the name of its status, so that a number that changes in its sentence makes no new one. What it
-means and what to do stands with its code, in the table of conditions or, of what is seen from here
-alone, below: no sentence is read.
+means and what to do stands with its code, in the table of conditions: no sentence is read.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ from datetime import datetime, timezone
 from functools import cache
 from typing import Any
 
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.supervision import PUMP
-from greenroof_ros.pumping.interlocks import CONDITIONS, INTERLOCKS, LATCHED
+from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain
@@ -32,37 +32,6 @@ _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 # Where the code is not known, and of other devices, of which nothing is known here.
 OTHER = "Nothing is known about this here; read the log of the node that says so."
 FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
-_AGAIN = "bringup starts it again, or else start it yourself."
-# What to do about what is seen from here; of a role, where that makes a difference.
-SEEN_HERE = {
-    "not_heard": "It has stopped reporting. See whether it still runs, and start it again.",
-    "not_heard pump": "Nobody here knows whether the pump runs. Go and see; stop it at its panel "
-    "if it should not. bringup starts the program again, or else start it yourself.",
-    "not_heard controller": "The controller hangs or was ended; the pump stands without its "
-    f"commands. {_AGAIN}",
-    "not_heard cistern_sensor": "The program that reads a level hangs or was ended, so the pump "
-    f"stands. {_AGAIN}",
-    "not_heard roof_sensor": "The program that reads a level hangs or was ended, so the pump "
-    f"stands. {_AGAIN}",
-    "not_heard weather": "The weather program hangs or was ended; the pump stands without its word "
-    f"on frost. {_AGAIN}",
-    "not_heard recorder": "Nothing is recorded; on a live site watering goes on. " + _AGAIN,
-    "not_heard plant": "The simulation hangs or was ended, and the run with it. Read its log, and "
-    "start the run again.",
-    "node_failed pump": "The pump's program has ended. Go and see whether the pump stands; stop it "
-    "at its drive's panel or main switch if it turns. Mend what it says, and start it again.",
-    "started_again": "The program ended or hung, and bringup started it again. Nothing to do, "
-    "unless it happens often: then read its log.",
-    "two_processes": CONDITIONS["two_controllers"][1],
-    "waits": "It cannot begin yet. Start the program that it waits for, if it does not come by "
-    "itself.",
-    "values_refused": "Some program publishes nonsense there; it is taken for 0. See which one "
-    "publishes it, and end or mend it.",
-    "stands_unknown": "The drive is not heard, and whether the pump stands is not known. Go and "
-    "see; look at the drive's power, cable, gateway and address.",
-    "stop_not_followed": "Somebody stopped the pump, and it still turns. If it does not stand "
-    "within seconds, stop it at its drive's panel or main switch, and find out why it runs on.",
-}
 
 # A state of the pump with such a code asks for a hand at the pump, whatever caused it.
 _NEEDS_A_HAND = {
@@ -105,10 +74,8 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
     """
     if not role:
         return FOREIGN, False
-    known = SEEN_HERE.get(f"{code} {role}") or SEEN_HERE.get(code)
-    if known is None and code in CONDITIONS:
-        known = CONDITIONS[code][1].format(node=node)
-    return (OTHER, False) if known is None else (known, True)
+    known = read_conditions().get(code)
+    return (OTHER, False) if known is None else (known.advise(node, role), True)
 
 
 def row(

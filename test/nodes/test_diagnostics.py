@@ -16,9 +16,9 @@ from ros_rig import ERROR, OK, STALE, WARN, Observer, qos
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
 
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.controllers.registry import BUILT_IN
-from greenroof_ros.pumping.interlocks import CONDITIONS
 
 HERE = socket.gethostname()
 
@@ -52,7 +52,8 @@ def check(arrays: list[DiagnosticArray]) -> None:
             # What is not well, or waits, has a code for programs; a node's own values are JSON.
             code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
             waits = ": " not in status.name and status.level == OK and status.message == "starting"
-            assert (code in CONDITIONS and bool(since)) == (status.level != OK or waits), status
+            has_code = code in read_conditions() and bool(since)
+            assert has_code == (status.level != OK or waits), status
             assert (code == "peers_awaited") == waits
     codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
     assert len(codes) == len(names) and "" not in codes

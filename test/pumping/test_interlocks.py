@@ -13,8 +13,8 @@ from paper import PAPER_SITE
 from places import CHECKOUT
 from pump_rig import Rig
 
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.pumping.interlocks import (
-    CONDITIONS,
     ENABLE,
     INHIBIT,
     INTERLOCKS,
@@ -160,7 +160,8 @@ def test_the_table_is_whole() -> None:
     rows = INTERLOCKS.values()
     kinds = [one.kind for one in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
-    assert all(meaning and advice for meaning, advice in CONDITIONS.values())
+    assert all(one.meaning and one.advise("/pump") for one in read_conditions().values())
+    assert list(read_conditions())[:len(rows)] == list(INTERLOCKS)
     for code, row in INTERLOCKS.items():
         folder = "" if "/" in row.source else "pumping"
         source = (PACKAGE / folder / f"{row.source}.py").read_text(encoding="utf-8")
@@ -208,10 +209,11 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     # One for each way in which a node says so.
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
     said = {
-        text for file in (*NODES, INPUT_RULES)
+        text for file in (*NODES, INPUT_RULES, *(PACKAGE / "watch").glob("*.py"))
         for text in texts_in(ast.parse(file.read_text(encoding="utf-8")))
     }
     of_inputs = {text for text in said if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
-    assert reported | of_inputs <= CONDITIONS.keys()
-    assert CONDITIONS.keys() - INTERLOCKS.keys() <= said
+    codes = read_conditions().keys()
+    assert reported | of_inputs <= codes
+    assert codes - INTERLOCKS.keys() <= said

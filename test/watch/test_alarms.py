@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greenroof_ros.pumping.interlocks import CONDITIONS, INTERLOCKS, LATCHED
-from greenroof_ros.watch.alarms import FOREIGN, OTHER, SEEN_HERE, Alarms, advise, find_causes
+from greenroof_ros.common.conditions import read_conditions
+from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.watch.alarms import FOREIGN, OTHER, Alarms, advise, find_causes
 from greenroof_ros.watch.registry import Trouble
 from greenroof_ros.watch.wire import Status
 
@@ -345,7 +346,7 @@ def test_a_state_follows_from_the_part_that_says_more(state: str, part: str, cod
 
 def test_every_code_has_its_advice() -> None:
     """Those of nodes, and those that are seen from here; what asks for a hand names the service."""
-    for code in (*CONDITIONS, *(key.partition(" ")[0] for key in SEEN_HERE)):
+    for code in read_conditions():
         for role in ("pump", "controller", "weather", "plant"):
             do, known = advise(code, role, "/site1/pump")
             assert known and do, code
