@@ -40,6 +40,8 @@ KILLING_S = 5.0
 # How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
+# Nodes that report four times a second fall silent for one reason within this time (s).
+_SAME_SILENCE_S = 0.5
 # Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
 # months. How long the end of nodes waits for what they printed to be written (s).
 _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
@@ -283,6 +285,36 @@ class Supervisor:
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
         why = self.nodes[node].last.get("failure")
         return f"ended ({how})" + (f": {why}" if why else "")
+
+    def check(self, limit: float) -> None:
+        """Look whether all nodes live and speak.
+
+        Args:
+            limit: longest silence (s); half a second later, when all that it silenced are silent
+                for as long, it is reported.
+
+        Raises:
+            NodeFailed: one has ended, or some were silent for longer.
+        """
+        for name, node in self.nodes.items():
+            ended = self.ended(name)
+            if ended:
+                raise NodeFailed(f"node {name} {ended}", self.quoted(name), node.process.returncode)
+        now = time.monotonic()
+        silent = {
+            name: now - node.heard for name, node in self.nodes.items() if now - node.heard > limit
+        }
+        # A node that is stopped silences those that wait for it: all of them are named, and which
+        # of them is stopped.
+        if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
+            raise NodeFailed(
+                "; ".join(
+                    f"node {name}{' (stopped)' if self.nodes[name].is_stopped else ''} "
+                    f"has not answered for {limit:g} s"
+                    for name in silent
+                ),
+                "\n".join(map(self.quoted, silent)), EXIT_FAILED,
+            )
 
     # --- ending ---------------------------------------------------------------------------------
 

@@ -16,10 +16,10 @@ from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
 from greenroof_ros.bringup import live
-from greenroof_ros.bringup.__main__ import make_parser, simulated_run
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import live_site
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
+from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
 from greenroof_ros.common.standard_error import LINES

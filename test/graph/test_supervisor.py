@@ -364,7 +364,7 @@ _STRANGE = [
 def test_what_a_node_of_another_version_says() -> None:
     """Whoever reads it goes on, and shows what can be read."""
     shown: list[str] = []
-    log, start = IncidentLog(shown.append), _Start()
+    log, start = IncidentLog(shown.append), _Start("")
     for strange in _STRANGE:
         report = read_report(json.dumps(strange).encode())
         last = {} if report is None else {"pump": report}

@@ -442,10 +442,10 @@ def test_a_drive_that_is_lost_in_the_loop_leaves_a_trace(domain: int, tmp_path: 
 
 # Has bringup wait for a drive for 10 s, not a minute.
 HASTY = """
-from greenroof_ros.bringup import __main__ as bringup
-assert bringup._DRIVE_LIMIT_S == 60.0
-bringup._DRIVE_LIMIT_S = 10.0
-bringup.main()
+from greenroof_ros.bringup import in_the_loop, simulated
+assert in_the_loop._DRIVE_LIMIT_S == 60.0
+in_the_loop._DRIVE_LIMIT_S = 10.0
+simulated.main()
 """
 
 

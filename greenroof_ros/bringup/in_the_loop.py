@@ -1,0 +1,95 @@
+"""What a drive in the loop adds to a simulated run: its speed, its pump node, its start."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.bringup.drive import DriveChoice
+from greenroof_ros.common.command_line import EXIT_FAILED
+from greenroof_ros.common.processes import Signals
+from greenroof_ros.experiment.progress import RunProgress
+from greenroof_ros.graph.supervision import PUMP
+from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
+
+# How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
+_DRIVE_LIMIT_S = 60.0
+
+
+def checked_speed(
+    asked: float | None, drive: DriveChoice | None, check: Callable[[], None]
+) -> float:
+    """Return the simulated time per wall time; 0 for as fast as it goes, which no drive does.
+
+    Args:
+        asked: on the command line; None where it says nothing.
+        drive: in the loop; None where there is none.
+        check: called again and again; raises what ends the wait for a drive.
+
+    Raises:
+        ConfigurationError: no drive but a simulated one runs at that speed.
+    """
+    if drive is None:
+        return asked or 0.0
+    speed = 1.0 if asked is None else asked
+    drive.refuse_speed(speed, check)
+    return speed
+
+
+def drive_parameters(
+    drive: DriveChoice, state: Path | None, tau: float, speed: float
+) -> dict[str, Any]:
+    """Return the parameters of the pump node.
+
+    Args:
+        drive: that it runs.
+        state: the directory of what must survive a restart; None for the drive's own.
+        tau: of the site (s).
+        speed: simulated time per wall time.
+    """
+    return {
+        **drive.parameters(drive.state_file(state)),
+        # The time between two rounds of requests (s): a tick, within limits.
+        "exchange_period": min(max(tau / speed, 0.02), 0.1) if speed else 0.02,
+    }
+
+
+def wait_for_drive(
+    supervisor: Supervisor, signals: Signals, state_file: str, progress: RunProgress
+) -> None:
+    """Wait until the pump node may run its drive: no run begins that could not pump.
+
+    What was latched in another run keeps the pump off in this one, and is said.
+
+    Raises:
+        NodeFailed: it ended, or something speaks against the drive for too long.
+        InterruptedRun: a signal came.
+    """
+    progress.say(f"stops and faults of the drive are kept in {state_file}")
+    until = time.monotonic() + _DRIVE_LIMIT_S
+    said: dict[str, Any] = {}
+    while not said.get("active"):
+        signals.check()
+        supervisor.permit.tell("waiting for nodes")
+        supervisor.listen()
+        said = supervisor.last.get(PUMP, {})
+        diagnoses = said.get("diagnoses", {})
+        trouble = "; ".join(
+            diagnoses[part]["message"] for part in ("drive", "drive timeout", "state file")
+            if part in diagnoses and diagnoses[part]["level"] != "OK"
+        )
+        progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
+        supervisor.check(START_LIMIT_S)
+        if time.monotonic() > until:
+            raise NodeFailed(
+                f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
+                "and cable, and the address of --drive-at", "", EXIT_FAILED,
+            )
+    latched = said.get("fault") or said.get("stop")
+    if latched:
+        progress.say(
+            f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
+            "service /pump/reset, a stop by /pump/stop with false, and --state DIR is another's"
+        )
