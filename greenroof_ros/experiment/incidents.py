@@ -33,7 +33,7 @@ class Rule(NamedTuple):
         lasts_s: how long that must last to be an incident (s).
         follows: whether it is lost because of something else, as a rule: an incident of its own
             only where nothing else is lost.
-        stops_pump: whether the pump stands meanwhile.
+        stops_pump: whether no pump starts meanwhile; one that runs may go on.
     """
 
     at: frozenset[str] = _LOST

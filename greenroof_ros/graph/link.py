@@ -347,12 +347,12 @@ class LinkedNode(Node):
         if self.error is not None:
             raise self.error
         now = time.monotonic()
-        if self.live:
-            self._trigger.look(now)  # it may be time to act
+        if isinstance(self._trigger, Live):
+            self._trigger.act_if_due()
         if now - self._looked < LISTEN_S:  # a message costs little; asking ROS, milliseconds
             return
         self._looked = now
-        if not self.live:
+        if isinstance(self._trigger, Lockstep):
             self._trigger.look(now)
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now

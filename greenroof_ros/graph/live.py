@@ -206,7 +206,7 @@ class Live:
     def _judge(self, entry: Input, rules: InputRules) -> None:
         entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
 
-    def look(self, _: float) -> None:
+    def act_if_due(self) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
         now = boot_time()
         self._note_pause(now)

@@ -6,8 +6,8 @@ unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/Set
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
 page has services of its own, ``~/page_stop`` and ``~/page_clear``, which release what was stopped
 by the first alone, and clear once in 24 h what needs nobody to look. In
-any state each command is answered by the flow (live, it is said every tau, and between commands the
-drive is stopped by wall time), and /pump/state says why the pump stands.
+any state the flow is said: in lockstep once for each command, live every tau. Between them the
+drive is stopped by wall time, and /pump/state says why the pump stands.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,9 @@ from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
-from greenroof_ros.pumping.pump_control import (
-    PAGE_STOPPED,
-    Decision,
-    Observation,
-    PumpControl,
-)
+from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 
+# On what it acts, and how old each may be: parameters of it.
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
 # Without a call for so long the drive's thread stops the drive: this node hangs (s).
@@ -296,7 +293,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
-        self.create_service(SetBool, "~/page_stop", self._on_page_stop)
+        self.create_service(SetBool, "~/page_stop", partial(self._on_stop_request, of_page=True))
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self._step(boot_time())
@@ -309,10 +306,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         kept = self._ledger.record
-        why = kept.fault or kept.operator_stop or kept.unknown or (
-            PAGE_STOPPED if kept.page_stop else ""
-        )
-        if why:
+        if why := kept.fault or kept.stop:
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
@@ -407,10 +401,10 @@ class PumpNode(Lifecycle, LinkedNode):
     # --- services ---------------------------------------------------------------------------------
 
     def _on_stop_request(
-        self, request: SetBool.Request, response: SetBool.Response
+        self, request: SetBool.Request, response: SetBool.Response, *, of_page: bool = False
     ) -> SetBool.Response:
         self._take_state()
-        self._control.stop(request.data)
+        (self._control.stop_on_page if of_page else self._control.stop)(request.data)
         self._step(boot_time())
         return self._kept(response, self._state)
 
@@ -424,14 +418,6 @@ class PumpNode(Lifecycle, LinkedNode):
         self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
         return response
-
-    def _on_page_stop(
-        self, request: SetBool.Request, response: SetBool.Response
-    ) -> SetBool.Response:
-        self._take_state()
-        self._control.stop_on_page(request.data)
-        self._step(boot_time())
-        return self._kept(response, self._state)
 
     def _on_page_clear(
         self, request: Trigger.Request, response: Trigger.Response
@@ -607,7 +593,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
             "fault": kept.fault,
-            "stop": kept.operator_stop or kept.unknown or (PAGE_STOPPED if kept.page_stop else ""),
+            "stop": kept.stop,
             "stopped_by": [
                 owner for owner, on in (
                     ("service", kept.operator_stop), ("page", kept.page_stop),
@@ -619,17 +605,17 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
-        decision, say = self._decision, self.reports.diagnose
+        decision, diagnose = self._decision, self.reports.diagnose
         self.reports.numbers |= self._numbers()
         code = next(iter(decision.interlocks), "")
         level = ERROR if decision.state == "fault" else WARN if code else OK
-        say("pump", level, self._state, code, self._cause(code))
+        diagnose("pump", level, self._state, code, self._cause(code))
         limited = decision.warning
-        say(
+        diagnose(
             "limits", WARN if limited else OK, limited or "nothing limits the pump",
             "limited" if limited else "", "",
         )
-        say("flow", OK, f"known so: {decision.source}", "", "")
+        diagnose("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
         self.say(

@@ -3,8 +3,8 @@
 An interlock is active as long as there is a reason for it, and no pump runs while one is. Its kind
 says what follows:
 
-- *latched*: a fault of pump, pipes or drive. It stays until somebody resets it (``~/reset``), and
-  is kept over restarts.
+- *latched*: a fault of pump, pipes or drive. It stays until somebody resets it (``~/reset``; some,
+  :data:`CLEARED_ON_PAGE`, on the page, too), and is kept over restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping. It clears by itself, but for an
   operator's stop and a record that cannot be read, which end by ``~/stop`` with false; a stop on
   the page ends there, too.
@@ -35,7 +35,8 @@ class Interlock(NamedTuple):
         kind: what it does, and how it clears.
         source: the module that gives the reason.
         limit: the parameters that set when; empty where there is none.
-        follows: whether an earlier interlock of its kind explains it, which is then said alone.
+        follows: whether it is left out where an earlier one of its kind is active, as it may only
+            follow from that.
     """
 
     kind: str

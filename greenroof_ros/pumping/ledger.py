@@ -33,6 +33,7 @@ from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
 
 DAY_S = 86_400.0
+PAGE_STOPPED = "somebody stopped it on the page"
 # Length of a line (bytes): a page, a block of most disks.
 _LINE = 4096
 # So much of a text (bytes), and so many starts, have room in it, whatever is in the text.
@@ -77,6 +78,11 @@ class Record:
     starts: tuple[float, ...] = ()
     on: bool = False
     written_at: float = 0.0
+
+    @property
+    def stop(self) -> str:
+        """Why the pump is stopped until somebody releases it; empty where it is not."""
+        return self.operator_stop or self.unknown or (PAGE_STOPPED if self.page_stop else "")
 
     @property
     def day_elapsed(self) -> float:

@@ -17,12 +17,11 @@ from greenroof_ros.pumping.interlocks import (
     LATCHED,
     evaluate,
 )
-from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
+from greenroof_ros.pumping.ledger import PAGE_STOPPED, SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
 # Words that others look for in /pump/state: a stop by hand, and a pump that is off and may turn.
 OPERATOR_STOPPED = "an operator stopped it"
-PAGE_STOPPED = "somebody stopped it on the page"
 STILL_TURNS = "the pump still turns"
 STANDS_UNKNOWN = "whether the pump stands is not known"
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, sites
 
 from greenroof_ros.model.plant import head_loss, maximum_pump_flow
-from greenroof_ros.model.pump_speed import duty_of_one_pump, flow_at, speed_for
+from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
 
 
@@ -79,11 +79,3 @@ def test_pumps_and_pipe_have_one_head(site: Site, level: float, speed: float) ->
     assume(flow > 0)
     head = speed**2 * site.c_hat + site.a_hat * flow**2
     assert head == pytest.approx(float(head_loss(site, level * site.a1, flow)), abs=1e-9)
-
-
-def test_duty_of_one_pump_by_hand() -> None:
-    """8.42205 l/s at 55.2 - 5.78e5 0.00842205^2 = 14.2019 m, by two side by side, two in series."""
-    both = replace(PAPER_SITE, pumps_in_parallel=2, pumps_in_series=2)
-    assert duty_of_one_pump(both, 1.0, 3.0) == pytest.approx((0.004211026, 7.100952), rel=1e-6)
-    one = duty_of_one_pump(PAPER_SITE, 1.0, 3.0)
-    assert one == pytest.approx((0.008422052, 14.201904), rel=1e-6)
