@@ -6,6 +6,7 @@ import asyncio
 import json
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -64,13 +65,20 @@ class Answer:
 
 
 def send(port: int, data: bytes, seconds: float = 60) -> bytes:
-    """Send bytes, and return all that comes until the other side closes."""
+    """Send bytes, and return all that comes until the other side closes.
+
+    Raises:
+        TimeoutError: it does not: what it answers is a stream without an end, perhaps.
+    """
+    until = time.monotonic() + seconds
     with socket.create_connection((LOOPBACK, port), timeout=seconds) as connection:
         connection.sendall(data)
         parts = []
         try:
             while part := connection.recv(1 << 16):
                 parts.append(part)
+                if time.monotonic() > until:
+                    raise TimeoutError(f"still answering after {seconds:g} s")
         except ConnectionResetError:
             pass
         return b"".join(parts)

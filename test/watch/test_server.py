@@ -228,7 +228,7 @@ def test_a_body_that_says_nothing_is_refused(body: bytes, port: int) -> None:
     assert_goes_on(port)
 
 
-@pytest.mark.parametrize("hours", ["0", "-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
+@pytest.mark.parametrize("hours", ["-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
 def test_hours_that_cannot_be_are_refused(hours: str, port: int) -> None:
     assert request(port, "GET", f"/events?hours={hours}").status == 400
 
