@@ -113,7 +113,7 @@ doc-commands: $(FOR_TEST)
 # Goes on where it was ended; when all is done, the table of the documentation is made again.
 faults: $(FOR_TEST)
 	@$(BIN)/python -m pytest test/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
-	    -o faulthandler_timeout=1200 -o faulthandler_exit_on_timeout=true $(ARGS)
+	    -o timeout=1200 $(ARGS)
 ifeq ($(ARGS),)
 	@$(BIN)/python test/faults/table.py runs/faults doc/faults.md
 endif

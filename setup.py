@@ -120,6 +120,7 @@ setup(
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",
             "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
+            "pytest-timeout>=2.3,<3",  # a test that hangs fails, and the others go on
             "hypothesis>=6.100",  # properties of the plant and the controllers
             "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
