@@ -116,40 +116,28 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "address", "interface"),
+    ("text", "address", "interface", "asked"),
     [
-        ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp"),
-        ("tcp://pump.local:5020", Address(host="pump.local", port=5020), "tcp"),
-        ("tcp://[::1]:502", Address(host="::1", port=502), "tcp"),
-        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True), "serial"),
-        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0"), "serial"),
-        ("tcp://10.0.0.7,0", Address(host="10.0.0.7", device_id=0), "tcp"),
-        ("gateway://10.0.0.7:41,17", Address("10.0.0.7", 41, "", True, 17), "serial"),
-        ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247), "serial"),
+        ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp", 3),
+        ("tcp://pump.local:5020", Address(host="pump.local", port=5020), "tcp", 3),
+        ("tcp://[::1]:502", Address(host="::1", port=502), "tcp", 3),
+        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True), "serial", 17),
+        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0"), "serial", 17),
+        ("tcp://10.0.0.7,0", Address(host="10.0.0.7", device_id=0), "tcp", 0),
+        ("gateway://10.0.0.7:41,200", Address("10.0.0.7", 41, "", True, 200), "serial", 200),
+        ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247), "serial", 247),
     ],
 )
-def test_addresses(text: str, address: Address, interface: str) -> None:
-    """A gateway leads to the serial port."""
+def test_addresses(text: str, address: Address, interface: str, asked: int) -> None:
+    """A gateway leads to the serial port; the device asked is the address's, or the file's."""
     assert parse_drive_address(text, "at") == address
     assert str(address) == text and address.interface == interface
     assert address.device_id is not None or parse_address(text) == address
-
-
-@pytest.mark.parametrize(
-    ("text", "asked"),
-    [
-        ("gateway://host", 17), ("tcp://host", 3), ("/dev/ttyS0", 17), ("gateway://host,200", 200),
-        ("tcp://host,0", 0),
-    ],
-)
-def test_the_device_that_is_asked(text: str, asked: int) -> None:
-    """Behind a gateway the slave address, of the file or of the address."""
     read = read_drive_file(SHIPPED[0])
     two = replace(
         read, serial=replace(read.serial, device_id=17), tcp=replace(read.tcp, device_id=3)
     )
-    line = two.line(parse_drive_address(text, "at"), 1.0)
-    assert line.where == f"{text}, device {asked}"
+    assert two.line(address, 1.0).where == f"{text}, device {asked}"
 
 
 def test_one_place_has_one_name(tmp_path: Path) -> None:
