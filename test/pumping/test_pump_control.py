@@ -318,7 +318,7 @@ def test_no_flow_once_the_pump_stands() -> None:
 
 @pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (28800.0, 15.0)])
 def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted: float) -> None:
-    """As from a full cistern, until the drive must have stopped: 15 s; then it is seen anew."""
+    """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, greatest_run=3600.0))
     rig.run(60, 0.5)
     before, volume = rig.ledger.record, rig.plant.x1

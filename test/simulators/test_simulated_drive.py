@@ -30,7 +30,7 @@ class Make:
     Attributes:
         start: address and word of each write, and mask and value of the status word after it.
         status: address of the status word.
-        keeps_alive: a reading starts the timeout anew, too.
+        keeps_alive: a reading starts the timeout again, too.
         lost: address of what shows that the drive's timeout has passed, and what it holds then.
         timeout: addresses of the timeout's parameters, and what they hold as delivered.
         off: address of one of them, and what it holds when the timeout is off.
