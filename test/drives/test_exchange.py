@@ -594,9 +594,9 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
 SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
 
 
-@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("before", ["the simulator", "another", "a silent one"])
 def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
-    bench: Bench, simulated: bool
+    bench: Bench, before: str
 ) -> None:
     """Though it ran: one that takes the simulator's place, and one that does not say what it is.
 
@@ -604,8 +604,10 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
     question is not answered in it. Each connection may lead to another one.
     """
 
+    simulated = before == "the simulator"
+
     def answer(request: bytes) -> Any:
-        if request[7] != 43:
+        if request[7] != 43 or before == "another":
             return bench.drive(request)
         body = request[6:7] + SIMULATOR
         whole = request[:4] + len(body).to_bytes(2, "big") + body
@@ -626,6 +628,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
     assert bench.drive.written[before_it:].count(RUN) <= 1
     assert RUN not in bench.written_in(rounds=3)
     assert bench.now.no_simulator != ""
+    assert before == "a silent one" or "does not identify itself" in bench.now.unguarded
 
 
 # --- two drivers ----------------------------------------------------------------------------------

@@ -152,6 +152,9 @@ WELL: list[Any] = [
     # A cloudburst on a roof that is being watered, and on a cistern that runs over.
     ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (3600, 0.15, 100), (6600, 0.15)],
      {"x2": PAPER_SITE.x2_star}),
+    # A heat wave is no burst pipe: then the roof is watered again, and rises.
+    pytest.param({"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1},
+                 id="hours"),
     # An hour's shower into inlets of all sizes, while a pump fills a dry roof.
     *(pytest.param(
         {"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
