@@ -27,7 +27,9 @@ class Wire:
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer
         self.seen: list[bytes] = []
+        self.times: list[float] = []  # at which that came (s, `time.monotonic`)
         self.connections = 0
+        self.resets = 0  # so many connections were reset by the other side, not closed
         self._listener = socket.create_server(("127.0.0.1", port))
         self.port: int = self._listener.getsockname()[1]
         self._open: list[socket.socket] = []
@@ -72,11 +74,12 @@ class Wire:
             threading.Thread(target=self._serve, args=(one,), daemon=True).start()
 
     def _serve(self, one: socket.socket) -> None:
-        with contextlib.suppress(OSError):
+        try:
             while True:
                 head = self._take(one, 6)
                 request = head + self._take(one, int.from_bytes(head[4:6], "big"))
                 self.seen.append(request)
+                self.times.append(time.monotonic())
                 answers = self.answer(request)
                 if answers is None:
                     one.close()
@@ -84,6 +87,10 @@ class Wire:
                 for wait, data in answers:
                     time.sleep(wait)
                     one.sendall(data)
+        except ConnectionResetError:
+            self.resets += 1
+        except OSError:
+            pass
 
     @staticmethod
     def _take(one: socket.socket, count: int) -> bytes:
@@ -122,12 +129,13 @@ def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
 
 
 class Registers:
-    """Holding registers behind Modbus TCP; a write may change others."""
+    """Holding registers behind Modbus TCP; a write may change others, or be refused."""
 
     def __init__(self, values: dict[int, int]) -> None:
         self.values = values
         self.written: list[tuple[int, int]] = []
         self.silent = False
+        self.refused: set[int] = set()
         self.on_write: Callable[[int, int], None] = lambda _address, _word: None
 
     def __call__(self, request: bytes) -> Answer:
@@ -136,6 +144,8 @@ class Registers:
         head, function = request[:4], request[7]
         address = int.from_bytes(request[8:10], "big")
         number = int.from_bytes(request[10:12], "big")
+        if function == 6 and address in self.refused:
+            return [(0.0, head + bytes([0, 3, request[6], 0x86, 6]))]
         if function == 6:
             self.written.append((address, number))
             self.values[address] = number

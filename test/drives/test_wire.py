@@ -8,8 +8,6 @@ before each. The manual's number of each register and what each word means stand
 from __future__ import annotations
 
 import re
-import socket
-import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -17,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, SerialWire, Wire, crc, frame, script
+from modbus_wire import Answer, Registers, SerialWire, Wire, crc, frame, script
+from simulators import until
 
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
@@ -208,6 +207,25 @@ def test_start_stop_and_reset(name: str) -> None:
     follow(name, STOPS[name].rstrip() + RESETS[name], Drive.reset)
 
 
+@pytest.mark.parametrize(
+    ("name", "register", "runs", "stops"),
+    [
+        ("abb_acs880", "0000", "047F", "047E"), ("danfoss_fc202", "C34F", "047C", "043C"),
+        ("grundfos_cim500", "0064", "0003", "0001"), ("schneider_atv630", "2135", "000F", "0007"),
+    ],
+)
+def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops: str) -> None:
+    """Where the word that was written has been read back, and then it is *run*."""
+    read_back = "".join(f"\n: 03 {register} 0001 -> 03 02 {word}" for word in (runs, stops, runs))
+
+    def stop_and_look(drive: Drive) -> list[str]:
+        drive.stop()
+        return [drive.intruder() for _ in range(3)]
+
+    said = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
+    assert said[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in said[2]
+
+
 # --- what it says ---------------------------------------------------------------------------------
 
 READS: list[tuple[str, str, dict[str, Any]]] = [
@@ -316,71 +334,41 @@ def test_a_drive_elsewhere_is_no_simulator_and_is_not_asked() -> None:
 
 # --- the drive's own timeout ----------------------------------------------------------------------
 
+ABB_3_S = "58.16 : 03 16B7 0001 -> 03 02 001E"
+DANFOSS_5_S = "8-03 : 03 1F5D 0002 -> 03 04 0000 0032 : 50"
+ATV_10_S = "TTO : 03 1775 0001 -> 03 02 0064"
+ATV_4_S = "TTOB : 03 FB9F 0001 -> 03 02 0028"
 TIMEOUTS = [
     # 58.16 = 3.0 s, 58.14 = 1, fault, 58.15 = 2, a write of control word or reference (p. 435).
-    ("abb_acs880", 3.0, """
-58.16         : 03 16B7 0001 -> 03 02 001E
-58.14         : 03 16B5 0001 -> 03 02 0001
-58.15         : 03 16B6 0001 -> 03 02 0002
-"""),
+    ("abb_acs880", 3.0, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0001",
+     "58.15 : 03 16B6 0001 -> 03 02 0002"),
     # 58.15 = 1, any message: somebody else who reads keeps it running.
-    ("abb_acs880", None, """
-58.16         : 03 16B7 0001 -> 03 02 001E
-58.14         : 03 16B5 0001 -> 03 02 0001
-58.15         : 03 16B6 0001 -> 03 02 0001
-"""),
+    ("abb_acs880", None, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0001",
+     "58.15 : 03 16B6 0001 -> 03 02 0001"),
     # 58.14 = 3, safe speed: it would run on.
-    ("abb_acs880", None, """
-58.16         : 03 16B7 0001 -> 03 02 001E
-58.14         : 03 16B5 0001 -> 03 02 0003
-"""),
+    ("abb_acs880", None, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0003"),
     # As delivered: 8-03 60 s, 8-04 off.
-    ("danfoss_fc202", None, """
-8-03          : 03 1F5D 0002 -> 03 04 0000 0258 : 600
-8-04          : 03 1F67 0001 -> 03 02 0000 : [0]
-"""),
-    # 8-04 = [2] stop: the next valid control word starts it again.
-    ("danfoss_fc202", None, """
-8-03          : 03 1F5D 0002 -> 03 04 0000 0032 : 50
-8-04          : 03 1F67 0001 -> 03 02 0002 : [2]
-"""),
-    # 8-04 = [5] stop and trip.
-    ("danfoss_fc202", 5.0, """
-8-03          : 03 1F5D 0002 -> 03 04 0000 0032 : 50
-8-04          : 03 1F67 0001 -> 03 02 0005 : [5]
-"""),
-    ("grundfos_cim500", None, """
-00012         : 03 000B 0001 -> 03 02 0000 : off
-"""),
-    ("grundfos_cim500", 5.0, """
-00012         : 03 000B 0001 -> 03 02 0001 : on
-"""),
+    ("danfoss_fc202", None, "8-03 : 03 1F5D 0002 -> 03 04 0000 0258 : 600",
+     "8-04 : 03 1F67 0001 -> 03 02 0000 : [0]"),
+    # 8-04 = [2] stop: the next valid control word starts it again. [5] is stop and trip.
+    ("danfoss_fc202", None, DANFOSS_5_S, "8-04 : 03 1F67 0001 -> 03 02 0002 : [2]"),
+    ("danfoss_fc202", 5.0, DANFOSS_5_S, "8-04 : 03 1F67 0001 -> 03 02 0005 : [5]"),
+    ("grundfos_cim500", None, "00012 : 03 000B 0001 -> 03 02 0000 : off"),
+    ("grundfos_cim500", 5.0, "00012 : 03 000B 0001 -> 03 02 0001 : on"),
     # TTO 10.0 s, SLL 1 freewheel stop: as delivered.
-    ("schneider_atv630", 10.0, """
-TTO           : 03 1775 0001 -> 03 02 0064
-SLL           : 03 1B62 0001 -> 03 02 0001
-"""),
-    ("schneider_atv630", None, """
-TTO           : 03 1775 0001 -> 03 02 0064
-SLL           : 03 1B62 0001 -> 03 02 0005 : speed kept
-"""),
+    ("schneider_atv630", 10.0, ATV_10_S, "SLL : 03 1B62 0001 -> 03 02 0001"),
+    ("schneider_atv630", None, ATV_10_S, "SLL : 03 1B62 0001 -> 03 02 0005 : speed kept"),
     # EAV64332, sheet Parameters: the embedded Ethernet port has TTOB 64415 (0xFB9F) and ETHL 7021
     # (0x1B6D), the serial port TTO and SLL. The CIM 500 is an Ethernet module.
-    ("schneider_atv630 tcp", 4.0, """
-TTOB          : 03 FB9F 0001 -> 03 02 0028
-ETHL          : 03 1B6D 0001 -> 03 02 0006 : ramp stop
-"""),
-    ("schneider_atv630 tcp", None, """
-TTOB          : 03 FB9F 0001 -> 03 02 0028
-ETHL          : 03 1B6D 0001 -> 03 02 0000 : ignore
-"""),
-    ("grundfos_cim500 tcp", 5.0, """
-00012         : 03 000B 0001 -> 03 02 0001 : on
-"""),
+    ("schneider_atv630 tcp", 4.0, ATV_4_S, "ETHL : 03 1B6D 0001 -> 03 02 0006 : ramp stop"),
+    ("schneider_atv630 tcp", None, ATV_4_S, "ETHL : 03 1B6D 0001 -> 03 02 0000 : ignore"),
+    ("grundfos_cim500 tcp", 5.0, "00012 : 03 000B 0001 -> 03 02 0001 : on"),
 ]
 
 
-@pytest.mark.parametrize(("where", "expected", "dialogue"), TIMEOUTS)
+@pytest.mark.parametrize(("where", "expected", "dialogue"), [
+    (where, expected, "\n".join(lines)) for where, expected, *lines in TIMEOUTS
+])
 def test_own_timeout(where: str, expected: float | None, dialogue: str) -> None:
     """Behind a gateway, at its serial port, unless it is said to be at an Ethernet port."""
     name, _, port = where.partition(" ")
@@ -396,12 +384,6 @@ def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
 
 
 # --- serial line ----------------------------------------------------------------------------------
-
-def test_check_is_that_of_a_manual() -> None:
-    # BBV52816 (Altivar 312), p. 12: two frames with their checks.
-    assert crc(frame("02 03 0C1E 0004")).hex() == "276c"
-    assert crc(frame("02 06 2329 000D")).hex() == "9270"
-
 
 def test_start_on_a_serial_line() -> None:
     """The same words as over TCP, between slave address and check."""
@@ -500,25 +482,10 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, says: str) -> 
 
 def test_a_connection_without_an_answer_is_reset() -> None:
     """So that a drive with one socket has it free at once; RFC 9293, section 3.10.7.4."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        ended: list[str] = []
-
-        def serve() -> None:
-            one, _ = listener.accept()
-            with one:
-                try:
-                    while one.recv(512):
-                        pass
-                    ended.append("closed")
-                except ConnectionResetError:
-                    ended.append("reset")
-
-        drive = threading.Thread(target=serve)
-        drive.start()
+    with closing(Wire(lambda _request: [])) as wire:
         with pytest.raises(DriveError, match="no valid answer"):
-            talk("abb_acs880", f"tcp://127.0.0.1:{listener.getsockname()[1]}", Drive.read)
-        drive.join(5)
-    assert ended == ["reset"]
+            talk("abb_acs880", wire.at, Drive.read)
+        until(lambda: wire.resets == 1, 5)
 
 
 def test_nobody_there() -> None:
@@ -581,13 +548,10 @@ def test_an_own_file_may_begin_its_speeds_at_0(tmp_path: Path) -> None:
 
 
 def test_local_control_is_named() -> None:
-    def answer(request: bytes) -> Answer:
-        if request[7] == 6:
-            return [(0, request)]
-        return [(0, request[:4] + frame("0005 01 03 02 1070"))]  # inhibited, and bit 9 is 0
-
+    """Inhibited, and bit 9 is 0."""
+    drive = Registers({0: 0, 3: 0x1070})
     with pytest.raises(DriveError, match="it is in local control") as got:
-        against(answer, run)
+        against(drive, run)
     assert got.value.kind == "drive"
     assert "control = 0x047E had no effect within 2 s" in str(got.value)
     assert "switch-on inhibited" in str(got.value)

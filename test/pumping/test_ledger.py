@@ -48,12 +48,6 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path / "disk"
 
 
-def fill(disk: Path) -> None:
-    """Leave not a byte."""
-    with pytest.raises(OSError, match="No space left"):
-        (disk / "rubbish").write_bytes(b"x" * 100_000)
-
-
 def written(file: Path) -> dict[str, Any]:
     """Return the newest line of a file as a person reads it, once it is there."""
 
@@ -93,13 +87,15 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     assert (ledger.record, ledger.why_not_kept(20.0)) == (Record(), "")
     assert file.stat().st_size == 8192
     ledger.count(1e8 + 0.5, 0.0, 0.0)
-    for _ in range(101):
+    for _ in range(3605):  # of one a second in an hour
         ledger.switch(True)
+    assert len(ledger.record.starts) == 3600
     ledger.fault(text, "delivery")
     ledger.stop(text)
+    ledger.stop_on_page(True)
     assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
-    assert (again.fault, again.operator_stop) == (kept, kept)
+    assert (again.fault, again.operator_stop, again.page_stop) == (kept, kept, True)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
@@ -150,14 +146,6 @@ def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Cloc
     clock.now = 1_800_000_000.0
     assert ledger.why_not_kept(20.0) == ""
     assert read(file, clock).operator_stop == "an operator stopped it"
-
-
-def test_starts_of_an_hour_are_known() -> None:
-    """At most one a second."""
-    ledger = Ledger(None, time.time)
-    for _ in range(3605):
-        ledger.switch(True)
-    assert len(ledger.record.starts) == 3600
 
 
 def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
@@ -252,7 +240,7 @@ def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> N
     file.write_bytes(lines)
     record = Ledger(file, clock).record
     assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
-    assert record.operator_stop == "look at it"  # it called that held
+    assert (record.operator_stop, record.page_stop) == ("look at it", False)  # it called that held
     assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
 
 
@@ -282,23 +270,22 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert "no file" in ledger.why_not_kept()
 
 
-def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
-    """The room for it was taken when the file was made."""
-    file = disk / "pump.json"
-    ledger = Ledger(file, clock)
+def test_a_full_disk(disk: Path, clock: Clock) -> None:
+    """A stop is taken, since the room for it was taken when the file was made.
+
+    Where there was none even for that it is said, the control goes on, and the file is made once
+    there is room.
+    """
+    ledger = Ledger(disk / "before.json", clock)
     assert ledger.why_not_kept() == ""
-    fill(disk)
+    with pytest.raises(OSError, match="No space left"):
+        (disk / "rubbish").write_bytes(b"x" * 100_000)
     for number in range(3):
         ledger.stop(f"stop {number}")
         ledger.fault(f"fault {number}", "delivery")
         assert ledger.why_not_kept() == ""
-        again = Ledger(file, clock).record
+        again = read(disk / "before.json", clock)
         assert (again.operator_stop, again.fault) == (f"stop {number}", f"fault {number}")
-
-
-def test_a_disk_that_was_full_before(disk: Path) -> None:
-    """It is said, the control goes on, and the file is made once there is room."""
-    fill(disk)
     file = disk / "pump.json"
     rig = Rig(file=file)
     rig.control.stop(True)
@@ -311,7 +298,7 @@ def test_a_disk_that_was_full_before(disk: Path) -> None:
     (disk / "rubbish").unlink()
     rig.run(30, 1.0)
     wait_for(lambda: rig.ledger.problem == "", 60, "the file")
-    assert Ledger(file, time.time).record.starts
+    assert read(file, clock).starts
 
 
 def test_killed_at_any_moment(tmp_path: Path) -> None:
