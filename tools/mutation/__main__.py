@@ -104,7 +104,9 @@ def command_of(judges: list[str], without: list[str], reruns: int) -> str:
     """Return what runs the tests that judge a module, up to the first that fails."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     # No other plugins: they take as long to be loaded as a mutant's tests.
-    words += ["-p", "xdist.plugin", "-p", "pytest_rerunfailures", "--reruns", str(reruns)]
+    for plugin in ("xdist.plugin", "pytest_timeout", "pytest_rerunfailures"):
+        words += ["-p", plugin]
+    words += ["--reruns", str(reruns)]
     words += [f"test/{judge}" for judge in judges]
     words += [f"--deselect=test/{test}" for test in without]
     return shlex.join(words)
