@@ -11,7 +11,6 @@ The curve stands for all pumps of the site together, at one speed.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
 
@@ -51,28 +50,3 @@ def speed_for(site: Site, share: float, cistern_level: float) -> float:
         return 0.0
     squared = (share**2 * most + site.d - cistern_level) / site.c_hat
     return max(math.sqrt(max(squared, 0.0)), math.ulp(0.0))
-
-
-class Duty(NamedTuple):
-    """What one pump of the set does."""
-
-    flow: float
-    """m3/s"""
-    head: float
-    """m"""
-
-
-def duty_of_one_pump(site: Site, speed: float, cistern_level: float) -> Duty:
-    """Return flow and head of one pump of the site's set, for comparison with its nameplate.
-
-    The set's flow is that of ``pumps_in_parallel`` pumps side by side, its head that of
-    ``pumps_in_series`` one behind another.
-
-    Args:
-        site: with the curve and the numbers of pumps.
-        speed: share of the rated speed, at least 0.
-        cistern_level: depth in the cistern (m).
-    """
-    flow = flow_at(site, speed, cistern_level)
-    head = speed**2 * site.c_hat + site.a_hat * flow**2
-    return Duty(flow / site.pumps_in_parallel, head / site.pumps_in_series)
