@@ -37,6 +37,10 @@ NO_PLAN = "no numpy array of floats, of shape (n, 3), in the attribute plan"
 BROKEN = [
     # What it does wrong, the rule that it breaks, and what is said of it.
     (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
+    (
+        returning("return command if self.gain else -1.0"),
+        "so they are with each parameter at either end of its range", "with gain = 0 command() ret",
+    ),
     (returning("return None"), FINITE, "command() returns None; it must return a float"),
     (
         returning("import random; return command * random.random()"),
