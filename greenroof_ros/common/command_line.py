@@ -152,13 +152,15 @@ def within(
         low: the least.
         high: the greatest.
         kind: ``float`` or ``int``.
-        word: that the option takes instead of a number, for messages; the caller knows its meaning.
+        word: that the option takes as well; it stands for 0.
     """
     what = "a whole number" if kind is int else "a number"
     what = f"{word}, or {what}" if word else what
     limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
 
     def parse(text: str) -> float:
+        if word and text == word:
+            return 0.0
         try:
             value = kind(text)
         except ValueError:

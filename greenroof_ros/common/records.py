@@ -10,7 +10,7 @@ import math
 import re
 import types
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -71,6 +71,14 @@ def keys(kind: Any) -> list[Key]:
             one.default is not MISSING or one.default_factory is not MISSING, one.default,
         )
         for one in fields(kind) if "entry" in one.metadata
+    ]
+
+
+def parameters_of(kind: Any) -> list[Parameter]:
+    """Return the keys of a dataclass as parameters; the default is None where there is none."""
+    return [
+        replace(key.entry, name=key.name, default=None if key.default is MISSING else key.default)
+        for key in keys(kind)
     ]
 
 

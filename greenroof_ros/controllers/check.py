@@ -69,21 +69,6 @@ class _Trial:
         return [_asked(controller, *inputs) for inputs in self.inputs(each)]
 
 
-# Each check by what it finds out, in the order in which a user should repair them.
-_CHECKS: dict[str, Callable[[_Trial], None]] = {}
-_Check = Callable[[_Trial], None]
-
-
-def _finds_out(what: str) -> Callable[[_Check], _Check]:
-    """Make a function a check, which raises :class:`_ProblemError` where that is not so."""
-
-    def added(check: _Check) -> _Check:
-        _CHECKS[what] = check
-        return check
-
-    return added
-
-
 def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
     """Hold a controller to :class:`~greenroof_ros.controllers.protocol.Controller`.
 
@@ -128,9 +113,6 @@ def _asked(controller: Controller, *inputs: Any) -> float:
     return float(command)
 
 
-@_finds_out(
-    "its parameters have distinct names, units, meanings, and defaults within their ranges"
-)
 def _parameters(trial: _Trial) -> None:
     names = [parameter.name for parameter in trial.choice.kind.parameters]
     if len(set(names)) < len(names):
@@ -146,17 +128,14 @@ def _parameters(trial: _Trial) -> None:
             )
 
 
-@_finds_out("it is made with the site and a value for each parameter")
 def _constructor(trial: _Trial) -> None:
     trial.made()
 
 
-@_finds_out("its commands are finite and not negative, at all levels and forecasts")
 def _commands(trial: _Trial) -> None:
     trial.ask(trial.made())
 
 
-@_finds_out("so they are with each parameter at either end of its range")
 def _whole_range(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if parameter.name == "horizon":
@@ -168,14 +147,12 @@ def _whole_range(trial: _Trial) -> None:
                 raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
-@_finds_out("two of it give the same commands to the same inputs")
 def _deterministic(trial: _Trial) -> None:
     for one, other in zip(trial.ask(trial.made()), trial.ask(trial.made()), strict=True):
         if one != other:
             raise _ProblemError(f"two controllers command {one!r} and {other!r} on equal inputs")
 
 
-@_finds_out("it leaves the forecasts that it gets as they are")
 def _inputs_kept(trial: _Trial) -> None:
     controller = trial.made()
     for inputs in trial.inputs():
@@ -185,7 +162,6 @@ def _inputs_kept(trial: _Trial) -> None:
             raise _ProblemError("command() changes the forecasts that it gets; copy them first")
 
 
-@_finds_out("a tick may be skipped, at first and later, and commands are as before after it")
 def _skip(trial: _Trial) -> None:
     controller = trial.made()
     controller.skip()
@@ -195,9 +171,6 @@ def _skip(trial: _Trial) -> None:
         controller.skip()
 
 
-@_finds_out(
-    "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else"
-)
 def _wrong_forecasts(trial: _Trial) -> None:
     choice, steps = trial.choice, trial.steps
     levels = 0.8 * trial.site.z_o, 0.5 * trial.site.z_veg
@@ -219,7 +192,6 @@ def _wrong_forecasts(trial: _Trial) -> None:
             _asked(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
 
 
-@_finds_out("a parameter that may change is an attribute, and it may")
 def _may_change(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if not parameter.may_change:
@@ -232,7 +204,6 @@ def _may_change(trial: _Trial) -> None:
             trial.ask(controller, each=11)
 
 
-@_finds_out("each of its outputs is a topic of the interface and has its value after a command")
 def _outputs(trial: _Trial) -> None:
     try:
         topics = optional_topics(trial.choice.outputs)
@@ -254,7 +225,6 @@ def _outputs(trial: _Trial) -> None:
             raise _ProblemError(what)
 
 
-@_finds_out("its statistics are None, or the figures of its solver")
 def _statistics(trial: _Trial) -> None:
     controller = trial.made()
     _asked(controller, *next(trial.inputs()))
@@ -262,3 +232,22 @@ def _statistics(trial: _Trial) -> None:
     figures = TickTimes().statistics(0, 0)
     if found is not None and found.keys() != figures.keys():
         raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")
+
+
+# Each check by what it finds out, in the order in which a user should repair them. It raises a
+# _ProblemError, or whatever the controller does, where that is not so.
+_CHECKS: dict[str, Callable[[_Trial], None]] = {
+    "its parameters have distinct names, units, meanings, and defaults within their ranges":
+        _parameters,
+    "it is made with the site and a value for each parameter": _constructor,
+    "its commands are finite and not negative, at all levels and forecasts": _commands,
+    "so they are with each parameter at either end of its range": _whole_range,
+    "two of it give the same commands to the same inputs": _deterministic,
+    "it leaves the forecasts that it gets as they are": _inputs_kept,
+    "a tick may be skipped, at first and later, and commands are as before after it": _skip,
+    "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else":
+        _wrong_forecasts,
+    "a parameter that may change is an attribute, and it may": _may_change,
+    "each of its outputs is a topic of the interface and has its value after a command": _outputs,
+    "its statistics are None, or the figures of its solver": _statistics,
+}

@@ -219,16 +219,6 @@ def _skill(text: str) -> str:
 _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
-_factor = within(1e-9, 1e9, word="max")
-
-
-def _speed(text: str) -> float:
-    return 0.0 if text == "max" else _factor(text)
-
-
-_speed.__name__ = _factor.__name__
-
-
 def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the options that decide where a run goes and how fast; return their group."""
     group = parser.add_argument_group("output and pace")
@@ -240,7 +230,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentG
         "--no-record", action="store_true", help="no bag (simulate never writes one)"
     )
     group.add_argument(
-        "--speed", type=_speed, default=0.0, metavar="{max|FACTOR}",
+        "--speed", type=within(1e-9, 1e9, word="max"), default=0.0, metavar="{max|FACTOR}",
         help="simulated time per wall time; 1 is real time (default: max)",
     )
     group.add_argument(

@@ -80,62 +80,57 @@ def write_configuration(
     Raises:
         ConfigurationError: the directory cannot be written.
     """
+    configuration = directory / "configuration"
     with _writable(directory):
-        return _write_configuration(directory / "configuration", run, nodes, others or {})
-
-
-def _write_configuration(
-    configuration: Path, run: Run, nodes: dict[str, object],
-    others: Mapping[str, dict[str, object]],
-) -> Path:
-    site_file = configuration / "site.yaml"
-    site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
-    weather_files: list[str] = []
-    for file in run.weather.files:
-        name = unique_name(file, [Path(other).name for other in weather_files])
-        weather_files.append(str(_copy(file, configuration / "weather" / name)))
-    choice = run.forecast_choice
-    if choice.file is not None:
-        name = choice.file.resolve().name
-        choice = replace(choice, file=_copy(choice.file, configuration / "forecast" / name))
-    if choice.skill_file is not None:
-        choice = replace(choice, skill=str(_copy(choice.skill_file, configuration / "skill.yaml")))
-    if choice.dressed is not None:
-        choice = replace(choice, dressed=_copy(choice.dressed, configuration / "dressed.csv"))
-    common = {"site_file": str(site_file)}
-    span = {"start": run.start.isoformat(), "run_length": run.steps}
-    parameters = {
-        "plant": {
-            **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
-            **run.sensor_pump_errors.values(), **nodes,
-        },
-        "weather": {
-            **common, **span, "weather_files": weather_files,
-            "evapotranspiration": run.weather.method,
-            "gaps": run.weather.gaps,
-            "horizon": run.parameters.get("horizon", 0.0),
-            "all_members": run.controller.ensemble,
-            "forecast": str(choice),
-            **{f"forecast_{name}": value for name, value in choice.options().items()},
-            **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
-        },
-        run.controller.name: {**common, **run.parameters},
-        "recorder": {
-            **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
-            "directory": str(configuration.parent / "bag"),
-            "controller": run.controller.reference,
-        },
-        **{name: {**common, **values} for name, values in others.items()},
-    }
-    file = configuration / "parameters.yaml"
-    file.write_text(
-        yaml.safe_dump(
-            {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()},
-            sort_keys=False,
-        ),
-        encoding="utf-8",
-    )
-    return file
+        site_file = configuration / "site.yaml"
+        site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
+        weather_files: list[str] = []
+        for file in run.weather.files:
+            name = unique_name(file, [Path(other).name for other in weather_files])
+            weather_files.append(str(_copy(file, configuration / "weather" / name)))
+        choice = run.forecast_choice
+        if choice.file is not None:
+            name = choice.file.resolve().name
+            choice = replace(choice, file=_copy(choice.file, configuration / "forecast" / name))
+        if choice.skill_file is not None:
+            skill = _copy(choice.skill_file, configuration / "skill.yaml")
+            choice = replace(choice, skill=str(skill))
+        if choice.dressed is not None:
+            choice = replace(choice, dressed=_copy(choice.dressed, configuration / "dressed.csv"))
+        common = {"site_file": str(site_file)}
+        span = {"start": run.start.isoformat(), "run_length": run.steps}
+        parameters = {
+            "plant": {
+                **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
+                **run.sensor_pump_errors.values(), **nodes,
+            },
+            "weather": {
+                **common, **span, "weather_files": weather_files,
+                "evapotranspiration": run.weather.method,
+                "gaps": run.weather.gaps,
+                "horizon": run.parameters.get("horizon", 0.0),
+                "all_members": run.controller.ensemble,
+                "forecast": str(choice),
+                **{f"forecast_{name}": value for name, value in choice.options().items()},
+                **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
+            },
+            run.controller.name: {**common, **run.parameters},
+            "recorder": {
+                **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
+                "directory": str(directory / "bag"),
+                "controller": run.controller.reference,
+            },
+            **{name: {**common, **values} for name, values in (others or {}).items()},
+        }
+        file = configuration / "parameters.yaml"
+        file.write_text(
+            yaml.safe_dump(
+                {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()},
+                sort_keys=False,
+            ),
+            encoding="utf-8",
+        )
+        return file
 
 
 def _copy(source: Path, copy: Path) -> Path:

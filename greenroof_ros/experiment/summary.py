@@ -25,9 +25,7 @@ def build(
     wall_s: float,
     solver: Mapping[str, float] | None,
     messages: Mapping[str, int] | None = None,
-    refused: Mapping[str, int] | None = None,
-    parameter_changes: list[dict[str, Any]] | None = None,
-    incidents: list[dict[str, Any]] | None = None,
+    **happened: Any,
 ) -> dict[str, Any]:
     """Put the summary of a run that is done together, the same for ``simulate`` and the graph.
 
@@ -38,15 +36,10 @@ def build(
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None where it has no solver.
         messages: how many messages of each topic are in the bag.
-        refused: how many values of each topic were refused.
-        parameter_changes: parameters changed during the run, with their tick.
-        incidents: what was lost in the run while it went on.
+        happened: refused, parameter_changes and incidents, as :func:`build_unfinished` has them.
     """
     return {
-        **build_unfinished(
-            run, DONE, last_tick=run.steps, refused=refused, parameter_changes=parameter_changes,
-            incidents=incidents,
-        ),
+        **build_unfinished(run, DONE, last_tick=run.steps, **happened),
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,

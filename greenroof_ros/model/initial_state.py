@@ -63,11 +63,8 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     Raises:
         ConfigurationError: no rain could have made such a state; a unit is wrong.
     """
-    for key, volume, expected in zip(
-        keys, (cistern, roof), unheld(site, cistern, roof), strict=True
-    ):
-        if expected:
-            raise ConfigurationError(expected, key=key, value=volume)
+    for place, expected in unheld(site, cistern, roof):
+        raise ConfigurationError(expected, key=keys[place], value=(cistern, roof)[place])
     full = site.roof_level(site.z_cap)
     if roof > site.z_cap:
         _log.warning(

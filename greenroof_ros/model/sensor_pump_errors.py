@@ -12,30 +12,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.records import entry, parameters_of
 from greenroof_ros.model.plant import Plant
-
-PARAMETERS = {
-    one.name: one for one in (
-        Parameter(
-            "roof_noise", 0.0, "m", 0.0, 1.0,
-            "standard deviation of the roof's level sensor, independent each tick",
-        ),
-        Parameter(
-            "roof_offset", 0.0, "m", -1.0, 1.0, "what that sensor reads above the true level"
-        ),
-        Parameter("noise_seed", 0, "", 0, 2**31 - 1, "seed of the noise"),
-        Parameter(
-            "minimum_on", 0.0, "s", 0.0, 86_400.0,
-            "once on, the pumps stay on for so long, but not in frost, on a full roof or in an "
-            "empty cistern",
-        ),
-        Parameter(
-            "minimum_off", 0.0, "s", 0.0, 86_400.0, "once off, the pumps stay off for so long"
-        ),
-    )
-}
-"""of :class:`SensorPumpErrors`, by name"""
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
@@ -45,21 +23,23 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class SensorPumpErrors:
-    """How a site differs from the paper's; by default in nothing.
+    """How a site differs from the paper's; by default in nothing."""
 
-    Attributes:
-        roof_noise: standard deviation of the roof's level sensor, independent each tick (m).
-        roof_offset: what it reads above the true level (m).
-        noise_seed: of the noise.
-        minimum_on: how long the pumps stay on once they are (s).
-        minimum_off: how long they stay off once they are (s).
-    """
-
-    roof_noise: float = 0.0
-    roof_offset: float = 0.0
-    noise_seed: int = 0
-    minimum_on: float = 0.0
-    minimum_off: float = 0.0
+    roof_noise: float = entry(
+        "standard deviation of the roof's level sensor, independent each tick", 0.0, 1.0, unit="m",
+        default=0.0,
+    )
+    roof_offset: float = entry(
+        "what that sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
+    )
+    noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
+    minimum_on: float = entry(
+        "once on, the pumps stay on for so long, but not in frost, on a full roof or in an empty "
+        "cistern", 0.0, 86_400.0, unit="s", default=0.0,
+    )
+    minimum_off: float = entry(
+        "once off, the pumps stay off for so long", 0.0, 86_400.0, unit="s", default=0.0
+    )
 
     @property
     def exact_sensor(self) -> bool:
@@ -91,6 +71,10 @@ class SensorPumpErrors:
                 "are the pump driver's business where the pump is external",
                 key="minimum on and off times",
             )
+
+
+PARAMETERS = {one.name: one for one in parameters_of(SensorPumpErrors)}
+"""of :class:`SensorPumpErrors`, by name"""
 
 
 class RoofSensor:

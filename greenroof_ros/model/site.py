@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.records import entry, keys, parameters_of
 
 # No parameter of any site is beyond these, and nothing computed from them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
@@ -54,16 +55,6 @@ _TOGETHER = (
 )
 
 
-def _parameter(unit: str, low: float, high: float, meaning: str, default: Any = MISSING) -> Any:
-    """Return the field of a parameter; with a default a site file may leave it out.
-
-    The default is None where nothing would be right.
-    """
-    return field(
-        default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning}
-    )
-
-
 @dataclass(frozen=True)
 class Site:
     """The parameters of Table I under the paper's symbols, and what may be left out.
@@ -71,129 +62,139 @@ class Site:
     Unit, range and meaning of each stand beside it, and :func:`site_parameters` lists them.
     """
 
-    a1: float = _parameter("m2", *_POSITIVE, "bottom surface area of the cistern")
-    a_in: float = _parameter(
-        "m2", *_POSITIVE, "area whose rain flows into the cistern; in Table I that of its inlet",
+    a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
+    a_in: float = entry(
+        "area whose rain flows into the cistern; in Table I that of its inlet", *_POSITIVE,
+        unit="m2",
     )
-    z_o: float = _parameter("m", *_POSITIVE, "elevation of the cistern's outlet")
-    r_o: float = _parameter("m", *_POSITIVE, "radius of the cistern's outlet")
-    c_d: float = _parameter("1", *_POSITIVE, "discharge coefficient of the outlets")
-    a2: float = _parameter("m2", *_POSITIVE, "bottom surface area of the rooftop vegetation")
-    z_veg: float = _parameter("m", *_POSITIVE, "desired water depth on the roof")
-    x2_star: float = _parameter(
-        "m3", *_POSITIVE, "desired water volume on the roof: a2 z_veg; leave it out and it is "
-        "computed",
+    z_o: float = entry("elevation of the cistern's outlet", *_POSITIVE, unit="m")
+    r_o: float = entry("radius of the cistern's outlet", *_POSITIVE, unit="m")
+    c_d: float = entry("discharge coefficient of the outlets", *_POSITIVE, unit="1")
+    a2: float = entry("bottom surface area of the rooftop vegetation", *_POSITIVE, unit="m2")
+    z_veg: float = entry("desired water depth on the roof", *_POSITIVE, unit="m")
+    x2_star: float = entry(
+        "desired water volume on the roof: a2 z_veg; leave it out and it is computed", *_POSITIVE,
+        unit="m3",
     )
-    z_soil: float = _parameter("m", *_POSITIVE, "soil depth of the roof")
-    z_cap: float = _parameter(
-        "m3", *_POSITIVE, "water that the soil holds before it drains: a2 z_soil, of a measured "
-        "roof a2 z_soil field_capacity; leave it out and it is computed",
+    z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
+    z_cap: float = entry(
+        "water that the soil holds before it drains: a2 z_soil, of a measured roof a2 z_soil "
+        "field_capacity; leave it out and it is computed", *_POSITIVE, unit="m3",
     )
-    K: float = _parameter("m/s", *_POSITIVE, "saturated hydraulic conductivity")
-    a_hat: float = _parameter(
-        "s2/m5", *_NEGATIVE, "coefficient of the pump curve, negative, Eq. (3b)",
+    K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
+    a_hat: float = entry(
+        "coefficient of the pump curve, negative, Eq. (3b)", *_NEGATIVE, unit="s2/m5",
     )
-    c_hat: float = _parameter("m", *_POSITIVE, "coefficient of the pump curve, Eq. (3b)")
-    a_pump: float = _parameter("m2", *_POSITIVE, "area of flow through the pump")
-    d: float = _parameter("m", *_POSITIVE, "elevation of the vegetation relative to the cistern")
-    D: float = _parameter("m", *_POSITIVE, "diameter of the pipe")
-    F: float = _parameter("1", *_POSITIVE, "friction factor of the pipe")
-    k_L: float = _parameter("1", *_NOT_NEGATIVE, "minor loss coefficient of the pipe")
-    l: float = _parameter("m", *_POSITIVE, "length of the pipe")  # noqa: E741 - the paper's symbol
-    z_pump: float = _parameter(
-        "m", *_NOT_NEGATIVE, "elevation of the pumps above the cistern's base",
+    c_hat: float = entry("coefficient of the pump curve, Eq. (3b)", *_POSITIVE, unit="m")
+    a_pump: float = entry("area of flow through the pump", *_POSITIVE, unit="m2")
+    d: float = entry("elevation of the vegetation relative to the cistern", *_POSITIVE, unit="m")
+    D: float = entry("diameter of the pipe", *_POSITIVE, unit="m")
+    F: float = entry("friction factor of the pipe", *_POSITIVE, unit="1")
+    k_L: float = entry("minor loss coefficient of the pipe", *_NOT_NEGATIVE, unit="1")
+    l: float = entry("length of the pipe", *_POSITIVE, unit="m")  # noqa: E741 - the paper's symbol
+    z_pump: float = entry(
+        "elevation of the pumps above the cistern's base", *_NOT_NEGATIVE, unit="m",
     )
-    z_H: float = _parameter(
-        "m", *_NOT_NEGATIVE, "least water level above the pumps' base that they need",
+    z_H: float = entry(
+        "least water level above the pumps' base that they need", *_NOT_NEGATIVE, unit="m",
     )
-    g: float = _parameter("m/s2", *_POSITIVE, "acceleration due to gravity")
-    epsilon: float = _parameter("1", *_POSITIVE, "steepness of the smooth model's sigmoids")
-    tau: float = _parameter("s", 0.001, 3600.0, "duration of a tick")
-    M: int = _parameter("ticks", 1, 1000, "look-ahead of the controller")
-    N: int = _parameter("ticks", 1, 2**40, "length of a run")
-    runoff_coefficient: float = _parameter(
-        "1", 0.01, 1.0, "share of the rain on a_in that reaches the cistern", 1.0,
+    g: float = entry("acceleration due to gravity", *_POSITIVE, unit="m/s2")
+    epsilon: float = entry("steepness of the smooth model's sigmoids", *_POSITIVE, unit="1")
+    tau: float = entry("duration of a tick", 0.001, 3600.0, unit="s")
+    M: int = entry("look-ahead of the controller", 1, 1000, unit="ticks")
+    N: int = entry("length of a run", 1, 2**40, unit="ticks")
+    runoff_coefficient: float = entry(
+        "share of the rain on a_in that reaches the cistern", 0.01, 1.0, unit="1", default=1.0,
     )
-    field_capacity: float | None = _parameter(
-        "1", 0.01, 0.9, "water that the substrate holds against gravity, per volume of it; makes "
-        "the roof a measured one, without it the roof drains by Eq. (4)", None,
+    field_capacity: float | None = entry(
+        "water that the substrate holds against gravity, per volume of it; makes the roof a "
+        "measured one, without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1", default=None,
     )
-    wilting_point: float | None = _parameter(
-        "1", 0.0, 0.5, "water that plants cannot take, per volume of the substrate", None,
+    wilting_point: float | None = entry(
+        "water that plants cannot take, per volume of the substrate", 0.0, 0.5, unit="1",
+        default=None,
     )
-    depletion_fraction: float | None = _parameter(
-        "1", 0.0, 0.95, "p of FAO-56 Eq. 84: share of the water between field capacity and wilting "
-        "point that plants take before they evaporate less", None,
+    depletion_fraction: float | None = entry(
+        "p of FAO-56 Eq. 84: share of the water between field capacity and wilting point that "
+        "plants take before they evaporate less", 0.0, 0.95, unit="1", default=None,
     )
-    drainage_storage: float | None = _parameter(
-        "m", 0.0001, 1.0, "depth of water in the full drainage layer below the substrate; without "
-        "it the roof has none", None,
+    drainage_storage: float | None = entry(
+        "depth of water in the full drainage layer below the substrate; without it the roof has "
+        "none", 0.0001, 1.0, unit="m", default=None,
     )
-    drainage_time: float | None = _parameter(
-        "s", 1.0, 1e6, "time constant of the full drainage layer: its storage over its "
-        "outflow", None,
+    drainage_time: float | None = entry(
+        "time constant of the full drainage layer: its storage over its outflow", 1.0, 1e6,
+        unit="s", default=None,
     )
-    mains_level: float | None = _parameter(
-        "m", 0.01, 100.0, "cistern level below which a valve lets mains water in; without it there "
-        "is none", None,
+    mains_level: float | None = entry(
+        "cistern level below which a valve lets mains water in; without it there is none",
+        0.01, 100.0, unit="m", default=None,
     )
-    mains_flow: float | None = _parameter("m3/s", 1e-6, 1.0, "flow of that valve", None)
-    low_outlet_level: float | None = _parameter(
-        "m", 0.001, 100.0, "elevation of a second, throttled outlet of the cistern, below the "
-        "first: it empties the detention volume above it between storms; without it there is "
-        "none", None,
+    mains_flow: float | None = entry("flow of that valve", 1e-6, 1.0, unit="m3/s", default=None)
+    low_outlet_level: float | None = entry(
+        "elevation of a second, throttled outlet of the cistern, below the first: it empties the "
+        "detention volume above it between storms; without it there is none", 0.001, 100.0,
+        unit="m", default=None,
     )
-    low_outlet_radius: float | None = _parameter("m", 0.001, 1.0, "radius of that outlet", None)
-    initial_cistern: float | None = _parameter(
-        "m3", *_NOT_NEGATIVE, "in the cistern when a run begins; without it low-low of Table "
-        "II", None,
+    low_outlet_radius: float | None = entry(
+        "radius of that outlet", 0.001, 1.0, unit="m", default=None,
     )
-    initial_roof: float | None = _parameter("m3", *_NOT_NEGATIVE, "the same on the roof", None)
-    initial_layer: float = _parameter(
-        "m3", *_NOT_NEGATIVE, "in the drainage layer when a run begins, in whatever state of the "
-        "rest", 0.0,
+    initial_cistern: float | None = entry(
+        "in the cistern when a run begins; without it low-low of Table II", *_NOT_NEGATIVE,
+        unit="m3", default=None,
     )
-    pumps_in_series: int = _parameter(
-        "pumps", 1, 100, "one behind another, for whose summed head the pump curve stands", 1,
+    initial_roof: float | None = entry(
+        "the same on the roof", *_NOT_NEGATIVE, unit="m3", default=None,
     )
-    pumps_in_parallel: int = _parameter(
-        "pumps", 1, 100, "side by side, for whose summed flow the pump curve stands", 1,
+    initial_layer: float = entry(
+        "in the drainage layer when a run begins, in whatever state of the rest", *_NOT_NEGATIVE,
+        unit="m3", default=0.0,
     )
-    pump_efficiency: float = _parameter(
-        "1", 0.001, 1.0, "hydraulic over electric power of pumps and motors", 0.5,
+    pumps_in_series: int = entry(
+        "one behind another, for whose summed head the pump curve stands", 1, 100, unit="pumps",
+        default=1,
     )
-    starts_per_hour: float = _parameter(
-        "1/h", 1.0, 3600.0, "how often the pumps may start: above it there is a warning, and "
-        "lookahead does not start them more often", 20.0,
+    pumps_in_parallel: int = entry(
+        "side by side, for whose summed flow the pump curve stands", 1, 100, unit="pumps",
+        default=1,
     )
-    latitude: float | None = _parameter(
-        "degrees", -66.0, 66.0, "latitude, positive to the north", None,
+    pump_efficiency: float = entry(
+        "hydraulic over electric power of pumps and motors", 0.001, 1.0, unit="1", default=0.5,
     )
-    longitude: float | None = _parameter(
-        "degrees", -180.0, 180.0, "longitude, positive to the east of Greenwich", None,
+    starts_per_hour: float = entry(
+        "how often the pumps may start: above it there is a warning, and lookahead does not start "
+        "them more often", 1.0, 3600.0, unit="1/h", default=20.0,
     )
-    elevation: float | None = _parameter("m", -430.0, 6000.0, "above the sea", None)
-    utc_offset: float | None = _parameter(
-        "h", -12.0, 14.0, "offset of the local standard time from UTC, without daylight "
-        "saving", None,
+    latitude: float | None = entry(
+        "latitude, positive to the north", -66.0, 66.0, unit="degrees", default=None,
     )
-    albedo: float = _parameter(
-        "1", 0.0, 1.0, "albedo of the vegetation; 0.23 is FAO-56's reference grass", 0.23,
+    longitude: float | None = entry(
+        "longitude, positive to the east of Greenwich", -180.0, 180.0, unit="degrees", default=None,
     )
-    k_Rs: float = _parameter(
-        "degC^-0.5", 0.1, 0.25, "adjustment coefficient of FAO-56 Eq. 50, for radiation that was "
-        "not measured; 0.16 inland, 0.19 by a large water", 0.16,
+    elevation: float | None = entry("above the sea", -430.0, 6000.0, unit="m", default=None)
+    utc_offset: float | None = entry(
+        "offset of the local standard time from UTC, without daylight saving", -12.0, 14.0,
+        unit="h", default=None,
     )
-    wind_height: float = _parameter(
-        "m", 0.5, 100.0, "height above the ground at which the wind was measured", 10.0,
+    albedo: float = entry(
+        "albedo of the vegetation; 0.23 is FAO-56's reference grass", 0.0, 1.0, unit="1",
+        default=0.23,
     )
-    crop_coefficient: float = _parameter(
-        "1", 0.01, 3.0, "evapotranspiration of the vegetation over that of the reference "
-        "grass", 1.0,
+    k_Rs: float = entry(
+        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured; 0.16 "
+        "inland, 0.19 by a large water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
-    monthly_evapotranspiration: tuple[float, ...] | None = _parameter(
-        "mm/day", 0.0, 20.0, "means of the reference evapotranspiration, January to December, in "
-        "brackets; what a live site without a forecast takes", None,
+    wind_height: float = entry(
+        "height above the ground at which the wind was measured", 0.5, 100.0, unit="m",
+        default=10.0,
+    )
+    crop_coefficient: float = entry(
+        "evapotranspiration of the vegetation over that of the reference grass", 0.01, 3.0,
+        unit="1", default=1.0,
+    )
+    monthly_evapotranspiration: tuple[float, ...] | None = entry(
+        "means of the reference evapotranspiration, January to December, in brackets; what a live "
+        "site without a forecast takes", 0.0, 20.0, unit="mm/day", default=None,
     )
 
     @cached_property
@@ -297,35 +298,33 @@ def _product(name: str, values: Mapping[str, float | None]) -> float:
     return math.prod(factor for factor in factors if factor is not None)
 
 
-def unheld(site: Site, cistern: float, roof: float) -> tuple[str, str]:
-    """Say of two volumes what would be right where the place cannot hold them.
+def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
+    """Yield which of two volumes the place cannot hold, and what would be right.
 
     No rain could have made such a state; a unit is wrong.
 
     Args:
         site: the place.
-        cistern: volume x1 (m3).
-        roof: volume x2 (m3).
-
-    Returns:
-        Of cistern and roof; empty where the place can hold it.
+        volumes: x1 and x2 (m3), which are 0 and 1 in what is yielded.
     """
-    def beyond(volume: float, area: float, level: float, why: str) -> str:
-        if volume <= level * area:
-            return ""
-        return (
-            f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
-            f"wrong? It is a volume in m3; a level of {volume:g} mm is {volume / 1000 * area:g} m3"
-        )
-
     full = site.roof_level(site.z_cap)
-    return beyond(
-        cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
-        f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
-    ), beyond(
-        roof, site.a2, full + _MOST_PONDED,
-        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m stand on it",
-    )
+    for place, (area, level, why) in enumerate((
+        (
+            site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
+            f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
+        ),
+        (
+            site.a2, full + _MOST_PONDED, f"the soil holds {site.z_cap:g} m3, {full:g} m, and at "
+            f"most {_MOST_PONDED:g} m stand on it",
+        ),
+    )):
+        volume = volumes[place]
+        if volume > level * area:
+            yield place, (
+                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
+                f"wrong? It is a volume in m3; a level of {volume:g} mm is "
+                f"{volume / 1000 * area:g} m3"
+            )
 
 
 def site_parameters() -> list[Parameter]:
@@ -333,10 +332,7 @@ def site_parameters() -> list[Parameter]:
 
     The default is None where there is none.
     """
-    return [
-        Parameter(one.name, None if one.default is MISSING else one.default, **one.metadata)
-        for one in fields(Site)
-    ]
+    return parameters_of(Site)
 
 
 def edited(path: Path, values: Mapping[str, float]) -> str:
@@ -431,43 +427,43 @@ def read_site(path: Path) -> Site:
         file, line, value = given[key]
         return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
-    names = [one.name for one in fields(Site)]
-    for key, (file, line, _) in given.items():
-        if key not in names:
+    known = {key.name: key for key in keys(Site)}
+    for name, (file, line, _) in given.items():
+        if name not in known:
             raise ConfigurationError(
-                f"is not a parameter of a site; {did_you_mean(key, names)}",
-                file=file, line=line, key=key,
+                f"is not a parameter of a site; {did_you_mean(name, known)}",
+                file=file, line=line, key=name,
             )
     values: dict[str, Any] = {}
-    for one in fields(Site):
-        name, low, high = one.name, one.metadata["low"], one.metadata["high"]
-        unit, what = one.metadata["unit"], f"from {low:g} to {high:g}"
+    for name, key in known.items():
         if name not in given:
-            if one.default is MISSING and name not in _FOLLOW_FROM:
+            if not key.optional and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
             continue
-        value, whole = given[name].value, one.type == "int"
+        one, value, whole = key.entry, given[name].value, key.kind is int
+        what = f"from {one.low:g} to {one.high:g}"
         if name == _CLIMATE:
             if not isinstance(value, list) or len(value) != 12 or not all(
-                type(month) in (int, float) and low <= month <= high for month in value
+                type(month) in (int, float) and one.low <= month <= one.high for month in value
             ):
                 raise refuse(
                     name, f"must be twelve numbers in brackets, January to December, each {what} "
-                    f"{unit}",
+                    f"{one.unit}",
                 )
             values[name] = tuple(map(float, value))
             continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
-        if not low <= value <= high or (whole and value % 1):
-            kind, of = "a whole number " if whole else "", "" if unit == "1" else f"{unit}, "
-            raise refuse(name, f"must be {kind}{what} ({of}{one.metadata['meaning']})")
+        if not one.low <= value <= one.high or (whole and value % 1):
+            unit = "" if one.unit == "1" else f"{one.unit}, "
+            what = f"a whole number {what}" if whole else what
+            raise refuse(name, f"must be {what} ({unit}{one.meaning})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
     site = Site(**values)
-    for key, expected in _contradictions(site, given):
-        raise refuse(key, expected)
+    for name, expected in _contradictions(site, given):
+        raise refuse(name, expected)
     return site
 
 
@@ -510,10 +506,8 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
             f"{site.layer_storage:g} m3"
         )
     if site.initial_cistern is not None and site.initial_roof is not None:
-        initial = unheld(site, site.initial_cistern, site.initial_roof)
-        for name, expected in zip(("initial_cistern", "initial_roof"), initial, strict=True):
-            if expected:
-                yield name, expected
+        for place, expected in unheld(site, site.initial_cistern, site.initial_roof):
+            yield ("initial_cistern", "initial_roof")[place], expected
     if site.field_capacity is not None:
         whole = site.a2 * site.z_soil
         if site.wilting_volume >= whole * site.field_capacity:

@@ -109,6 +109,7 @@ WRONG = {
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
     "run --drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
     f"run {DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
+    "run --pump external --minimum-off 60": "are the pump driver's business where the pump is ext",
     "run --state here": "--state: is of a drive",
 }
 

@@ -88,12 +88,17 @@ def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
         (" \n", ": is empty"),
         ("\ufeffa: 1\n", ", line 1: starts with a byte order mark; save it as plain UTF-8"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it holds a NUL byte)"),
+        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text"),
+        ("a: 1\nb: &x *y\n", ", line 2: is not valid YAML"),
+        ("a: 1\nb: !!python/name:os.system\n", ", line 2: is not valid YAML"),
+        ("- " * 100_000 + "x", ": is nested more than 200 levels deep"),
+        ("25.0\n", ": must hold 'key: value' lines"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     """With the file, and the line where there is one."""
     file = tmp_path / "a.yaml"
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text, encoding="utf-8", errors="surrogateescape")
     for read in (read_yaml, read_ros_parameters):
         with pytest.raises(ConfigurationError) as caught:
             read(file)

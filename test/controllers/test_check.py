@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -37,6 +37,10 @@ NO_PLAN = "no numpy array of floats, of shape (n, 3), in the attribute plan"
 BROKEN = [
     # What it does wrong, the rule that it breaks, and what is said of it.
     (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
+    (
+        returning("return command if self.gain else -1.0"),
+        "so they are with each parameter at either end of its range", "with gain = 0 command() ret",
+    ),
     (returning("return None"), FINITE, "command() returns None; it must return a float"),
     (
         returning("import random; return command * random.random()"),
@@ -78,30 +82,30 @@ def test_controllers_that_keep_to_it(name: str) -> None:
     assert [finding for finding in findings if finding.problem] == []
 
 
-def check(directory: Path, reference: str) -> subprocess.CompletedProcess[str]:
-    """Run the command in a directory."""
-    return run_command(
-        "check_controller", reference, cwd=directory, env={**os.environ, "COLUMNS": "250"}
-    )
-
-
 @pytest.mark.parametrize(("change", "rule", "problem"), BROKEN)
 def test_broken_controllers(
-    tmp_path: Path, change: tuple[str, str], rule: str, problem: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: tuple[str, str], rule: str,
+    problem: str,
 ) -> None:
-    """Each fails for its own reason, by the real command."""
+    """Each fails for its own reason."""
     assert TEXT.count(change[0]) == 1
     (tmp_path / "broken.py").write_text(TEXT.replace(*change))
-    result = check(tmp_path, "broken:Proportional")
-    assert result.returncode == 1, result.stderr
-    row = next(line for line in result.stdout.splitlines() if f" {rule} " in line)
-    assert problem in row
-    assert "Traceback" not in result.stderr
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    findings = check_controller(find_controller("broken:Proportional"), PAPER_SITE)
+    assert problem in {one.check: one.problem for one in findings}[rule]
 
 
 def test_the_command(tmp_path: Path) -> None:
-    """The example passes all, exit code 0; what cannot be imported is refused with 2."""
-    result = check(CHECKOUT, EXAMPLE)
-    assert result.returncode == 0
-    assert "12 of 12 checks passed" in result.stdout
-    assert check(tmp_path, "nothing:Here").returncode == 2
+    """Exit code 0 where all is right, 1 where something is wrong, 2 of what cannot be imported."""
+    (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
+    for reference, directory, code, said in (
+        (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),
+        ("broken:Proportional", tmp_path, 1, "command() returns None; it must return a float"),
+        ("nothing:Here", tmp_path, 2, ""),
+    ):
+        result = run_command(
+            "check_controller", reference, cwd=directory, env={**os.environ, "COLUMNS": "250"}
+        )
+        assert result.returncode == code, result.stderr
+        assert said in result.stdout and "Traceback" not in result.stderr

@@ -96,35 +96,12 @@ def solution(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
     return lsq_linear(stacked, target, (0, bound), method="bvls", tol=1e-15).x
 
 
-def solutions(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
-    """Do the same for each of n ticks: all at once where one guess at the active set is right.
-
-    A solution is right where it keeps to the limits, and no limit that it is at holds it back from
-    less cost; there is but one. The guess is what the minimum without limits goes beyond.
-    """
-    H = weight * np.eye(G.shape[2]) + np.einsum("nki,nkj->nij", G, G)
-    slope = np.einsum("nki,nk->ni", G, r)
-    without_limits = -np.linalg.solve(H, slope[..., None])[..., 0]
-    low, high = without_limits <= 0, without_limits >= bound
-    held = low | high
-    limits = np.where(high, bound, 0)
-    rows = np.where(held[:, :, None] | held[:, None, :], np.eye(G.shape[2]), H)
-    sums = np.where(held, limits, -slope - np.einsum("nij,nj->ni", H, limits))
-    U = np.linalg.solve(rows, sums[..., None])[..., 0]
-    gradient = np.einsum("nij,nj->ni", H, U) + slope
-    within = (U >= 0) & (bound >= U)
-    right = np.where(low, gradient >= 0, np.where(high, gradient <= 0, within)).all(axis=1)
-    for tick in np.flatnonzero(~right):
-        U[tick] = solution(G[tick], r[tick], weight, bound)
-    return U
-
-
 @pytest.mark.parametrize("weight", HOURS)
 def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
     """Every tick; of the smaller weights those at the end are clipped to 0."""
     run = walk(weight, "--hours", HOURS[weight])
     assert (run.u[-1] == 0) == (weight <= 1e-3)
-    exact = solutions(*programs(run), weight)[:, 0]
+    exact = [solution(G, r, weight)[0] for G, r in zip(*programs(run), strict=True)]
     np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
     assert run.u.min() >= 0
 
@@ -133,7 +110,7 @@ def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
 def test_commands_below_an_upper_bound_are_exact(bound: float) -> None:
     """From a full cistern the first command would be 1.0179; 3,746 ticks pump."""
     run = walk(1e-5, "--initial", "high-low", "--hours", "1.1", max_command=bound)
-    exact = solutions(*programs(run), 1e-5, bound)[:, 0]
+    exact = [solution(G, r, 1e-5, bound)[0] for G, r in zip(*programs(run), strict=True)]
     np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
     assert exact[0] == pytest.approx(bound, rel=1e-12)
     assert run.u.max() == bound
@@ -144,7 +121,7 @@ def test_cost_is_eq_11(weight: float) -> None:
     """J of the exact commands and of the states that Eq. (10) steps through, every 7th tick."""
     run = walk(weight, "--hours", HOURS[weight])
     G, r = (part[::7] for part in programs(run))
-    U = solutions(G, r, weight)
+    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
     x, w, cost = run.x[::7], run.w[::7], run.cost[::7]
     # An operating point with the same x and u, but w = 0: Eq. (10) is affine in w.
     u_bar = np.concatenate([[0.0], run.u[:-1]])[::7]

@@ -6,15 +6,12 @@ import math
 from array import array
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from adversaries.forecasts import TOGETHER, told
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import PAPER_SITE, deviation_of, lookahead, paper_run, site_file, site_with
 from places import CONFIG, DATA
@@ -168,25 +165,6 @@ def test_no_observer() -> None:
 # --- the forecast -------------------------------------------------------------------------------
 
 
-class Lie:
-    """A forecast of rain (m/s) in each step after the first, whatever comes."""
-
-    repeats_from: datetime | None = None
-
-    def __init__(self, run: Run, rain: list[float]) -> None:
-        self._truth = run.forecast
-        self._rain = rain
-
-    def precipitation(self, tick: int) -> array[float]:
-        """Return what is so now, and the lie about the rest."""
-        now = np.atleast_2d(self._truth.precipitation(tick))[0, 0]
-        return array("d", [now, *self._rain])
-
-    def evapotranspiration(self, tick: int) -> array[float]:
-        """Return the truth."""
-        return self._truth.evapotranspiration(tick)
-
-
 BUDGET_H, SHARE = 6.0, 0.05
 
 
@@ -276,42 +254,6 @@ def test_a_cistern_that_overflows_while_the_roof_waits() -> None:
     assert budget.onoff_cost == pytest.approx(plain, rel=0.02)
     bound = (1 + SHARE) * plain + 72.0 * EMPTY_HOUR
     assert bound < reached < bound + (overflowed - lost) * empty
-
-
-def lied_to(run: Run, rain: list[float], **parameters: float) -> float:
-    """Return the result of a run (m3 s) with this forecast."""
-    given = {**run.parameters, "waiting_share": 0.0, **parameters}
-    controller = run.controller.make(run.site, given)
-    return deviation_of(replace(run, forecast=Lie(run, rain)), controller)
-
-
-def onoff(*options: str, fraction: float = 1.0) -> float:
-    """Return the result of plain on/off (m3 s)."""
-    run = paper_run("--controller", "onoff", *options)
-    return deviation_of(run, OnOff(run.site, fraction))
-
-
-@settings(max_examples=20, phases=[Phase.explicit, Phase.generate])
-@given(
-    st.sampled_from(["anticipating_onoff", "lookahead"]),
-    st.lists(st.floats(0, 20), min_size=STEPS - 1, max_size=STEPS - 1),
-    st.sampled_from([0.0, 0.01, 0.1]),
-    st.sampled_from([0.0, 0.05, 1.0]),
-    st.sampled_from([1.0, 0.02]),
-)
-def test_trust_costs_at_most_the_budget(
-    controller: str, rain: list[float], budget: float, share: float, strength: float
-) -> None:
-    """Whatever the forecast says, for three hours without a drop; with weak pumps, too."""
-    run = paper_run("--controller", controller, "--horizon", "12", "--hours", "3")
-    rates = [rate / 3.6e6 for rate in rain]
-    name = "fraction" if controller == "anticipating_onoff" else "max_command"
-    reached = lied_to(
-        run, rates, waiting_budget=budget, waiting_share=share, **{name: strength}
-    )
-    plain = onoff("--hours", "3", fraction=strength)
-    # It is seen a tick too late; and on/off overshoots by a tick's pumping here or there.
-    assert reached <= (1 + share) * plain + budget * EMPTY_HOUR * 1.02 + 60
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:

@@ -14,6 +14,7 @@ from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.simulate import main
 from greenroof_ros.weather.reading import read_weather
 
 SITE = (CHECKOUT / "config" / "site.yaml").read_text()
@@ -80,14 +81,6 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
         "--forecast errors --forecast-skill absent.yaml", ("absent.yaml", "cannot be read")
     ),
 }
-WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "no-evapotranspiration": (
-        weather(*(line.rpartition(",")[0] for line in HOURS), header="time,precipitation [mm/h]"),
-        ("evapotranspiration [mm/day]", "temperature, dew point"),
-    ),
-    "quote-open": (weather(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2.7'), ("line 3", "CSV")),
-    "far-future": (weather("9999-12-31T23:00-05:00,0.0,2.0"), ("line 2", "9999", "2037")),
-}
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"
 ISSUED = "2021-07-07T00:00-05:00"
@@ -99,8 +92,6 @@ def forecasts(*lines: str, header: str = FORECAST_HEADER, issued: str = ISSUED) 
 
 
 FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "empty": (b"", ("empty",)),
-    "header-only": (forecasts(), ("no records",)),
     "weather": (weather(*HOURS), ("line 1", "'time'", "'issued'")),
     "wrong-unit-of-evapotranspiration": (
         forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/day", "mm/h")),
@@ -113,13 +104,6 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "member-last": (
         forecasts(HOURS[0], header=FORECAST_HEADER + ",member"), ("line 1", "'member'")
     ),
-    "cell-missing": (forecasts(HOURS[0], HOURS[1][:-4]), ("line 3", "4 cells", "not 3")),
-    "quote-open": (forecasts(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2'), ("line 3", "CSV")),
-    "no-number": (
-        forecasts(HOURS[0], HOUR.format(1, "M")), ("line 3", "precipitation [mm/h] = 'M'", "500")
-    ),
-    "negative": (forecasts(HOUR.format(0, -0.1)), ("line 2", "'-0.1'", "0 to 500 mm/h")),
-    "nan": (forecasts(HOUR.format(0, "nan")), ("line 2", "'nan'")),
     "absurd-rain": (forecasts(HOUR.format(0, 501)), ("line 2", "'501'", "0 to 500 mm/h")),
     "absurd-evapotranspiration": (
         forecasts(HOURS[0].replace("2.0", "51")),
@@ -127,7 +111,6 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
     ),
     "gap": (forecasts(HOURS[0], HOURS[2]), ("line 3", "time =", "must be 2021-07-07T01:00-05:00")),
     "late-first": (forecasts(HOURS[1]), ("line 2", "must be 2021-07-07T00:00-05:00")),
-    "no-offset": (forecasts(HOURS[0].replace("-05:00", "")), ("line 2", "time =", "offset")),
     "issued-no-time": (forecasts(HOURS[0], issued="noon"), ("line 2", "issued = 'noon'")),
     "unsorted-issues": (
         forecasts(HOURS[0]) + forecasts(HOURS[0], issued="2021-07-06T23:00-05:00", header="#"),
@@ -167,9 +150,10 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
 
 @pytest.mark.parametrize(("options", "words"), OPTIONS.values(), ids=OPTIONS)
 def test_refused(
-    unused_domain: int, tmp_path: Path, options: str, words: tuple[str, ...]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    options: str, words: tuple[str, ...],
 ) -> None:
-    """Both commands say what is wrong, where, and what would be right; and leave nothing."""
+    """It is said what is wrong, where, and what would be right; and nothing is left."""
     (tmp_path / "full" / "something").mkdir(parents=True)
     for name, content in (
         ("wrong.yaml", (SITE + "\na3: 1.0\n").encode()), ("wrong.csv", weather(*HOURS)),
@@ -182,31 +166,41 @@ def test_refused(
     ):
         (tmp_path / name).write_bytes(content)
     before = sorted(tmp_path.rglob("*"))
-    for command in ("simulate", "bringup"):
-        done = run_command(command, *options.split(), cwd=tmp_path, env=environment(unused_domain))
-        assert done.returncode == 2, done.stderr
-        assert done.stdout == ""
-        assert done.stderr.count("error:") == 1, done.stderr
-        assert "Traceback" not in done.stderr
-        message = done.stderr.partition("error:")[2]
-        for word in words:
-            assert word in message
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["simulate", *options.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out) == (2, "")
+    assert said.err.count("error:") == 1, said.err
+    message = said.err.partition("error:")[2]
+    for word in words:
+        assert word in message
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize(("content", "words"), WEATHERS.values(), ids=WEATHERS)
-def test_refused_weather(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
-    """Named with the file."""
-    (tmp_path / "FILE.csv").write_bytes(content)
-    with pytest.raises(ConfigurationError) as refused:
+@pytest.mark.parametrize("options", ["--controller pid", "--weight 0", "--hours 0.0001"])
+def test_bringup_refuses_the_same(unused_domain: int, tmp_path: Path, options: str) -> None:
+    """What the controller's name, argparse and the run itself refuse; and it leaves nothing."""
+    done = run_command("bringup", *options.split(), cwd=tmp_path, env=environment(unused_domain))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("error:") == 1, done.stderr
+    assert options.split()[0].removeprefix("--") in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_weather_without_evapotranspiration(tmp_path: Path) -> None:
+    """It is neither there nor can it be computed."""
+    hours = [line.rpartition(",")[0] for line in HOURS]
+    (tmp_path / "FILE.csv").write_bytes(weather(*hours, header="time,precipitation [mm/h]"))
+    with pytest.raises(ConfigurationError, match=r"FILE\.csv.*evapotranspiration \[mm/day\]"):
         read_weather([tmp_path / "FILE.csv"], PAPER_SITE)
-    for word in ("FILE.csv", *words):
-        assert word in str(refused.value)
 
 
 @pytest.mark.parametrize(("content", "words"), FORECASTS.values(), ids=FORECASTS)
 def test_refused_forecasts(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
-    """Likewise."""
+    """Of what only a file of forecasts has; test_table.py has the rules of all CSV."""
     (tmp_path / "FILE.csv").write_bytes(content)
     with pytest.raises(ConfigurationError) as refused:
         read_forecasts(tmp_path / "FILE.csv")

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
-from pathlib import Path
 
-import pytest
-from commands import run_command
 from paper import paper_run
 from rich.console import Console
 
@@ -35,7 +31,8 @@ def test_no_raw_data() -> None:
         ],
     )
     result |= {
-        "frost_hours": 2.0, "weather_notes": ["rain was moved an hour back"],
+        "excess_starts": 2, "limited_steps": 0, "frost_hours": 2.0,
+        "weather_notes": ["rain was moved an hour back"],
         "filled": {"dew point": ["2021-07-20T13:00-05:00", "2021-07-20T14:00-05:00"]},
         "suspicious": ["79.2 mm at 2015-12-29T02:00-05:00"],
         "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
@@ -46,22 +43,10 @@ def test_no_raw_data() -> None:
     assert not set("{}[]'").intersection(text) and "None" not in text
     rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
     assert any(row.startswith("sensor and pump ") and "minimum_on 60" in row for row in rows)
+    # In capitals above its limit, and left out where it should be 0 and is.
+    assert any(row.startswith("TOO MANY STARTS 2 pump starts beyond ") for row in rows)
+    assert not any(row.lower().startswith("limited ticks") for row in rows)
     assert "REFUSED 39 values: 37 on /pump/flow, 2 on /roof/level" in rows
     assert "SUSPICIOUS rain 79.2 mm at 2015-12-29T02:00-05:00; taken as it is" in rows
     assert "CHANGED weight 0.001 -> 0.01 at 00:05 (tick 300)" in rows
     assert "CHANGED most no limit -> 2 at 00:05 (tick 301)" in rows
-
-
-@pytest.mark.parametrize(
-    ("controller", "warned"),
-    [(("onoff", "--fraction", "0.01"), True), (("lookahead", "--horizon", "12"), False)],
-)
-def test_too_many_starts(controller: tuple[str, ...], warned: bool, tmp_path: Path) -> None:
-    """A dry afternoon: with a hundredth of the flow plain on/off starts the pumps every minute."""
-    done = run_command(
-        "simulate", "--controller", *controller, "--start", "2021-07-07T14:00", "--hours", "1",
-        "--cistern", "57", "--roof", "3.144",
-        cwd=tmp_path, env=dict(os.environ),
-    )
-    assert done.returncode == 0, done.stderr
-    assert ("TOO MANY STARTS" in done.stdout) is warned

@@ -66,9 +66,20 @@ def test_outlet_flow_by_hand(site: Site, x1: float, flow: float) -> None:
         assert 0 < outlet_flow(site, just_above(x1)) < 1e-8
 
 
-def test_maximum_pump_flow_by_hand() -> None:
-    """b = 1 / sqrt(328.12 / (19.62 (0.01 pi)^2) + 5.78e5) = 1.29646769e-3, times sqrt(42.2)."""
-    assert maximum_pump_flow(PAPER_SITE, 75.0) == pytest.approx(0.00842205211502804, rel=1e-12)
+WEAK = replace(PAPER_SITE, c_hat=15.0)
+"""15 m of head against 16 m of height lift nothing from less than 1 m of water."""
+
+
+@pytest.mark.parametrize(
+    ("site", "x1", "flow"),
+    [
+        # b = 1 / sqrt(328.12 / (19.62 (0.01 pi)^2) + 5.78e5) = 1.29646769e-3, times sqrt(42.2).
+        (PAPER_SITE, 75.0, 0.00842205211502804),
+        (WEAK, 24.0, 0.0), (WEAK, 25.0, 0.0), (WEAK, 26.0, 1.29646769313485e-3 * 0.2),
+    ],
+)
+def test_maximum_pump_flow_by_hand(site: Site, x1: float, flow: float) -> None:
+    assert maximum_pump_flow(site, x1) == pytest.approx(flow, rel=1e-12)
 
 
 @given(site=sites(), level=st.floats(0, 20))
@@ -80,14 +91,6 @@ def test_maximum_pump_flow_is_where_pump_and_pipe_meet(site: Site, level: float)
     losses = (site.F * site.l / site.D + site.k_L) * y**2 / (2 * site.g * site.a_pump**2)
     assert y > 0
     assert head == pytest.approx(losses + site.d - level, abs=1e-9)
-
-
-def test_maximum_pump_flow_below_the_lift_is_zero() -> None:
-    """A pump of 15 m of head against 16 m of height lifts nothing from less than 1 m of water."""
-    weak = replace(PAPER_SITE, c_hat=15.0)
-    assert maximum_pump_flow(weak, 24.0) == 0.0
-    assert maximum_pump_flow(weak, 25.0) == 0.0
-    assert maximum_pump_flow(weak, 26.0) > 0
 
 
 @pytest.mark.parametrize(
@@ -119,11 +122,6 @@ def test_the_command_to_a_volume_leads_there(site: Site) -> None:
     assert command_to(*given, wanted - 1e-3, *weather) == 0
     weak = replace(site, c_hat=15.0)
     assert command_to(weak, soil_of(weak), 24.0, 1.0, 2.0, *weather) == 0
-
-
-def test_commands_beyond_one_are_not_clamped() -> None:
-    """The paper's on/off runs go up to v = 2: twice the maximum flow at 75 m3."""
-    assert pump_flow(PAPER_SITE, 75.0, 0.0, 2.0) == pytest.approx(0.01684410423005609, rel=1e-12)
 
 
 def test_drainage_by_hand() -> None:
@@ -210,35 +208,31 @@ def test_levels_are_depths() -> None:
     assert Plant(PAPER_SITE, 50.0, 6.88).levels() == pytest.approx((2.0, 0.1), rel=1e-15)
 
 
-def test_cistern_that_holds_too_little_shares_it_out() -> None:
-    """1 m3 and 0.1 m3/s of rain meet a wish of 2.2 m3/s: half of it flows, and nothing is left."""
-    plant = Plant(PAPER_SITE, 1.0, 0.0)
-    rain = 0.1 / PAPER_SITE.a_in
-    flows = plant.flows(rain, 0.0, 2.2)
-    assert flows == pytest.approx((0.0, 1.1, 0.0, 0.0, True), rel=1e-12)
-    plant.step(rain, flows)
-    assert plant.x1 == 0.0
-    assert plant.x2 == pytest.approx(1.1 + rain * 68.8, rel=1e-12)
+DRAINS = 1.077408e-5
+"""Eq. (4) at 34.4 m3."""
 
 
-def test_outlet_and_pump_are_limited_alike() -> None:
-    """From 100 m3, 0.13263 m3/s to the sewer and 199.86737 m3/s pumped make 200: half of each."""
-    outflow = 0.1326322799584
-    flows = Plant(PAPER_SITE, 100.0, 0.0).flows(0.0, 0.0, 200 - outflow)
-    assert flows == pytest.approx((outflow / 2, 100 - outflow / 2, 0.0, 0.0, True), rel=1e-12)
-
-
-def test_roof_that_holds_too_little_dries_out() -> None:
-    """2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike."""
-    plant = Plant(PAPER_SITE, 10.0, 2e-6)
-    flows = plant.flows(0.0, 3e-6, 0.0)
-    assert flows == pytest.approx((0.0, 0.0, 0.0, 2e-6, True), rel=1e-12)
-    plant.step(0.0, flows)
-    assert plant.x2 == 0.0
-
-    drains = 1.077408e-5
-    flows = Plant(PAPER_SITE, 10.0, 34.4).flows(0.0, 68.8 - drains, 0.0)
-    assert flows == pytest.approx((0.0, 0.0, drains / 2, 34.4 - drains / 2, True), rel=1e-12)
+@pytest.mark.parametrize(
+    ("x1", "x2", "given", "expected"),
+    [
+        # 1 m3 and 0.1 m3/s of rain meet a wish of 2.2 m3/s: half of it flows.
+        (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0)),
+        # OUT m3/s to the sewer and 200 - OUT m3/s pumped make 200 from 100 m3: half of each.
+        (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0)),
+        # 2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike.
+        (10.0, 2e-6, (0.0, 3e-6, 0.0), (0.0, 0.0, 0.0, 2e-6)),
+        (10.0, 34.4, (0.0, 68.8 - DRAINS, 0.0), (0.0, 0.0, DRAINS / 2, 34.4 - DRAINS / 2)),
+    ],
+)
+def test_a_tank_that_holds_too_little_shares_it_out(
+    x1: float, x2: float, given: tuple[float, float, float], expected: tuple[float, ...]
+) -> None:
+    """And nothing is left in it."""
+    plant = Plant(PAPER_SITE, x1, x2)
+    flows = plant.flows(*given)
+    assert flows == pytest.approx((*expected, True), rel=1e-12)
+    plant.step(given[0], flows)
+    assert 0.0 in (plant.x1, plant.x2)
 
 
 def test_exactly_what_a_tank_holds_is_no_limit() -> None:

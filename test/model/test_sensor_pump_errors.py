@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,6 @@ import numpy as np
 import pytest
 from commands import run_command
 from graphs import environment
-from hypothesis import given
-from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.experiment.closed_loop import Tick, closed_loop
@@ -147,49 +144,6 @@ def test_frost_switches_off_at_once() -> None:
     assert commands_let_through(times, [1, 1, 0], [False, False, True]) == [1, 1, 0]
 
 
-@given(
-    on=st.integers(0, 6),
-    off=st.integers(0, 6),
-    ticks=st.lists(
-        st.tuples(st.just(0.0) | st.floats(0.01, 2), st.booleans(), st.booleans()), max_size=60
-    ),
-)
-def test_no_phase_is_too_short(
-    on: int, off: int, ticks: list[tuple[float, bool, bool]]
-) -> None:
-    """A time on ends early only where frost or Eq. (3a) ends it; no time off does.
-
-    And the switch does no more: where nothing forbids it, what flows is what is commanded.
-    """
-    commands = [command for command, _, _ in ticks]
-    # Each of the two in about one of eight ticks, or times on would hardly end by themselves.
-    cold = [frost and index % 4 == 0 for index, (_, frost, _) in enumerate(ticks)]
-    full = [roof and index % 4 == 2 for index, (_, _, roof) in enumerate(ticks)]
-    shares = commands_let_through(
-        SensorPumpErrors(minimum_on=on, minimum_off=off), commands, cold,
-        [FULL if each else EMPTY for each in full],
-    )
-    begin = 0
-    for running, phase in itertools.groupby(share > 0 for share in shares):
-        length = len(list(phase))
-        end = begin + length
-        if running and end < len(shares):
-            assert length >= on or cold[end] or full[end]
-        elif not running and begin > 0 and end < len(shares):
-            assert length >= off
-        for index in range(begin, end):
-            stopped = cold[index] or full[index]
-            may_start = begin == 0 or index - begin >= off
-            if not running:
-                assert stopped or commands[index] == 0 or not may_start
-            elif commands[index] > 0:
-                assert shares[index] == pytest.approx(commands[index], rel=1e-12)
-            else:
-                assert index - begin < on
-                assert shares[index] == shares[index - 1]
-        begin = end
-
-
 # --- runs --------------------------------------------------------------------------------------
 
 
@@ -231,35 +185,6 @@ def test_a_noisy_sensor_makes_the_pumps_start_often_and_minimum_times_seldom() -
     assert 1 <= spared <= 6  # 720 s hold no more phases of 60 s
 
 
-def test_zeros_are_no_errors() -> None:
-    """The options at their defaults and none at all: the same ticks, to the bit."""
-    options = ("--controller", "onoff", "--hours", "0.2")
-    zeros = ("--roof-noise", "0", "--roof-offset", "0", "--noise-seed", "5", "--minimum-on", "0",
-             "--minimum-off", "0")
-    run = paper_run(*options, *zeros)
-    assert run.sensor_pump_errors.none
-    ticks, metrics = ticks_of(run)
-    exact_ticks, exact = ticks_of(paper_run(*options))
-    assert ticks == exact_ticks
-    assert metrics.results() == exact.results()
-
-
-def run_module(
-    module: str, directory: Path, *options: str, domain: int = 0
-) -> subprocess.CompletedProcess[str]:
-    """Run a command that must come to an end by itself."""
-    return run_command(module, *options, cwd=directory, env=environment(domain))
-
-
-def test_minimum_times_are_the_drivers_business(tmp_path: Path) -> None:
-    """Refused with an external pump: its driver does as it must."""
-    done = run_module("bringup", tmp_path, "--pump", "external", "--minimum-off", "60")
-    assert done.returncode == 2
-    assert "are the pump driver's business where the pump is external" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
@@ -274,7 +199,9 @@ def test_wrong_parameters_of_the_node(
     """Exit code 2, one clear message."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     given_ones = [word for parameter in parameters for word in ("-p", parameter)]
-    done = run_module("nodes.plant", tmp_path, "--ros-args", *given_ones, domain=domain)
+    done = run_command(
+        "nodes.plant", "--ros-args", *given_ones, cwd=tmp_path, env=environment(domain)
+    )
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert "Traceback" not in done.stderr
