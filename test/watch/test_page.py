@@ -251,11 +251,12 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 def test_it_fits_every_width(open_page: Open, width: int) -> None:
     """No list is cut at its end, and no text lies over another one, be it of three references."""
     watched = site_watched("simulated")
-    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     long = "the drive at its gateway does not answer " * 12
     parts = [(f"part {i}", ERROR, long) for i in range(12)]
     page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)], width)
+    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     until_drawn(page)
+    page.wait_for_function("charts.views.get('cistern').marks.length === 3")
     until_shown(page, ".alarm")
     assert overflow(page) == 0
     values = page.locator(".tile .value")
