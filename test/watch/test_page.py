@@ -256,7 +256,8 @@ def test_it_fits_every_width(open_page: Open, width: int) -> None:
     page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)], width)
     watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     until_drawn(page)
-    page.wait_for_function("charts.views.get('cistern').marks.length === 3")
+    read = "charts.views.get('cistern').marks"
+    marks = wait_for(lambda: len(found := page.evaluate(read)) == 3 and found, 60, "three marks")
     until_shown(page, ".alarm")
     assert overflow(page) == 0
     values = page.locator(".tile .value")
@@ -275,7 +276,6 @@ def test_it_fits_every_width(open_page: Open, width: int) -> None:
     )
     assert len(lines) > 12
     assert all(one[1] <= other[0] + 1 for one, other in pairwise(lines))
-    marks = page.evaluate("charts.views.get('cistern').marks")
     assert [(one["text"], one["inside"]) for one in marks] == [
         ("suction level 750 mm", True), ("low outlet 1000 mm", True),
         ("outlet 3000 mm \u2191", False),
@@ -317,7 +317,7 @@ def test_a_pump_that_may_turn_is_an_alarm_and_has_no_flow(open_page: Open) -> No
     until_shown(page, "#summary[data-level=error]", "whether the pump stands is not known")
     assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
     until_drawn(page)
-    page.wait_for_function("charts.rows.flow.at(-1).v === null")
+    wait_for(lambda: page.evaluate("charts.rows.flow.at(-1).v") is None, 60, "a gap")
 
 
 def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> None:

@@ -111,12 +111,12 @@ def test_no_path_leads_anywhere_else(target: str, port: int) -> None:
     ("localhost", 200), ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
     ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("localhost.evil.example:80", 403),
     ("evil.example@localhost.evil", 403), ("192.168.0.1", 403), ("", 403), ("[", 403),
-    ("0.0.0.0", 403), (None, 403), ("localhost\r\nHost: evil.example", 403),
+    ("0.0.0.0", 403), (None, 400), ("localhost\r\nHost: evil.example", 400),
 ])
 def test_a_request_names_this_host(host: str | None, status: int, port: int) -> None:
     """A name of somebody's that leads here would make his page one of this server's."""
     for target in ("/", "/page.js"):
-        assert request(port, "GET", target, host=host).status in {status, status or 400}
+        assert request(port, "GET", target, host=host).status == status
 
 
 @pytest.mark.parametrize(("token", "headers", "status"), [
@@ -223,7 +223,7 @@ def test_a_body_that_says_nothing_is_refused(body: bytes, port: int) -> None:
     assert_goes_on(port)
 
 
-@pytest.mark.parametrize("hours", ["0", "-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
+@pytest.mark.parametrize("hours", ["-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
 def test_hours_that_cannot_be_are_refused(hours: str, port: int) -> None:
     assert request(port, "GET", f"/events?hours={hours}").status == 400
 
@@ -307,9 +307,9 @@ def test_broken_requests_stop_nothing(
 def test_a_thousand_silent_connections_keep_nobody_away(
     watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_FIRST_S", 1.0)
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    monkeypatch.setattr(server, "_FIRST_S", 3.0)
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
     with served(watched) as port:
         stream = Stream(port)
         stream.head()
@@ -326,14 +326,15 @@ def test_a_thousand_silent_connections_keep_nobody_away(
                 if number % 100 == 0:
                     assert_goes_on(port)
             assert_goes_on(port)
-            taken = _open_files() - before - len(silent)
-            assert taken <= server._MOST_CONNECTIONS + 10
+            # Those of a moment are taken at once, and closed in the next: before their time is up.
+            most = server._MOST_CONNECTIONS + 10 + before + len(silent)
+            wait_for(lambda: _open_files() <= most, 2, "as few connections as may be")
             set_level(watched, 0.03, 1)
             for _, content in events:  # a page that was there goes on
                 if level_in(content) == 0.03:
                     break
             for connection in silent:  # those that still were there are ended, too
-                connection.settimeout(5)
+                connection.settimeout(30)
                 with suppress(ConnectionResetError):
                     assert connection.recv(1) == b""
         finally:
