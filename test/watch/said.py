@@ -15,7 +15,7 @@ from greenroof_ros.watch.wire import Status
 
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
-START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC
+START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, a multiple of 20 s
 STOPPED = "an operator stopped it"
 
 

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 from said import ERROR, OK, SECOND, START, STOPPED, WARN, hear, node, store
 
-from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
@@ -183,6 +182,11 @@ def test_rain_and_what_is_to_come() -> None:
         forecast(one, MINUTE + later * SECOND, rain)
         tile = tile_of(one, "rain")
         assert (tile["value"], tile["sentence"]) == ("1.0 mm/h", sentence)
+        rows = read_series(one, 3)["forecast"]
+        if rain is ENSEMBLE:
+            at = START / 1e9 + 60
+            assert rows[0] == pytest.approx([at, at + 10, 6e-7, 2e-7, 1e-6])
+        assert (len(rows), rows[-1][1]) == (32, START / 1e9 + 60 + later + 43_200)
     one, front = watched(), np.array([math.nan, *range(1, 11)])
     one.add_forecast(RAIN, MINUTE, np.full(10, 1e-7), front)
     assert tile_of(one, "rain")["sentence"] == (
@@ -190,14 +194,13 @@ def test_rain_and_what_is_to_come() -> None:
     )
 
 
-@pytest.mark.parametrize("front", [
-    [math.nan], [math.nan, *range(1, 11), 12], [math.nan, *range(10)], [math.nan, 1, *range(1, 10)],
-    [math.nan, *range(1, 10), math.inf],
+@pytest.mark.parametrize("ends", [
+    [], [*range(1, 11), 12], range(10), [1, *range(1, 10)], [*range(1, 10), math.inf],
 ], ids=["none", "of another one", "from now", "twice", "endless"])
-def test_a_forecast_that_does_not_say_when_its_steps_end_is_not_shown(front: list[float]) -> None:
+def test_a_forecast_that_does_not_say_when_its_steps_end_is_not_shown(ends: list[float]) -> None:
     """Not even where there are as many as ticks of a look-ahead."""
     one = watched()
-    one.add_forecast(RAIN, MINUTE, np.full(10, 1e-7), np.array(front))
+    one.add_forecast(RAIN, MINUTE, np.full(10, 1e-7), np.array([math.nan, *ends]))
     assert tile_of(one, "rain")["sentence"] == "no forecast is known"
     assert read_series(one, 3)["forecast"] == []
 
@@ -407,16 +410,22 @@ def test_what_is_not_newer_is_left_out() -> None:
     assert max(high for _, _, high, _ in rows) == 0.04
 
 
-def test_a_value_that_does_not_come_any_more_is_stale() -> None:
-    """Each topic by its own interval: every second here, so that 5 s are too long."""
+@pytest.mark.parametrize("looks", [True, False])
+def test_a_value_that_does_not_come_any_more_is_stale(looks: bool) -> None:
+    """Each topic by its own interval: every second here, so that 5 s are too long.
+
+    Whether a page is open or not: the feed looks all the same.
+    """
     one = watched(roof_level=0.0453)
     stale = []
     for second in range(17):
         values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
         hear(one, 61 + second, 62 + second, values)
-        document = shown(one, 100.0 + second)
-        stale.append(document["tiles"]["roof"]["stale"])
+        one.look(100.0 + second, 0.0)
+        if looks:
+            stale.append(tile_of(one, "roof", 100.0 + second)["stale"])
     assert not any(stale[:14])
+    document = shown(one, 116.0)
     tile = document["tiles"]["roof"]
     assert tile["stale"]
     assert (tile["value"], tile["state"]) == ("unknown", "unknown")
@@ -437,19 +446,8 @@ def test_what_comes_seldom_may_be_silent_for_longer() -> None:
     assert tile_of(one, "roof", 161.0)["stale"]
 
 
-def test_a_sensor_that_died_while_nobody_looked_is_stale() -> None:
-    """No page was open for half an hour: the feed looks all the same."""
-    one = watched()
-    for second in range(1800):
-        values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
-        hear(one, 61 + second, 62 + second, values)
-        one.look(100.0 + second, 0.0)
-    document = shown(one, 1899.5)
-    assert document["tiles"]["roof"]["stale"]
-    assert not document["tiles"]["cistern"]["stale"]
-
-
-def test_the_time_of_a_live_site_goes_on_without_values() -> None:
+def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() -> None:
+    """By an hour: what comes then counts, and what the recording still says of later does not."""
     one = watched("live")
     one.look(100.0, START / 1e9 + 60)
     assert shown(one, 101.0)["notes"] == []
@@ -458,17 +456,11 @@ def test_the_time_of_a_live_site_goes_on_without_values() -> None:
     assert document["time"]["text"] == "2021-07-20 00:01:12 UTC-05:00"
     assert document["notes"] == ["No values have come for 12 s."]
     assert read_series(one, 1.0)["now"] == START / 1e9 + 72
-
-
-def test_a_live_clock_that_is_set_back() -> None:
-    """By an hour: what comes then counts, and what the recording still says of later does not."""
-    one = watched("live")
-    one.look(100.0, START / 1e9 + 60)
-    pump_says(one, 100.0, "off: nothing is commanded")
-    one.look(100.5, START / 1e9 - 3539)
+    pump_says(one, 112.0, "off: nothing is commanded")
+    one.look(112.5, START / 1e9 - 3539)
     hear(one, 55, 62, {"/roof/level": 0.01})
     hear(one, -3539, -3530, QUIET)
-    document = shown(one, 101.0)
+    document = shown(one, 113.0)
     assert document["tiles"]["roof"]["number"] == QUIET["/roof/level"]
     assert document["tiles"]["pump"]["value"] == "off"
     assert document["account"]["since_text"] == "since 2021-07-19 23:01:01"
@@ -477,14 +469,18 @@ def test_a_live_clock_that_is_set_back() -> None:
     )
 
 
-def test_nothing_of_an_ended_run_is_stale() -> None:
+def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     one = watched()
+    one.add_plan(MINUTE, np.array([[43_200.0, 1e-4, 0.045]]))
+    forecast(one, MINUTE, np.full(32, 1e-7))
     shown(one, 100.0)
     one.set_present(mode="ended", factor=None, source="bag", note="")
     document = shown(one, 9999.0)
-    assert document["heading"] == "Ended run"
-    assert document["tiles"]["roof"]["state"] == "good"
-    assert document["tiles"]["summary"]["sentence"] == (
+    tiles = document["tiles"]
+    assert (document["heading"], tiles["roof"]["state"]) == ("Ended run", "good")
+    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
+    assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
+    assert tiles["summary"]["sentence"] == (
         "The run has ended. The roof was at its target; the pump was off, since nothing "
         "is commanded."
     )
@@ -953,15 +949,6 @@ def test_a_plan_goes_with_its_controller() -> None:
     assert read_series(one, 3)["plan"]
 
 
-def test_an_ended_run_has_no_future() -> None:
-    one = watched("ended")
-    one.add_plan(MINUTE, np.array([[43_200.0, 1e-4, 0.045]]))
-    forecast(one, MINUTE, np.full(32, 1e-7))
-    tiles = shown(one)["tiles"]
-    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
-    assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
-
-
 @pytest.mark.parametrize(("hours", "sentence"), [
     (0.9, "4.3 mm expected in the next 12 h"),
     (2.0, "4.3 mm expected in the next 12 h, by the forecast of 00:00"),
@@ -1134,15 +1121,6 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     assert read_series(one, 24)["plan"] == []
 
 
-def test_the_forecast_of_the_charts() -> None:
-    one = watched()
-    forecast(one, MINUTE, ENSEMBLE)
-    rows = read_series(one, 3)["forecast"]
-    assert len(rows) == 32
-    assert rows[0] == pytest.approx([START / 1e9 + 60, START / 1e9 + 70, 6e-7, 2e-7, 1e-6])
-    assert rows[-1][1] == START / 1e9 + 60 + 43_200
-
-
 @pytest.mark.parametrize(("seconds", "hours", "gap"), [
     (10, 12, 600.0),  # as the account's
     (10, 168, 3040.0),  # two stretches: 168 h in 400 are of 1512 s, in whole ones of 20 s 1520 s
@@ -1163,12 +1141,6 @@ def test_odd_windows(hours: float, points: int) -> None:
     series = read_series(watched(), hours, points)
     assert series["lines"]["roof"]
     assert 0.1 <= (series["now"] - series["from"]) / 3600 <= 168
-
-
-def test_every_line_is_a_topic_that_says_how_it_is_shown() -> None:
-    topics = read_topics()
-    for topic in LINES.values():
-        assert topics[topic].display is not None
 
 
 # --- threads and time ---------------------------------------------------------------------------
