@@ -25,19 +25,15 @@ def node(
 ) -> list[Status]:
     """Return what a node says: its own status, and those of its parts.
 
-    Of each part its name, level and sentence, and where it matters its code and the code of its
-    cause.
+    Of each part its name, level and sentence, and where it matters its code.
     """
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
     return [
         Status(name, OK, state, "host", own),
         *(
-            Status(
-                f"{name}: {part}", level, text, "host",
-                dict(zip(("code", "cause"), codes, strict=False)),
-            )
-            for part, level, text, *codes in parts
+            Status(f"{name}: {part}", level, text, "host", {"code": code[0]} if code else {})
+            for part, level, text, *code in parts
         ),
     ]
 

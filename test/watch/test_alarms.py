@@ -262,7 +262,7 @@ def test_a_silent_sensor_is_one_cause() -> None:
     alarms = heard((0.0, [
         *node("/onoff", "controller", ("inputs", ERROR, *silent)),
         *pump(
-            ("pump", WARN, "held: not known", "cistern_level_unknown", "input_silent"),
+            ("pump", WARN, "held: not known", "cistern_level_unknown"),
             ("levels", ERROR, *silent), ("delivery", WARN, "blind for 3 s", "delivery_blind"),
         ),
         *node("/cistern_sensor", "cistern_sensor", ("sensor", ERROR, "no answer", "sensor_lost")),
