@@ -57,7 +57,6 @@ class Trouble:
         code: of the table of conditions, or of what is seen from here, such as ``not_heard``.
         role: of the node, as the interface calls it; empty for another device.
         part: of the node; empty for the node itself.
-        cause: the code from which it follows, where the node says that.
         names: topics that it is about, or nodes that are waited for, where that is known.
         gist: what makes it another trouble, where the code does not.
         at_least: whether it may have been so before anybody listened here.
@@ -68,7 +67,6 @@ class Trouble:
     code: str = ""
     role: str = ""
     part: str = ""
-    cause: str = ""
     names: tuple[str, ...] = ()
     gist: str = ""
     at_least: bool = False
@@ -531,7 +529,7 @@ class Registry:
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     """Return what a part says is wrong with it."""
     status, level = said.status, said.status.level
-    code, cause = (status.values.get(key, "") for key in ("code", "cause"))
+    code = status.values.get("code", "")
     gist = ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
@@ -543,15 +541,14 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
         gist = status.message  # with the number that the drive gives it
-    return Trouble(level, status.message, code, node.role, part, cause, (), gist, said.first)
+    return Trouble(level, status.message, code, node.role, part, (), gist, said.first)
 
 
 def _fit(status: Status) -> Status:
     """Return a status as it can be shown and kept; a level that there is not is an error."""
     level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
-    values = {
-        key: plain(text, _NAME) for key in ("code", "cause") if (text := status.values.get(key))
-    }
+    code = status.values.get("code")
+    values = {"code": plain(code, _NAME)} if code else {}
     message = plain(status.message, _TEXT) or "says nothing"
     return Status("", level, message, "", values)
 

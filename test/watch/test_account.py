@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import random
-import struct
 from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from graphs import bag_file, bring_up
-from mcap.reader import make_reader
 from paper import PAPER_SITE, paper_run, site_file
 from places import CONFIG
+from said import SECOND, START
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, edited
-from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.watch.account import TOPICS, Account
 
-SECOND = 10**9
-START = 1_626_757_200 * SECOND
 # Entry of the account: key of summary.json.
 SUMMED = {
     "rain": "rain_roof_m3", "pumped": "pumped_m3", "drained": "drainage_m3",
@@ -34,39 +29,65 @@ SUMMED = {
 # The account does not count the tick in which a run ends.
 OVER_TICKS = {"stress": "stress_hours", "deviation": "mean_deviation_mm"}
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
-# A dry day; a storm on a full roof beside a full cistern; a roof with nothing to evaporate.
-MEASURED = (
-    "--hours", "0.5", "--controller", "onoff", "--fraction", "0.02", "--cistern", "57.7",
-    "--roof", "1.7", "--start", "2021-07-08T05:00-05:00",
-    "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-)
+MEASURED = CONFIG / "site_neubrandenburg.yaml"
+# A dry day; a storm on a full roof beside a full cistern; a roof with nothing to evaporate. On a
+# measured roof half an hour of rain: its drainage layer is a part of what is stored, its plants are
+# dry. With water in that layer at first: it drains off, and what is stored falls by it. With a low
+# outlet, through which the detention volume drains.
 RUNS = {
-    "dry": ("--hours", "0.5", "--controller", "onoff"),
-    "storm": ("--hours", "0.5", "--controller", "onoff", *STORM),
-    "empty": ("--hours", "0.2", "--controller", "onoff", "--start", "2021-07-07T14:00-05:00",
-              "--cistern", "10", "--roof", "0"),
+    "dry": ("--hours", "0.5"),
+    "storm": ("--hours", "0.5", *STORM),
+    "empty": ("--hours", "0.2", "--start", "2021-07-07T14:00-05:00", "--cistern", "10",
+              "--roof", "0"),
+    "measured": ("--hours", "0.5", "--fraction", "0.02", "--cistern", "57.7", "--roof", "1.7",
+                 "--start", "2021-07-08T05:00-05:00", "--site", str(MEASURED)),
+    "layer": ("--hours", "0.5"),
+    "low outlet": ("--hours", "0.5", *STORM[:2]),
 }
 
 Recorded = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def recorded(run: Trajectory, site: Site) -> Recorded:
-    """Return what a graph publishes of a run, by topic."""
-    times = START + SECOND * np.arange(len(run.time))
-    values = (
-        run.roof / site.a2, run.cistern / site.a1, run.precipitation, run.evapotranspiration,
-        run.pump_flow, run.outflow, run.drainage,
-    )
-    return {topic: (times, column) for topic, column in zip(TOPICS, values, strict=True)}
+@dataclass
+class Simulated:
+    """A run: what a graph publishes of it by topic, its metrics, and its site."""
+
+    topics: Recorded
+    summary: dict[str, float]
+    site: Site
+
+    def account(self, *, live: bool = False) -> Account:
+        """Return its account; of a live site, where nobody says drainage and overflow."""
+        topics = TOPICS[:5] if live else TOPICS
+        return filled({one: self.topics[one] for one in topics}, self.site, live=live)
 
 
-@pytest.fixture(scope="module", params=RUNS)
-def simulated(request: pytest.FixtureRequest) -> tuple[Recorded, dict[str, float]]:
-    """A run's topics, and its metrics."""
-    run = paper_run(*RUNS[request.param])
-    metrics = Metrics()
+def simulated(*options: str) -> Simulated:
+    run = paper_run("--controller", "onoff", *options)
+    site, metrics = run.site, Metrics()
     happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    return recorded(happened, run.site), metrics.results()
+    times = START + SECOND * np.arange(len(happened.time))
+    values = (
+        happened.roof / site.a2, happened.cistern / site.a1, happened.precipitation,
+        happened.evapotranspiration, happened.pump_flow, happened.outflow, happened.drainage,
+    )
+    topics = {topic: (times, column) for topic, column in zip(TOPICS, values, strict=True)}
+    return Simulated(topics, metrics.results(), site)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Simulated]:
+    place = tmp_path_factory.mktemp("sites")
+    layer = place / "layer.yaml"
+    layer.write_text(f"{edited(MEASURED, {})}initial_layer: 0.3\n", encoding="utf-8")
+    outlet = site_file(
+        place, runoff_coefficient=0.8, low_outlet_level=1.0, low_outlet_radius=0.05
+    )
+    sites = {"layer": layer, "low outlet": outlet}
+    return {
+        name: simulated(*options, *(("--site", str(sites[name])) if name in sites else ()))
+        for name, options in RUNS.items()
+    }
 
 
 def assert_equal(totals: Mapping[str, float], summary: Mapping[str, float]) -> None:
@@ -76,23 +97,23 @@ def assert_equal(totals: Mapping[str, float], summary: Mapping[str, float]) -> N
         assert totals[key] == pytest.approx(summary[name], rel=1e-3, abs=1.01 / 3600), key
 
 
-def test_batches_give_the_summary(simulated: tuple[Recorded, dict[str, float]]) -> None:
+@pytest.mark.parametrize("name", RUNS)
+def test_batches_give_the_summary(runs: dict[str, Simulated], name: str) -> None:
     """Batches come topic by topic, and somebody may look between any two of them."""
-    topics, summary = simulated
-    account = Account(PAPER_SITE)
-    chance = random.Random(7)
-    count, first = len(topics["/roof/level"][0]), 0
+    run, chance = runs[name], random.Random(7)
+    account = Account(run.site)
+    count, first = len(run.topics["/roof/level"][0]), 0
     while first < count:
         last = first + chance.choice([1, 2, 31, 700])
-        order = list(topics)
+        order = list(run.topics)
         chance.shuffle(order)
         for topic in order:
-            times, values = topics[topic]
+            times, values = run.topics[topic]
             account.add(topic, times[first:last], values[first:last])
             account.totals()
         first = last
     totals = account.totals()
-    assert_equal(totals, summary)
+    assert_equal(totals, run.summary)
     assert account.gap_s == 0
     assert account.measured
     assert (account.since, account.until) == (START, START + (count - 1) * SECOND)
@@ -100,99 +121,43 @@ def test_batches_give_the_summary(simulated: tuple[Recorded, dict[str, float]]) 
     assert abs(totals["unexplained"]) < 1e-9
 
 
-def test_a_measured_roof_gives_the_summary() -> None:
-    """Half an hour of rain: its drainage layer is a part of what is stored, its plants are dry.
-
-    A live site, where nobody says the drainage, gives the same; it is computed from the level.
-    """
-    run = paper_run(*MEASURED)
-    metrics = Metrics()
-    happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    summary = metrics.results()
-    topics = recorded(happened, run.site)
-    account = Account(run.site)
-    for topic, (times, values) in topics.items():
-        account.add(topic, times, values)
-    totals = account.totals()
-    assert_equal(totals, summary)
-    assert abs(totals["unexplained"]) < 1e-9
-    assert summary["drainage_m3"] > 0.001
-    assert summary["final_layer_m3"] > 0.001
-    asked = run.site.tau * happened.evapotranspiration[:-1].sum()
-    assert 0 < totals["evapotranspired"] < 0.9 * asked
-
-    live = Account(run.site)
-    live.live = True
-    for topic in TOPICS[:5]:
-        live.add(topic, *topics[topic])
-    found = live.totals()
-    assert not live.measured
-    for key in ("drained", "evapotranspired"):
-        assert found[key] == pytest.approx(totals[key], rel=1e-9), key
-
-
-def test_water_in_the_layer_at_first_gives_the_summary(tmp_path: Path) -> None:
-    """It drains off, and what is stored falls by it."""
-    measured = edited(CONFIG / "site_neubrandenburg.yaml", {})
-    file = tmp_path / "site.yaml"
-    file.write_text(f"{measured}initial_layer: 0.3\n", encoding="utf-8")
-    run = paper_run("--controller", "onoff", "--hours", "0.5", "--site", str(file))
-    metrics = Metrics()
-    happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    account = Account(run.site)
-    for topic, (times, values) in recorded(happened, run.site).items():
-        account.add(topic, times, values)
-    assert_equal(account.totals(), metrics.results())
-    assert account.totals()["drained"] > 0.1
-    assert abs(account.totals()["unexplained"]) < 1e-9
-
-
-def test_a_low_outlet_gives_the_summary(tmp_path: Path) -> None:
-    """Half an hour in which the detention volume drains; a live site computes the same from it."""
-    file = site_file(tmp_path, runoff_coefficient=0.8, low_outlet_level=1.0, low_outlet_radius=0.05)
-    run = paper_run(*STORM[:2], "--hours", "0.5", "--controller", "onoff", "--site", str(file))
-    metrics = Metrics()
-    happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    topics = recorded(happened, run.site)
-    account, live = Account(run.site), Account(run.site)
-    live.live = True
-    for topic, (times, values) in topics.items():
-        account.add(topic, times, values)
-        if topic in TOPICS[:5]:
-            live.add(topic, times, values)
-    assert_equal(account.totals(), metrics.results())
-    assert account.totals()["overflow"] > 10
-    assert not live.measured
-    assert live.totals()["overflow"] == pytest.approx(account.totals()["overflow"], rel=1e-9)
-
-
-def test_heard_one_by_one_gives_the_same_bits(
-    simulated: tuple[Recorded, dict[str, float]]
-) -> None:
-    topics, _ = simulated
-    at_once, one_by_one = Account(PAPER_SITE), Account(PAPER_SITE)
-    for topic, (times, values) in topics.items():
-        at_once.add(topic, times, values)
-    for tick in range(len(topics["/roof/level"][0])):
-        for topic, (times, values) in topics.items():
+@pytest.mark.parametrize("name", RUNS)
+def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated], name: str) -> None:
+    run = runs[name]
+    one_by_one = Account(run.site)
+    for tick in range(len(run.topics["/roof/level"][0])):
+        for topic, (times, values) in run.topics.items():
             one_by_one.add(topic, times[tick : tick + 1], values[tick : tick + 1])
         if tick % 50 == 0:
             one_by_one.totals()
-    assert one_by_one.totals() == at_once.totals()
+    assert one_by_one.totals() == run.account().totals()
 
 
-def test_the_runs_reach_what_they_are_for() -> None:
+@pytest.mark.parametrize(("name", "keys"), [
+    ("measured", ("drained", "evapotranspired")), ("low outlet", ("overflow",)),
+])
+def test_a_live_site_has_the_same_computed_from_its_levels(
+    runs: dict[str, Simulated], name: str, keys: tuple[str, ...]
+) -> None:
+    account = runs[name].account(live=True)
+    totals, known = account.totals(), runs[name].account().totals()
+    assert not account.measured
+    for key in keys:
+        assert totals[key] == pytest.approx(known[key], rel=1e-9), key
+
+
+def test_the_runs_reach_what_they_are_for(runs: dict[str, Simulated]) -> None:
     """Without these a wrong limit, drainage or overflow would not be seen above."""
-    found = {}
-    for name in ("storm", "empty"):
-        run = paper_run(*RUNS[name])
-        metrics = Metrics()
-        for _ in closed_loop(run, run.make_controller(), metrics):
-            pass
-        found[name] = metrics.results()
+    found = {name: run.summary for name, run in runs.items()}
     assert found["storm"]["drainage_m3"] > 1e-3
     assert found["storm"]["outflow_m3"] > 0.1
     assert found["empty"]["limited_steps"] > 10
+    assert found["measured"]["drainage_m3"] > 0.001
+    assert found["measured"]["final_layer_m3"] > 0.001
+    asked = runs["measured"].topics["/weather/evapotranspiration"][1][:-1].sum()
+    assert 0 < found["measured"]["evapotranspiration_m3"] < 0.9 * asked
+    assert found["layer"]["drainage_m3"] > 0.1
+    assert found["low outlet"]["outflow_m3"] > 10
 
 
 def test_a_driver_that_says_more_than_the_cistern_gave() -> None:
@@ -222,36 +187,31 @@ def steady(ticks: int, **rates: float) -> Recorded:
     return {topic: (times, np.full(ticks, given.get(topic, 0.0))) for topic in TOPICS}
 
 
-def filled(topics: Recorded, *, live: bool = False) -> Account:
-    account = Account(PAPER_SITE)
+def filled(topics: Recorded, site: Site = PAPER_SITE, *, live: bool = False) -> Account:
+    account = Account(site)
     account.live = live
     for topic, (times, values) in topics.items():
         account.add(topic, times, values)
     return account
 
 
-def without(topics: Recorded, topic: str, *ticks: int) -> Recorded:
-    times, values = topics[topic]
-    return {**topics, topic: (np.delete(times, ticks), np.delete(values, ticks))}
-
-
-def test_a_tick_that_was_not_heard_is_a_gap() -> None:
-    """Of 101 ticks two flows are missing: 98 of 100 s are known; the rain is known throughout."""
+@pytest.mark.parametrize(("missing", "ticks", "pumped_s", "rain_s", "gap_s"), [
+    (("/pump/flow",), (40, 41), 98, 100, 2),  # the rain is known throughout
+    (TOPICS, (10,), 99, 99, 1),
+])
+def test_a_tick_that_was_not_heard_is_a_gap(
+    missing: tuple[str, ...], ticks: tuple[int, ...], pumped_s: int, rain_s: int, gap_s: int
+) -> None:
+    """Of 100 s."""
     topics = steady(101, **{"/pump/flow": 1e-3, "/weather/precipitation": 1e-6})
-    account = filled(without(topics, "/pump/flow", 40, 41))
-    totals = account.totals()
-    assert totals["pumped"] == pytest.approx(0.098, rel=1e-12)
-    assert totals["rain"] == pytest.approx(100 * 1e-6 * 68.8, rel=1e-12)
-    assert account.gap_s == 2
-
-
-def test_a_tick_of_which_nothing_was_heard_is_a_gap() -> None:
-    topics = steady(101, **{"/pump/flow": 1e-3})
-    for topic in TOPICS:
-        topics = without(topics, topic, 10)
+    for topic in missing:
+        times, values = topics[topic]
+        topics[topic] = np.delete(times, ticks), np.delete(values, ticks)
     account = filled(topics)
-    assert account.totals()["pumped"] == pytest.approx(0.099, rel=1e-12)
-    assert account.gap_s == 1
+    totals = account.totals()
+    assert totals["pumped"] == pytest.approx(pumped_s * 1e-3, rel=1e-12)
+    assert totals["rain"] == pytest.approx(rain_s * 1e-6 * 68.8, rel=1e-12)
+    assert account.gap_s == gap_s
 
 
 def test_what_the_plant_refused_acted_as_nothing() -> None:
@@ -354,23 +314,3 @@ def test_memory_is_bounded_while_nobody_looks() -> None:
     assert kept < 300_000
     assert account.totals()["pumped"] == 0
     assert sum(len(pending.all()[0]) for pending in account._topics.values()) == len(TOPICS)
-
-
-def test_the_bag_of_a_graph_gives_its_summary(domain: int, tmp_path: Path) -> None:
-    """Read from the bag's own bytes, against what the plant of that run counted."""
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    summary = bring_up(domain, tmp_path, "--controller", "onoff", "--hours", "0.1", *STORM)
-    found: dict[str, list[tuple[int, float]]] = {}
-    with bag_file(tmp_path / "run").open("rb") as stream:
-        for _, channel, message in make_reader(stream).iter_messages(topics=TOPICS):
-            (value,) = struct.unpack("<d", message.data[4:12])
-            found.setdefault(channel.topic, []).append((message.log_time, value))
-    account = Account(PAPER_SITE)
-    for topic, rows in found.items():
-        times, values = zip(*rows, strict=True)
-        account.add(topic, np.array(times), np.array(values))
-    totals = account.totals()
-    assert len(found) == len(TOPICS)
-    assert totals["overflow"] > 0.1
-    assert_equal(totals, summary)
-    assert account.gap_s == 0

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import re
-import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import combinations, pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from browsers import started_browser
-from graphs import Process, free_ports, wait_for
+from graphs import wait_for
 from page_server import page_files, served
-from places import CONFIG, guarding
-from simulators import Simulator
+from places import CONFIG
+from said import ERROR, SECOND, START, STOPPED, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
@@ -32,9 +29,13 @@ from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
-BEGIN = 1_626_757_200  # 2021-07-20 05:00 UTC
+BEGIN = START // SECOND
+SITE = read_site(CONFIG / "site.yaml")
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
 LONG_MS = 60_000  # the machine may be busy
+CANNOT = "cannot solve its program"
+
+Open = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -44,34 +45,28 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-def status(name: str, level: int, message: str, **values: str) -> Status:
-    if "role" in values:
-        values["process"] = '"this machine 1"'
-    return Status(name, level, message, "this machine", values)
+def pump(state: str = "off: nothing is commanded", **values: Any) -> list[Status]:
+    return node("/pump", "pump", pump=state, **{"stands": True, **values})
 
 
-PUMP = status(
-    "/pump", 0, "ready", role='"pump"', process='"a 1"', pump='"off: nothing is commanded"',
-    stands="true",
-)
-CONTROLLER = status("/mpc", 0, "ready", role='"controller"')
-ALARM = status("/mpc: program", 2, "cannot solve its program", code="controller_failed")
+def mpc(level: int = ERROR, what: str = CANNOT) -> list[Status]:
+    return node("/mpc", "controller", ("program", level, what, "controller_failed"))
 
 
 @contextmanager
-def saying(watched: Store, *statuses: Status) -> Iterator[list[Status]]:
+def saying(watched: Store, statuses: list[Status]) -> Iterator[None]:
     """Have nodes say how they are, four times a second as they do; the list may be changed."""
-    said, ended = list(statuses), threading.Event()
+    ended = threading.Event()
 
     def say() -> None:
         while not ended.wait(0.25):
-            watched.add_statuses(time.monotonic(), list(said))
+            watched.add_statuses(time.monotonic(), list(statuses))
 
-    watched.add_statuses(time.monotonic(), said)
+    watched.add_statuses(time.monotonic(), statuses)
     thread = threading.Thread(target=say)
     thread.start()
     try:
-        yield said
+        yield
     finally:
         ended.set()
         thread.join()
@@ -82,8 +77,7 @@ def site_watched(mode: str = "ended") -> Store:
 
     Of a run that has ended nothing grows stale while a test looks.
     """
-    watched = Store()
-    watched.set_site(read_site(CONFIG / "site.yaml"))
+    watched = store(mode, SITE)
     watched.set_present(mode=mode, factor=30.0, source="heard", note="A note.")
     seconds = np.arange(BEGIN, BEGIN + 4 * 3600, 10)
     phase = (seconds - BEGIN) / 3000
@@ -95,8 +89,8 @@ def site_watched(mode: str = "ended") -> Store:
         "/weather/precipitation": np.where(phase % 3 < 1, 1e-6, 0.0),
         "/weather/evapotranspiration": np.full(len(seconds), 2e-6),
     }.items():
-        watched.add(topic, seconds * 10**9, values)
-    now_ns = int(seconds[-1]) * 10**9
+        watched.add(topic, seconds * SECOND, values)
+    now_ns = int(seconds[-1]) * SECOND
     ends = np.arange(1, 13) * 3600.0
     watched.add_plan(now_ns, np.stack(
         (ends, np.where(ends < 7200, 0.0, 1e-4), np.full(12, 0.046)), axis=1
@@ -105,6 +99,11 @@ def site_watched(mode: str = "ended") -> Store:
     rain = np.outer(np.arange(3), np.full(len(front) - 1, 1e-6))
     watched.add_forecast("/forecast/precipitation", now_ns, rain, front)
     return watched
+
+
+def later(watched: Store, level: float) -> None:
+    """Have a level of an hour later."""
+    watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * SECOND]), np.array([level]))
 
 
 @contextmanager
@@ -128,6 +127,34 @@ def opened(
         yield page
 
 
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    """Open the page of a store, of which nodes say something; its console must stay empty."""
+    with ExitStack() as stack:
+        pages = []
+
+        def open_page(watched: Store, said: list[Status] | None = None, width: int = 1400) -> Any:
+            if said is not None:
+                stack.enter_context(saying(watched, said))
+            port = stack.enter_context(served(watched))
+            pages.append(stack.enter_context(opened(browser, port, width)))
+            return pages[-1]
+
+        yield open_page
+        assert [page.said for page in pages] == [[] for _ in pages]
+
+
+@pytest.fixture(scope="module")
+def ended_run(browser: Any) -> Iterator[tuple[Store, Any]]:
+    """A run that has ended and its page, for those who leave both as they are."""
+    watched = site_watched()
+    with served(watched) as port, opened(browser, port) as page:
+        until_drawn(page)
+        yield watched, page
+        assert page.said == []
+        assert {url.split("/")[2] for _, url in page.asked} == {f"localhost:{port}"}
+
+
 def until_shown(page: Any, selector: str, text: str | re.Pattern[str] = "") -> Any:
     """Wait until an element is visible with some text, and return it."""
     found = page.locator(selector).filter(has_text=text).first
@@ -137,6 +164,11 @@ def until_shown(page: Any, selector: str, text: str | re.Pattern[str] = "") -> A
 
 def until_drawn(page: Any) -> None:
     page.wait_for_selector("html[data-drawn]", state="attached")
+
+
+def posted(page: Any) -> list[str]:
+    """Return what the page asked to be done."""
+    return [url.rpartition("/")[2] for method, url in page.asked if method == "POST"]
 
 
 def overflow(page: Any) -> int:
@@ -153,144 +185,182 @@ def document_of(watched: Store) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------- what it shows
 
 
-def test_it_shows_the_words_of_the_document(browser: Any) -> None:
+def test_it_shows_the_words_of_the_document(ended_run: tuple[Store, Any]) -> None:
     """Word for word; the console stays empty, and nobody else is asked for anything."""
-    watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        until_shown(page, ".tile[data-key=controller]")
-        document = document_of(watched)
-        for key in ("roof", "cistern", "pump", "rain", "controller"):
-            tile, shown = document["tiles"][key], page.locator(f".tile[data-key={key}]")
-            assert shown.locator("h2 > span").first.text_content() == tile["label"]
-            assert shown.locator(".value").text_content() == tile["value"]
-            assert shown.locator(".sentence").text_content() == tile["sentence"]
-            assert shown.locator(".why").text_content() == tile.get("why", "")
-        for mark in document["tiles"]["cistern"]["marks"]:
-            assert mark["label"] in page.locator(".tile[data-key=cistern] .gauge").inner_text()
-        summary = page.locator("#summary").inner_text()
-        assert document["tiles"]["summary"]["sentence"] in summary
-        assert document["advice"] in summary
-        assert page.locator("#heading").inner_text() == document["heading"]
-        assert page.locator("#time").inner_text() == document["time"]["text"]
-        assert page.locator("#notes li").all_inner_texts() == document["notes"]
-        until_shown(page, "#account td", "m3")  # an ended run's account is closed
-        rows = [[row["label"], row["value"]] for row in document_of(watched)["account"]["rows"]]
-        assert page.locator("#account tr").evaluate_all(
-            "(rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent))"
-        ) == rows
-        until_drawn(page)
-        assert page.said == []
-        assert {url.split("/")[2] for _, url in page.asked} == {f"localhost:{port}"}
-        assert not page.locator("#stop").is_visible()  # no pump node is there
+    watched, page = ended_run
+    until_shown(page, "#account td", "m3")  # an ended run's account is closed
+    document = document_of(watched)
+    for key in ("roof", "cistern", "pump", "rain", "controller"):
+        tile, shown = document["tiles"][key], page.locator(f".tile[data-key={key}]")
+        assert shown.locator("h2 > span").first.text_content() == tile["label"]
+        assert shown.locator(".value").text_content() == tile["value"]
+        assert shown.locator(".sentence").text_content() == tile["sentence"]
+        assert shown.locator(".why").text_content() == tile.get("why", "")
+    for mark in document["tiles"]["cistern"]["marks"]:
+        assert mark["label"] in page.locator(".tile[data-key=cistern] .gauge").inner_text()
+    summary = page.locator("#summary").inner_text()
+    assert document["tiles"]["summary"]["sentence"] in summary
+    assert document["advice"] in summary
+    assert page.locator("#heading").inner_text() == document["heading"]
+    assert page.locator("#time").inner_text() == document["time"]["text"]
+    assert page.locator("#notes li").all_inner_texts() == document["notes"]
+    rows = [[row["label"], row["value"]] for row in document["account"]["rows"]]
+    assert page.locator("#account tr").evaluate_all(
+        "(rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent))"
+    ) == rows
+    assert not page.locator("#stop").is_visible()  # no pump node is there
 
 
-def test_level_is_said_by_word_shape_and_colour(browser: Any) -> None:
-    watched = site_watched()
-    with (
-        saying(watched, CONTROLLER, ALARM) as said_by_nodes, served(watched) as port,
-        opened(browser, port) as page,
+def test_level_is_said_by_word_shape_and_colour(open_page: Open) -> None:
+    said = mpc()
+    page = open_page(site_watched(), said)
+    looks = []
+    for level, name, word in (
+        (0, "ok", "No alarms."), (1, "warn", "1 warning."), (2, "error", "1 alarm."),
     ):
-        looks = []
-        for level, name, said in (
-            (0, "ok", "No alarms."), (1, "warn", "1 warning."), (2, "error", "1 alarm."),
-        ):
-            said_by_nodes[1] = status("/mpc: program", level, "because")
-            page.wait_for_selector(f"#summary[data-level={name}]")
-            until_shown(page, "#summary-word", said)
-            looks.append((
-                page.locator("#summary-shape").get_attribute("href"),
-                page.locator("#summary").evaluate("(one) => getComputedStyle(one).borderColor"),
-            ))
-        assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
+        said[:] = mpc(level, "because")
+        page.wait_for_selector(f"#summary[data-level={name}]")
+        until_shown(page, "#summary-word", word)
+        looks.append((
+            page.locator("#summary-shape").get_attribute("href"),
+            page.locator("#summary").evaluate("(one) => getComputedStyle(one).borderColor"),
+        ))
+    assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
 
 
-def test_hostile_texts_are_texts(browser: Any) -> None:
+def test_hostile_texts_are_texts(open_page: Open) -> None:
     """Markup, control characters and megabytes: shown as text, and no wider than a phone."""
-    watched = site_watched()
-    statuses = (
-        CONTROLLER, status("/mpc: program", 2, HOSTILE),
-        *(status(f"{HOSTILE}{i}", 2, HOSTILE) for i in range(50)),
-        status("/pump", 0, "ready", role='"pump"', pump=json.dumps(f"fault: {HOSTILE}")),
-    )
+    watched = site_watched("simulated")
     watched.add_event(time.time(), HOSTILE)
     watched.set_present(mode="simulated", factor=30.0, source="heard", note=HOSTILE)
-    with (
-        saying(watched, *statuses), served(watched) as port,
-        opened(browser, port, width=400) as page,
-    ):
-        alarm = until_shown(page, ".alarm .what", "<script>hacked=2</script>")
-        assert alarm.text_content() in [row["what"] for row in document_of(watched)["alarms"]]
-        until_shown(page, ".tile[data-key=pump] .why", "<script>")
-        until_shown(page, ".events li", "<script>")
-        until_drawn(page)
-        assert page.locator("img, body script").count() == 0
-        assert page.evaluate("window.hacked") is None
-        assert page.said == []
-        assert overflow(page) == 0
+    page = open_page(watched, [
+        *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
+        *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE, "", {}) for i in range(50)),
+    ], width=400)
+    alarm = until_shown(page, ".alarm .what", "<script>hacked=2</script>")
+    assert alarm.text_content() in [row["what"] for row in document_of(watched)["alarms"]]
+    until_shown(page, ".tile[data-key=pump] .why", "<script>")
+    until_shown(page, ".events li", "<script>")
+    until_drawn(page)
+    assert page.locator("img, body script").count() == 0
+    assert page.evaluate("window.hacked") is None
+    assert overflow(page) == 0
 
 
 @pytest.mark.parametrize("width", [400, 800, 1400])
-def test_it_fits_every_width(browser: Any, width: int) -> None:
+def test_it_fits_every_width(open_page: Open, width: int) -> None:
+    """No list is cut at its end, and no text lies over another one, be it of three references."""
     watched = site_watched("simulated")
-    with (
-        saying(watched, PUMP, CONTROLLER, ALARM), served(watched) as port,
-        opened(browser, port, width) as page,
-    ):
-        until_drawn(page)
-        until_shown(page, ".alarm")
-        assert overflow(page) == 0
-        values = page.locator(".tile .value")
-        assert min(values.evaluate_all(
-            "(all) => all.map((one) => parseFloat(getComputedStyle(one).fontSize))"
-        )) >= 24
-        assert page.locator("#stop-button").bounding_box()["height"] >= 44  # a finger's
+    long = "the drive at its gateway does not answer " * 12
+    parts = [(f"part {i}", ERROR, long) for i in range(12)]
+    page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)], width)
+    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
+    until_drawn(page)
+    read = "charts.views.get('cistern').marks"
+    marks = wait_for(lambda: len(found := page.evaluate(read)) == 3 and found, 60, "three marks")
+    until_shown(page, ".alarm")
+    assert overflow(page) == 0
+    values = page.locator(".tile .value")
+    assert min(values.evaluate_all(
+        "(all) => all.map((one) => parseFloat(getComputedStyle(one).fontSize))"
+    )) >= 24
+    assert page.locator("#stop-button").bounding_box()["height"] >= 44  # a finger's
+    assert page.evaluate(
+        "[...document.querySelectorAll('main p, main ul, #heading')].filter((one) =>"
+        " !one.closest('.unseen') && one.scrollHeight > one.clientHeight + 1)"
+        ".map((one) => one.outerHTML)"
+    ) == []
+    lines = page.evaluate(  # at one moment: the page goes on
+        "[...document.querySelectorAll('.alarm p')].map((one) => one.getBoundingClientRect())"
+        ".filter((box) => box.height).map((box) => [box.top, box.bottom])"
+    )
+    assert len(lines) > 12
+    assert all(one[1] <= other[0] + 1 for one, other in pairwise(lines))
+    assert [(one["text"], one["inside"]) for one in marks] == [
+        ("suction level 750 mm", True), ("low outlet 1000 mm", True),
+        ("outlet 3000 mm \u2191", False),
+    ]
+    words = page.evaluate(
+        "[...document.querySelectorAll('.tile[data-key=cistern] .text')]"
+        ".map((one) => one.getBoundingClientRect())"
+    )
+    assert len(words) == 3
+    for one, other in combinations(words, 2):
+        assert (
+            one["right"] <= other["left"] or other["right"] <= one["left"]
+            or one["bottom"] <= other["top"] + 1 or other["bottom"] <= one["top"] + 1
+        )
 
 
-def test_what_is_old_is_said_to_be(browser: Any) -> None:
+def test_what_is_old_is_said_to_be(open_page: Open) -> None:
     """A value that does not come any more is unknown; what was heard last stands beside it."""
     watched = site_watched("simulated")
     read_document(watched, time.monotonic() - 60)  # a look of a minute ago: nothing came since
-    with served(watched) as port, opened(browser, port) as page:
-        until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
-        sentence = page.locator(".tile[data-key=roof] .sentence").text_content()
-        assert re.fullmatch(r"[\d.]+ mm when last heard at [\d:]+", sentence)
-        assert page.locator(".tile[data-key=roof] .fill").bounding_box()["width"] == 0
-        assert page.locator(".tile[data-key=roof] .state").inner_text().strip() == "not known"
-        watched.set_present(mode="ended", factor=None, source="heard", note="")
-        until_shown(page, "#heading", "Ended run")
-        assert page.locator(".tile.stale").count() == 0
+    page = open_page(watched)
+    until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
+    roof = page.locator(".tile[data-key=roof]")
+    sentence = roof.locator(".sentence").text_content()
+    assert re.fullmatch(r"[\d.]+ mm when last heard at [\d:]+", sentence)
+    assert roof.locator(".fill").bounding_box()["width"] == 0
+    assert roof.locator(".state").inner_text().strip() == "not known"
+    watched.set_present(mode="ended", factor=None, source="heard", note="")
+    until_shown(page, "#heading", "Ended run")
+    assert page.locator(".tile.stale").count() == 0
+
+
+def test_a_pump_that_may_turn_is_an_alarm_and_has_no_flow(open_page: Open) -> None:
+    why = "off: whether the pump stands is not known"
+    page = open_page(site_watched("loop"), node(
+        "/pump", "pump", ("pump", 1, why), pump=why, stands=False, speed=None, flow=None,
+    ))
+    tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
+    until_shown(page, "#summary[data-level=error]", "whether the pump stands is not known")
+    assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
+    until_drawn(page)
+    wait_for(lambda: page.evaluate("charts.rows.flow.at(-1).v") is None, 60, "a gap")
+
+
+def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> None:
+    watched = site_watched()
+    page = open_page(watched)
+    until_shown(page, "#summary", "Alarms are not known")
+    assert "ok" not in page.locator("#summary-shape").get_attribute("href")
+    over = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
+    watched.set_incidents([over])
+    row = until_shown(page, ".alarm.over", "pump: drive")
+    assert not row.locator("button").is_visible()
+    until_shown(page, "#summary[data-level=warn]", "1 incident, over.")
+    watched.set_incidents([replace(over, ended=None)])
+    until_shown(page, ".alarm:not(.over)", "pump: drive")
+    until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
 
 
 # --------------------------------------------------------------------------------------- charts
 
 
-def test_charts_have_one_time_axis_and_the_values(browser: Any) -> None:
-    watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        until_drawn(page)
-        places = page.evaluate(
-            "[...charts.views.values()].map(({ plot }) => [plot.bbox.left, plot.bbox.width])"
-        )
-        assert len(places) == 4
-        assert np.ptp(np.array(places), axis=0).max() <= 1
-        series = read_series(watched, 12)
-        shown = page.evaluate("charts.rows.roof.map((row) => row.v)")
-        measured = [1000 * row[3] for row in series["lines"]["roof"]]
-        assert shown[: len(measured)] == pytest.approx(measured)
-        band = page.evaluate("charts.rows.forecast[0]")
-        assert [band["low"], band["v"], band["high"]] == pytest.approx([0.0, 3.6, 7.2])
-        planned = page.evaluate("charts.rows.plan.map((row) => row.v)")
-        assert min(planned) == 0 and max(planned) == pytest.approx(6.0)
-        assert page.said == []
+def test_charts_have_one_time_axis_and_the_values(ended_run: tuple[Store, Any]) -> None:
+    watched, page = ended_run
+    places = page.evaluate(
+        "[...charts.views.values()].map(({ plot }) => [plot.bbox.left, plot.bbox.width])"
+    )
+    assert len(places) == 4
+    assert np.ptp(np.array(places), axis=0).max() <= 1
+    measured = [1000 * row[3] for row in read_series(watched, 12)["lines"]["roof"]]
+    shown = page.evaluate("charts.rows.roof.map((row) => row.v)")
+    assert shown[: len(measured)] == pytest.approx(measured)
+    band = page.evaluate("charts.rows.forecast[0]")
+    assert [band["low"], band["v"], band["high"]] == pytest.approx([0.0, 3.6, 7.2])
+    planned = page.evaluate("charts.rows.plan.map((row) => row.v)")
+    assert min(planned) == 0 and max(planned) == pytest.approx(6.0)
 
 
-def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
+def test_nothing_is_drawn_or_read_where_nothing_was_heard(open_page: Open) -> None:
     """Two hours without values, and an hour since the rain was heard; a value holds for 10 min."""
     watched = site_watched()
     newest = BEGIN + 4 * 3600 - 10
-    later = np.arange(newest + 2 * 3600, newest + 3 * 3600, 10)
+    seconds = np.arange(newest + 2 * 3600, newest + 3 * 3600, 10)
     for topic in ("/roof/level", "/pump/flow"):
-        watched.add(topic, later * 10**9, np.full(len(later), 0.05))
+        watched.add(topic, seconds * SECOND, np.full(len(seconds), 0.05))
     # What is drawn: of the canvas' columns in which the line has a pixel of its colour.
     drawn = '''([key, t]) => {
       const { plot } = charts.views.get(key);
@@ -309,198 +379,89 @@ def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
       const { chart } = charts.views.get(key);
       return charts.valueAt(chart, chart.lines.find((line) => line.name === name), charts.ms(t));
     }'''
-    with served(watched) as port, opened(browser, port) as page:
-        until_drawn(page)
-        for key in ("roof", "pump"):
-            assert page.evaluate(drawn, [key, newest - 3000])
-            assert not page.evaluate(drawn, [key, newest + 1800])
-            assert page.evaluate(drawn, [key, newest + 2 * 3600 + 1800])
-        for key, name in (("roof", "roof"), ("pump", "flow"), ("rain", "rain")):
-            assert page.evaluate(read, [key, name, newest - 5]) != ""
-            assert page.evaluate(read, [key, name, newest + 3600]) == ""
-        assert page.evaluate(read, ["pump", "flow", newest + 590]) != ""
-        assert page.evaluate(read, ["pump", "flow", newest + 610]) == ""
-        held = page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000
-        assert held == newest + 600
-        assert page.said == []
+    page = open_page(watched)
+    until_drawn(page)
+    for key in ("roof", "pump"):
+        for at, there in ((-3000, True), (1800, False), (2 * 3600 + 1800, True)):
+            assert page.evaluate(drawn, [key, newest + at]) == there, (key, at)
+    for key, name in (("roof", "roof"), ("pump", "flow"), ("rain", "rain")):
+        assert page.evaluate(read, [key, name, newest - 5]) != ""
+        assert page.evaluate(read, [key, name, newest + 3600]) == ""
+    assert page.evaluate(read, ["pump", "flow", newest + 590]) != ""
+    assert page.evaluate(read, ["pump", "flow", newest + 610]) == ""
+    held = page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000
+    assert held == newest + 600
 
 
-def test_a_band_is_where_a_value_went_beyond_its_line(browser: Any) -> None:
+def test_a_band_is_where_a_value_went_beyond_its_line(open_page: Open) -> None:
     """A roof that merely fills has none; an hour later one gust makes one, of its stretch alone."""
-    watched = Store()
-    watched.set_site(read_site(CONFIG / "site.yaml"))
-    watched.set_present(mode="ended", factor=None, source="bag", note="")
+    watched = store("ended", SITE)
     seconds = np.arange(0, 7200, 10)
     level = 0.03 + 1e-5 * np.minimum(seconds, 1800)
-    watched.add("/roof/level", (BEGIN + seconds) * 10**9, np.where(seconds == 3600, 0.06, level))
-    read = """charts.rows.roof_range
-      .filter((row) => row.high - row.low > 1e-6)
-      .map((row) => [row.t - charts.ms(0), row.low, row.high])"""
-    with served(watched) as port, opened(browser, port) as page:
-        until_drawn(page)
-        (begin, *first), (end, *last) = page.evaluate(read)
-        assert first == last == pytest.approx([48.0, 60.0])
-        assert begin / 1000 - BEGIN <= 3600 <= end / 1000 - BEGIN
-        assert end - begin <= 130_000
-        assert page.said == []
+    watched.add("/roof/level", (BEGIN + seconds) * SECOND, np.where(seconds == 3600, 0.06, level))
+    page = open_page(watched)
+    until_drawn(page)
+    (begin, *first), (end, *last) = page.evaluate(
+        "charts.rows.roof_range.filter((row) => row.high - row.low > 1e-6)"
+        ".map((row) => [row.t - charts.ms(0), row.low, row.high])"
+    )
+    assert first == last == pytest.approx([48.0, 60.0])
+    assert begin / 1000 - BEGIN <= 3600 <= end / 1000 - BEGIN
+    assert end - begin <= 130_000
 
 
-def test_a_pump_that_may_turn_is_an_alarm_and_has_no_flow(browser: Any) -> None:
-    watched = site_watched("loop")
-    pump = replace(PUMP, values={
-        **PUMP.values, "pump": '"off: whether the pump stands is not known"', "stands": "false",
-        "speed": "null", "flow": "null",
-    })
-    part = status("/pump: pump", 1, "off: whether the pump stands is not known")
-    with saying(watched, pump, part), served(watched) as port, opened(browser, port) as page:
-        tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
-        until_shown(page, "#summary[data-level=error]", "whether the pump stands is not known")
-        assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
-        until_drawn(page)
-        last = "charts.rows.flow.at(-1).v"
-        page.wait_for_function(f"{last} === null")
-        assert page.said == []
+def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
+    watched, page = ended_run
+    frame = page.locator(".frame").first
+    frame.scroll_into_view_if_needed()
+    frame.hover(position={"x": 150, "y": 60})
+    tip = until_shown(page, ".tip", "measured").inner_text()
+    at, number = re.search(r"(\d{4}-\S+ \S+)[\s\S]*?([\d.]+)[^\n]* mm", tip).groups()
+    moment = np.datetime64(at.replace(" ", "T")).astype("datetime64[s]").astype(int)
+    offset = document_of(watched)["time"]["utc_offset"]
+    rows = np.array(read_series(watched, 12)["lines"]["roof"])
+    level = np.interp(moment - offset * 3600, rows[:, 0], rows[:, 3])
+    assert float(number) == pytest.approx(1000 * level, abs=0.06)
+    page.mouse.move(5, 5)
+    assert page.locator(".tip:visible").count() == 0
+    frame.focus()
+    frame.press("ArrowLeft")
+    assert "measured" in until_shown(page, ".tip").inner_text()
+    assert "measured" in page.locator("#announced").text_content()
+    frame.press("Escape")
 
 
-def test_a_recording_has_no_tick_and_shows_its_incidents(browser: Any) -> None:
-    watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        until_shown(page, "#summary", "Alarms are not known")
-        assert "ok" not in page.locator("#summary-shape").get_attribute("href")
-        watched.set_incidents([
-            Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
-        ])
-        row = until_shown(page, ".alarm.over", "pump: drive")
-        assert not row.locator("button").is_visible()
-        until_shown(page, "#summary[data-level=warn]", "1 incident, over.")
-        lasts = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, None)
-        watched.set_incidents([lasts])
-        until_shown(page, ".alarm:not(.over)", "pump: drive")
-        until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
-        assert page.said == []
-
-
-def test_the_release_of_a_stop_stands_beside_it(browser: Any) -> None:
-    watched = site_watched("loop")
-    pump = replace(PUMP, values={**PUMP.values, "stop": '"an operator stopped it"'})
-    with saying(watched, PUMP) as said, served(watched) as port, opened(browser, port) as page:
-        until_shown(page, "#stop-button")
-        assert not page.locator("#release").is_visible()
-        said[:] = [pump]
-        shown = until_shown(page, "#release-call").inner_text()
-        assert shown == 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: false}"'
-        said[:] = [PUMP]
-        page.wait_for_selector("#release", state="hidden")
-
-
-def test_a_stop_of_the_page_is_released_there_after_a_question(browser: Any) -> None:
-    """With the token alone; here nobody answers, and the page must say so."""
-    watched = site_watched("loop")
-    watched.allow_release = True
-    stopped = replace(PUMP, values={
-        **PUMP.values, "stop": '"somebody stopped it on the page"', "stopped_by": '["page"]',
-    })
-    with (
-        saying(watched, stopped), served(watched, "secret") as port,
-        opened(browser, port, hash_="#token=secret") as page,
-    ):
-        until_shown(page, "#release", "locks it out at the pump itself")
-        assert not page.locator("#release-ros").is_visible()
-        page.locator("#release-button").click()
-        until_shown(page, "#ask", "starts by itself when the controller asks for it")
-        page.locator("#ask-no").click()
-        assert [url for method, url in page.asked if method == "POST"] == []
-        page.locator("#release-button").click()
-        page.locator("#ask-yes").click()
-        until_shown(page, "#answer.failed", "is not known")
-        assert [url for method, url in page.asked if method == "POST"] == [
-            f"http://localhost:{port}/release"
-        ]
-        assert page.said == []
-
-
-def test_pointer_and_keyboard_read_values(browser: Any) -> None:
-    watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        until_drawn(page)
-        frame = page.locator(".frame").first
-        frame.scroll_into_view_if_needed()
-        frame.hover(position={"x": 150, "y": 60})
-        tip = until_shown(page, ".tip", "measured").inner_text()
-        at, number = re.search(r"(\d{4}-\S+ \S+)[\s\S]*?([\d.]+)[^\n]* mm", tip).groups()
-        moment = np.datetime64(at.replace(" ", "T")).astype("datetime64[s]").astype(int)
-        offset = document_of(watched)["time"]["utc_offset"]
-        rows = np.array(read_series(watched, 12)["lines"]["roof"])
-        level = np.interp(moment - offset * 3600, rows[:, 0], rows[:, 3])
-        assert float(number) == pytest.approx(1000 * level, abs=0.06)
-        page.mouse.move(5, 5)
-        assert page.locator(".tip:visible").count() == 0
-        frame.focus()
-        frame.press("ArrowLeft")
-        assert "measured" in until_shown(page, ".tip").inner_text()
-        assert "measured" in page.locator("#announced").text_content()
-
-
-def test_zoom_pause_and_how_far_back(browser: Any) -> None:
+def test_zoom_pause_and_how_far_back(open_page: Open) -> None:
     watched = site_watched()
     seen = "(({ min, max }) => [min, max])(charts.views.get('pump').plot.scales.x)"
-    with served(watched) as port, opened(browser, port) as page:
-        until_drawn(page)
-        frame = page.locator(".frame").nth(2)
-        frame.scroll_into_view_if_needed()
-        whole = page.evaluate(seen)
-        box = frame.bounding_box()
-        page.mouse.move(box["x"] + 300, box["y"] + 40)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 500, box["y"] + 40, steps=4)
-        page.mouse.up()
-        wait_for(lambda: page.evaluate(seen) != whole, 60, "a zoom")
-        zoomed = page.evaluate(seen)
-        assert whole[0] < zoomed[0] < zoomed[1] < whole[1]
-        page.locator("#zoom-all").click()
-        wait_for(lambda: page.evaluate(seen) == whole, 60, "the whole time")
-        assert page.locator("#zoom-all").is_disabled()
-        page.locator("#pause").click()
-        watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * 10**9]), np.array([0.05]))
-        until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")  # tiles go on
-        newest = "charts.rows.roof.at(-1).v"
-        page.wait_for_timeout(3000)
-        assert page.evaluate(newest) < 50
-        page.locator("#pause").click()
-        wait_for(lambda: page.evaluate(newest) == 50, 60, "what came since")
-        page.locator("[data-hours='3']").click()
-        wait_for(lambda: page.evaluate(seen)[0] > whole[0], 60, "three hours")
-        left, right = page.evaluate(seen)
-        assert (right - left) / 3_600_000 == pytest.approx(6, abs=0.1)
-        assert page.said == []
-
-
-def test_a_low_outlet_has_its_line_and_no_words_stand_on_others(browser: Any) -> None:
-    """In chart and tile, at a desk and on a phone: the words of three references."""
-    watched = site_watched()
-    with served(watched) as port:
-        watched.set_site(replace(
-            read_site(CONFIG / "site.yaml"), low_outlet_level=1.0, low_outlet_radius=0.02
-        ))
-        for width in (1400, 400):
-            with opened(browser, port, width) as page:
-                until_drawn(page)
-                marks = page.evaluate("charts.views.get('cistern').marks")
-                assert [(one["text"], one["inside"]) for one in marks] == [
-                    ("suction level 750 mm", True), ("low outlet 1000 mm", True),
-                    ("outlet 3000 mm \u2191", False),
-                ]
-                shown = page.locator(".tile[data-key=cistern] .text")
-                words = [one.bounding_box() for one in shown.all()]
-                assert len(words) == 3
-                for one, other in combinations(words, 2):
-                    assert (
-                        one["x"] + one["width"] <= other["x"]
-                        or other["x"] + other["width"] <= one["x"]
-                        or one["y"] + one["height"] <= other["y"] + 1
-                        or other["y"] + other["height"] <= one["y"] + 1
-                    )
-                assert page.said == []
+    page = open_page(watched)
+    until_drawn(page)
+    frame = page.locator(".frame").nth(2)
+    frame.scroll_into_view_if_needed()
+    whole = page.evaluate(seen)
+    box = frame.bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 500, box["y"] + 40, steps=4)
+    page.mouse.up()
+    wait_for(lambda: page.evaluate(seen) != whole, 60, "a zoom")
+    zoomed = page.evaluate(seen)
+    assert whole[0] < zoomed[0] < zoomed[1] < whole[1]
+    page.locator("#zoom-all").click()
+    wait_for(lambda: page.evaluate(seen) == whole, 60, "the whole time")
+    assert page.locator("#zoom-all").is_disabled()
+    page.locator("#pause").click()
+    later(watched, 0.05)
+    until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")  # tiles go on
+    newest = "charts.rows.roof.at(-1).v"
+    page.wait_for_timeout(3000)
+    assert page.evaluate(newest) < 50
+    page.locator("#pause").click()
+    wait_for(lambda: page.evaluate(newest) == 50, 60, "what came since")
+    page.locator("[data-hours='3']").click()
+    wait_for(lambda: page.evaluate(seen)[0] > whole[0], 60, "three hours")
+    left, right = page.evaluate(seen)
+    assert (right - left) / 3_600_000 == pytest.approx(6, abs=0.1)
 
 
 def test_colours_are_the_reports() -> None:
@@ -515,70 +476,107 @@ def test_colours_are_the_reports() -> None:
 # --------------------------------------------------------------------------- what can be done there
 
 
-def test_acknowledged_alarms_stay_listed_and_the_list_keeps_the_focus(browser: Any) -> None:
+def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
+    """An acknowledged alarm stays, the list keeps the focus, and a refusal is said.
+
+    Equal events of a moment stay as many as they are: in simulated time that stands, or between
+    two reports, a parameter goes to and fro.
+    """
     watched = site_watched()
-    weather = status("/weather: forecast", 1, "its forecast is old")
-    nodes = CONTROLLER, status("/weather", 0, "ready", role='"weather"')
-    with (
-        saying(watched, *nodes, weather, ALARM) as said, served(watched) as port,
-        opened(browser, port) as page,
-    ):
-        row = until_shown(page, ".alarm", "cannot solve its program")
-        other = page.locator(".alarm", has_text="its forecast is old").locator("button")
-        other.focus()
-        row.locator("button").click()
-        until_shown(page, ".alarm .when", "acknowledged")
-        assert not row.locator("button").is_visible()
-        other.focus()
-        said[-1] = status("/mpc: program", 0, "solves it")
-        until_shown(page, ".alarm.over", "cannot solve its program")
-        assert other.evaluate("(one) => document.activeElement === one")
-        assert page.said == []
-
-
-def test_stop_asks_once_and_says_what_came_of_it(browser: Any) -> None:
-    """Here no pump node answers, and the page must say so; by the keyboard, too."""
-    watched = site_watched("simulated")
-    with saying(watched, PUMP), served(watched) as port, opened(browser, port) as page:
-        stop = until_shown(page, "#stop-button", "Keep the pump off")
-        stop.click()
-        page.locator("#ask-no").click()
-        assert not page.locator("#ask").is_visible()
-        stop.focus()
-        stop.press("Enter")
-        until_shown(page, "#ask", "somebody releases it")
-        page.keyboard.press("Escape")
-        assert [url for method, url in page.asked if method == "POST"] == []
-        stop.click()
-        page.locator("#ask-yes").click()
-        until_shown(page, "#answer.failed", "is not known")
-        assert len([url for method, url in page.asked if method == "POST"]) == 1
-        until_shown(page, "#stop-button:enabled")
-        assert page.said == []
-
-
-def test_a_stop_that_was_only_accepted_keeps_its_button(browser: Any) -> None:
-    """What was answered goes when the pump stands, and the warning with it."""
-
-    def pump(why: str, *, stands: bool) -> Status:
-        state = json.dumps(f"held: an operator stopped it{why}")
-        return status(
-            "/pump", 0, "ready", role='"pump"', process='"a 1"', pump=state,
-            stands=json.dumps(stands), stop=json.dumps("an operator stopped it"),
+    weather = node("/weather", "weather", ("forecast", 1, "its forecast is old"))
+    said = [*weather, *mpc()]
+    page = open_page(watched, said)
+    row = until_shown(page, ".alarm", CANNOT)
+    other = page.locator(".alarm", has_text="its forecast is old").locator("button")
+    other.focus()
+    row.locator("button").click()
+    until_shown(page, ".alarm .when", "acknowledged")
+    assert not row.locator("button").is_visible()
+    other.focus()
+    said[:] = [*weather, *mpc(0, "solves it")]
+    until_shown(page, ".alarm.over", CANNOT)
+    assert other.evaluate("(one) => document.activeElement === one")
+    count = page.locator("#events li").count()
+    for number in range(1, 4):
+        watched.add_event(BEGIN, "/mpc: weight was changed from 1 to 2")
+        watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
+        page.wait_for_function(
+            "(most) => document.querySelectorAll('#events li').length >= most",
+            arg=count + 2 * number,
         )
+        assert page.locator("#events li").count() == count + 2 * number
+    # The alarm goes in the moment in which somebody presses its button.
+    button = other.element_handle()
+    said.clear()
+    watched.alarms = Alarms()  # of another graph
+    page.wait_for_selector(".alarm", state="detached")
+    button.evaluate("(one) => one.click()")
+    until_shown(page, "#answer.failed", "This alarm is not listed any more.")
 
-    watched = site_watched("simulated")
-    with saying(watched, PUMP) as said, served(watched) as port, opened(browser, port) as page:
-        until_shown(page, "#stop-button", "Keep the pump off").click()
+
+def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
+    """Here no pump node answers, and the page must say so; by the keyboard, too.
+
+    Where the stop was only accepted the button stays. What was answered goes when the pump stands,
+    and the warning with it; what releases the pump stands there for as long as it is stopped.
+    """
+    said = pump()
+    page = open_page(site_watched("loop"), said)
+    stop = until_shown(page, "#stop-button", "Keep the pump off")
+    stop.click()
+    page.locator("#ask-no").click()
+    assert not page.locator("#ask").is_visible()
+    stop.focus()
+    stop.press("Enter")
+    until_shown(page, "#ask", "somebody releases it")
+    page.keyboard.press("Escape")
+    assert posted(page) == []
+    stop.click()
+    page.locator("#ask-yes").click()
+    until_shown(page, "#answer.failed", "is not known")
+    assert posted(page) == ["stop"]
+    until_shown(page, "#stop-button:enabled")
+    assert not page.locator("#release").is_visible()
+    turns = f"held: {STOPPED}; the pump still turns, at 0.80 of its speed"
+    said[:] = pump(turns, stands=False, stop=STOPPED)
+    until_shown(page, "#stop-warning", "Stop it at its drive's panel")
+    until_shown(page, "#stop-button:enabled", "Stop the pump")
+    said[:] = pump(f"held: {STOPPED}", stop=STOPPED)
+    until_shown(page, "#stop-button:disabled", "The pump is held off")
+    page.wait_for_selector("#stop-warning", state="hidden")
+    page.wait_for_selector("#answer", state="hidden")
+    shown = until_shown(page, "#release-call").inner_text()
+    assert shown == 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: false}"'
+    said[:] = pump()
+    page.wait_for_selector("#release", state="hidden")
+
+
+def test_the_token_is_sent_from_the_address_and_releases_after_a_question(browser: Any) -> None:
+    """Without the right one the page says what is missing, and shows nothing."""
+    watched = site_watched("loop")
+    watched.allow_release = True
+    stopped = pump("held: stopped", stop="somebody stopped it on the page", stopped_by=["page"])
+    with (
+        saying(watched, stopped), served(watched, "secret") as port,
+        opened(browser, port, hash_="#token=wrong") as page,
+    ):
+        until_shown(page, "#lost", "the address needs its token")
+        assert page.locator(".tile").count() == 0
+        page.evaluate("location.hash = '#token=secret'")
+        until_shown(page, ".tile[data-key=roof] .value")
+        assert not page.locator("#lost").is_visible()
+        assert page.context.cookies() == []
+        page.said.clear()
+        until_shown(page, "#release", "locks it out at the pump itself")
+        assert not page.locator("#release-ros").is_visible()
+        page.locator("#release-button").click()
+        until_shown(page, "#ask", "starts by itself when the controller asks for it")
+        page.locator("#ask-no").click()
+        assert posted(page) == []
+        page.locator("#release-button").click()
         page.locator("#ask-yes").click()
         until_shown(page, "#answer.failed", "is not known")
-        said[:] = [pump("; the pump still turns, at 0.80 of its speed", stands=False)]
-        until_shown(page, "#stop-warning", "Stop it at its drive's panel")
-        until_shown(page, "#stop-button:enabled", "Stop the pump")
-        said[:] = [pump("", stands=True)]
-        until_shown(page, "#stop-button:disabled", "The pump is held off")
-        page.wait_for_selector("#stop-warning", state="hidden")
-        page.wait_for_selector("#answer", state="hidden")
+        assert posted(page) == ["release"]
         assert page.said == []
 
 
@@ -586,7 +584,7 @@ def test_stop_gets_through_with_six_pages_open(browser: Any) -> None:
     """A browser has six connections to a server, and each page keeps one."""
     context = browser.new_context()
     watched = site_watched("simulated")
-    with saying(watched, PUMP), served(watched) as port, ExitStack() as stack:
+    with saying(watched, pump()), served(watched) as port, ExitStack() as stack:
         stack.callback(context.close)
         pages = []
         for _ in range(6):
@@ -608,13 +606,13 @@ def test_a_lost_connection_is_said_and_found_again(browser: Any) -> None:
             at = document_of(watched)["time"]["text"]
         until_shown(page, "#lost", f"Not connected: what is shown is of {at}.")
         assert page.locator(".tile[data-key=roof] .value").is_visible()
-        watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * 10**9]), np.array([0.05]))
+        later(watched, 0.05)
         with served(watched, port=port):
             until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")
             assert not page.locator("#lost").is_visible()
 
 
-def test_a_page_that_comes_back_is_not_believed_before_it_hears_anew(browser: Any) -> None:
+def test_a_page_that_comes_back_is_not_believed_before_it_hears_anew(open_page: Open) -> None:
     """What it shows is of when it was hidden, be that hours ago."""
     hide = """(hidden) => {
         Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
@@ -622,115 +620,12 @@ def test_a_page_that_comes_back_is_not_believed_before_it_hears_anew(browser: An
         return document.getElementById("lost").hidden;
     }"""
     watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        until_shown(page, ".tile[data-key=roof]")
-        assert page.evaluate(hide, True) is False
-        watched.add_statuses(time.monotonic(), [CONTROLLER, ALARM])
-        wait_for(lambda: page.title() == "1 alarm. Green roof", 60, "the title")
-        assert page.locator(".alarm").count() == 0  # of all else it hears nothing
-        assert page.evaluate(hide, False) is False  # seen again, and nothing heard yet
-        page.wait_for_selector("#lost", state="hidden")
-        assert page.locator(".lost-link").count() == 0
-
-
-def test_an_acknowledgement_that_is_refused_is_said(browser: Any) -> None:
-    """The alarm went in the moment in which somebody pressed its button."""
-    watched = site_watched()
-    watched.add_statuses(time.monotonic(), [ALARM])
-    with served(watched) as port, opened(browser, port) as page:
-        button = until_shown(page, ".alarm button").element_handle()
-        watched.alarms = Alarms()  # of another graph
-        page.wait_for_selector(".alarm", state="detached")
-        button.evaluate("(one) => one.click()")
-        until_shown(page, "#answer.failed", "This alarm is not listed any more.")
-
-
-def test_all_alarms_are_shown_whole(browser: Any) -> None:
-    """None is cut at the end of a list, and no text lies over another one."""
-    watched = site_watched()
-    long = "the drive at its gateway does not answer " * 12
-    watched.add_statuses(time.monotonic(), [
-        CONTROLLER, *(status(f"/mpc: part {i}", 2, long) for i in range(12)),
-    ])
-    with served(watched) as port, opened(browser, port, 800) as page:
-        until_shown(page, ".alarm")
-        cut = page.evaluate(
-            "[...document.querySelectorAll('main p, main ul, #heading')].filter((one) =>"
-            " !one.closest('.unseen') && one.scrollHeight > one.clientHeight + 1)"
-            ".map((one) => one.outerHTML)"
-        )
-        assert cut == []
-        lines = page.evaluate(  # at one moment: the page goes on
-            "[...document.querySelectorAll('.alarm p')].map((one) => one.getBoundingClientRect())"
-            ".filter((box) => box.height).map((box) => [box.top, box.bottom])"
-        )
-        assert len(lines) > 12
-        assert all(one[1] <= other[0] + 1 for one, other in pairwise(lines))
-
-
-def test_equal_events_of_a_moment_stay_as_many_as_they_are(browser: Any) -> None:
-    """In simulated time that stands, or between two reports, a parameter goes to and fro."""
-    watched = site_watched()
-    with served(watched) as port, opened(browser, port) as page:
-        for number in range(3):
-            watched.add_event(BEGIN, "/mpc: weight was changed from 1 to 2")
-            watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
-            until_shown(page, "#events li")
-            page.wait_for_function(
-                "(most) => document.querySelectorAll('#events li').length >= most",
-                arg=2 * (number + 1),
-            )
-            assert page.locator("#events li").count() == 2 * (number + 1)
-        assert page.said == []
-
-
-def test_the_token_is_sent_from_the_address(browser: Any) -> None:
-    """Without the right one the page says what is missing, and shows nothing."""
-    with served(site_watched(), token="secret") as port, opened(
-        browser, port, hash_="#token=wrong"
-    ) as page:
-        until_shown(page, "#lost", "the address needs its token")
-        assert page.locator(".tile").count() == 0
-        page.evaluate("location.hash = '#token=secret'")
-        until_shown(page, ".tile[data-key=roof] .value", "mm")
-        assert not page.locator("#lost").is_visible()
-        assert page.context.cookies() == []
-
-
-def test_stop_holds_a_real_pump(browser: Any, domain: int, tmp_path: Path) -> None:
-    """Through a reload, and when the watcher is started again."""
-
-    (port,) = free_ports(1)
-
-    def watch() -> Process:
-        process = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
-        wait_for(lambda: f":{port}/" in process.stdout(), 60, "the page's address")
-        return process
-
-    with Simulator(
-        "drive_simulator", "--drive", "danfoss_fc202", "--speed", "20", "--port", "0"
-    ) as drive:
-        run = Process(
-            domain, "bringup", "--drive", guarding("danfoss_fc202", tmp_path / "drives"),
-            "--drive-at", f"gateway://127.0.0.1:{drive.ports[0]}", "--hours", "3", "--speed", "20",
-            "--controller", "onoff", "--output", "run", cwd=tmp_path,
-        )
-        watcher = watch()
-        with opened(browser, port) as page:
-            until_shown(page, "#stop-button", re.compile("Stop the pump|Keep the pump off")).click()
-            page.locator("#ask-yes").click()
-            until_shown(page, "#answer:not(.failed)", "held")
-            held = ".tile[data-key=pump][data-state=held]"
-            until_shown(page, held, "somebody stopped it on the page")
-            page.reload()
-            until_shown(page, held)
-            assert until_shown(page, "#stop-button", "The pump is held off").is_disabled()
-            watcher.process.send_signal(signal.SIGINT)
-            assert watcher.wait(120) == 0
-            until_shown(page, "#lost", "Not connected")
-            watch()
-            page.wait_for_selector("#lost", state="hidden")
-            until_shown(page, held)
-            run.process.send_signal(signal.SIGINT)
-            until_shown(page, "#heading", "Ended run")
-            assert not page.locator("#stop-button:enabled").is_visible()
+    page = open_page(watched)
+    until_shown(page, ".tile[data-key=roof]")
+    assert page.evaluate(hide, True) is False
+    watched.add_statuses(time.monotonic(), mpc())
+    wait_for(lambda: page.title() == "1 alarm. Green roof", 60, "the title")
+    assert page.locator(".alarm").count() == 0  # of all else it hears nothing
+    assert page.evaluate(hide, False) is False  # seen again, and nothing heard yet
+    page.wait_for_selector("#lost", state="hidden")
+    assert page.locator(".lost-link").count() == 0

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import socket
+from pathlib import Path
 from typing import Any
 
 import pytest
+from said import node
 
 from greenroof_ros.watch.registry import Registry
-from greenroof_ros.watch.wire import Status
 
 
-def say(graph: Registry, now: float, role: str, state: str = "ready", **values: Any) -> None:
+def say(
+    graph: Registry, now: float, role: str, state: str = "ready", name: str = "", **values: Any
+) -> None:
     """Have a node of a lockstep graph say how it is."""
-    said = {"role": role, "process": "host 1", "run_length": 100, "name": f"/{role}", **values}
-    texts = {key: json.dumps(value) for key, value in said.items()}
-    graph.hear(now, [Status(said["name"], 0, state, "host", texts)])
+    graph.hear(now, node(name or f"/{role}", role, state=state, run_length=100, **values))
 
 
 def pump_of(graph: Registry, now: float) -> str:
@@ -38,16 +39,14 @@ def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
 def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     """Its pump may turn; of a simulation whose nodes were all killed nobody goes on."""
     live, simulated = Registry(), Registry()
-    nodes = [
-        Status(f"/{role}", 0, state, "host", {"role": f'"{role}"', "process": '"host 1"'})
-        for state in ("ready", "ended") for role in ("controller", "pump")
-    ]
-    live.hear(0.0, nodes[:2])
+    for role in ("controller", "pump"):
+        live.hear(0.0, node(f"/{role}", role))
     for role in ("plant", "controller"):
         say(simulated, 0.0, role)
     assert (live.mode(1.0), simulated.mode(1.0)) == ("live", "simulated")
     assert (live.mode(60.0), simulated.mode(60.0)) == ("live", "ended")
-    live.hear(61.0, nodes[2:])
+    for role in ("controller", "pump"):
+        live.hear(61.0, node(f"/{role}", role, state="ended"))
     assert live.mode(61.0) == "ended"
 
 
@@ -88,3 +87,13 @@ def test_what_ros_lets_no_node_be_called_is_none(name: str) -> None:
     graph = Registry()
     say(graph, 0.0, "pump", name=name)
     assert graph.pump(0.0) is None
+
+
+@pytest.mark.parametrize("place", ["{}", "{}/none", "/etc/passwd\0", ".", 7, "/" + "p" * 5000])
+def test_a_bag_is_what_the_recorder_says_if_it_is_here(place: object, tmp_path: Path) -> None:
+    """And on this machine."""
+    there = place.format(tmp_path) if isinstance(place, str) else place
+    for host, here in ((socket.gethostname(), place == "{}"), ("another", False)):
+        graph = Registry()
+        say(graph, 0.0, "recorder", process=f"{host} 1", bag=there)
+        assert graph.bag() == (tmp_path if here else None)

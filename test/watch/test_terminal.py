@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
+import queue
 import re
 import select
 import signal
@@ -13,36 +14,30 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE
 from places import CHECKOUT
 from rich.cells import cell_len
 from rich.console import Console
-from test_alarms import ERROR, WARN, node
+from said import ERROR, SECOND, START, WARN, hear, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.terminal import pages
 from greenroof_ros.watch.wire import Status
-
-SECOND = 10**9
-START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC
 
 
 def run_of(
     hours: float, mode: str = "simulated", pump: str = "/pump", wall: float = 99.0
 ) -> Store:
     """Return a run in which the roof's level rises by 1 mm/h from 40 mm, and it rains now."""
-    one = Store()
-    one.set_site(PAPER_SITE)
-    one.set_present(mode=mode, factor=30.0, source="heard", note="")
+    one = store(mode)
     times = START + 10 * SECOND * np.arange(int(hours * 360) + 1)
     passed = (times - START) / 3.6e12
     for topic, values in {
@@ -100,13 +95,24 @@ def with_a_silent_sensor(others: int = 0, wall: float = 99.5) -> Store:
     return one
 
 
-def ended() -> Store:
-    return run_of(30.0, "ended")
+HELD = node(
+    "/pump", "pump", pump="held: somebody stopped it on the page", stop="stopped", stands=True,
+    stopped_by=["page"], fault="a slow start", page_may_not_clear="",
+)
+
+
+def with_a_stop_of_the_page(wall: float = 99.5) -> Store:
+    """Return a site whose pump may be released from here, and its fault be cleared."""
+    one = run_of(1.0, "live", wall=wall)
+    one.allow_release = True
+    one.add_statuses(wall, HELD)
+    return one
 
 
 STATES = {
     "full speed": lambda: run_of(2.0), "storm": with_storm, "fault": with_a_fault,
-    "stale sensor": with_a_silent_sensor, "ended": ended, "nothing": Store,
+    "stale sensor": with_a_silent_sensor, "ended": lambda: run_of(30.0, "ended"),
+    "stop of the page": with_a_stop_of_the_page, "nothing": Store,
     "many alarms": lambda: with_a_silent_sensor(90),
 }
 
@@ -141,7 +147,9 @@ def test_it_fits(state: str, size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize(("state", "words"), [
     ("full speed", ["Simulated run, 30 times real time", "No alarms.",
-                    "What to do: Nothing to do: the pump waters the roof."]),
+                    "What to do: Nothing to do: the pump waters the roof.",
+                    "below its target (target 45.7 mm)",
+                    "(suction level 750 mm, outlet 3000 mm)"]),
     ("storm", ["expected in the next 12 h", "next 12 h, as expected", "will pump"]),
     ("fault", ["The drive has switched the pump off", "ros2 service call /pump/reset",
                "fault", "overcurrent (code 2310)", "Alarm  /pump: pump"]),
@@ -149,6 +157,7 @@ def test_it_fits(state: str, size: tuple[int, int]) -> None:
                       "Alarm  /cistern_sensor: sensor", "no valid answer", "Live site", "held",
                       "follows from /cistern_sensor: sensor"]),
     ("ended", ["Ended run", "Last 12 h"]),
+    ("stop of the page", ["r releases the pump; c clears its fault"]),
     ("nothing", ["Nothing is heard yet"]),
     ("many alarms", ["/cistern_sensor: sensor", "The level sensor does not answer.", " more"]),
 ])
@@ -175,17 +184,9 @@ def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: i
     assert "SetBool" not in " ".join(drawn(Store(), 120, 24))
 
 
-def test_the_numbers_of_the_gauges() -> None:
-    text = " ".join(" ".join(drawn(run_of(1.0))).split())
-    assert "below its target (target 45.7 mm)" in text
-    assert "(suction level 750 mm, outlet 3000 mm)" in text
-
-
 def test_a_pump_of_which_no_flow_is_known_yet() -> None:
     """As a site says at first: its state is on /diagnostics, flow and command are not there yet."""
-    one = Store()
-    one.set_site(PAPER_SITE)
-    one.set_present(mode="live", factor=None, source="heard", note="")
+    one = store("live")
     assert read_document(one, 0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
     one.add_statuses(1.0, node("/pump", "pump", pump="off: no command"))
     assert read_document(one, 1.0)["tiles"]["pump"]["sentence"] == ""
@@ -242,12 +243,8 @@ def test_bars_by_hand() -> None:
 
 def test_what_is_constant_is_seen() -> None:
     """Half as high as it may be; of nothing the lowest."""
-    one = Store()
-    one.set_site(PAPER_SITE)
-    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
-    times = START + 10 * SECOND * np.arange(4321)
-    one.add("/cistern/level", times, np.full(len(times), 2.5))
-    one.add("/pump/flow", times, np.zeros(len(times)))
+    one = store()
+    hear(one, 0, 43_210, {"/cistern/level": 2.5, "/pump/flow": 0.0}, every=10)
     lines = drawn(one, 80, 30)
     (cistern,) = (line for line in lines if line.startswith("Cistern  "))
     assert cistern[27:53] == "▅" * 26
@@ -310,32 +307,50 @@ def test_hostile_texts_do_nothing_to_the_terminal() -> None:
 
 # --- as a process on a terminal -------------------------------------------------------------------
 
-PROGRAM = """
-import sys, time
-sys.path[:0] = [{tests!r}, {here!r}]
-from test_terminal import with_a_silent_sensor
+PROGRAM = f"""
+import sys, threading, time
+sys.path[:0] = [{str(CHECKOUT / "test")!r}, {str(Path(__file__).parent)!r}]
+from test_terminal import answer, HELD, {{state}}
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.terminal import run
-store = with_a_silent_sensor(wall=time.monotonic())
-run(store, Feed(store))
+store = {{state}}(wall=time.monotonic())
+feed = Feed(store)
+threading.Thread(target=answer, args=(store, feed), daemon=True).start()
+run(store, feed)
 """
 
 
-class Terminal:
-    """A terminal of 80 by 24 with a process on it."""
+def answer(store: Store, feed: Feed) -> None:
+    """Be the pump node: say four times a second how it is, and count what it is asked."""
+    count = 0
+    while True:
+        if store.allow_release:
+            store.add_statuses(time.monotonic(), HELD)
+        with suppress(queue.Empty):
+            action, asked = feed._asked.get(timeout=0.25)
+            count += 1
+            asked.set_result(f"asked {count} times, now for: {action}")
 
-    def __init__(self, **environment: str) -> None:
+
+class Terminal:
+    """A terminal of 80 by 24 with a process on it, whose terminal it is."""
+
+    def __init__(self, *arguments: str, cwd: Path = CHECKOUT, **environment: str) -> None:
         self._main, self._of_process = pty.openpty()
         self.resize(80, 24)
         self.before = termios.tcgetattr(self._of_process)
-        program = PROGRAM.format(tests=str(CHECKOUT / "test"), here=str(Path(__file__).parent))
         variables = {
             key: value for key, value in os.environ.items()
             if key not in ("NO_COLOR", "COLUMNS", "LINES", "FORCE_COLOR")
         }
+
+        def take() -> None:
+            os.setsid()
+            fcntl.ioctl(self._of_process, termios.TIOCSCTTY, 0)
+
         self.process = subprocess.Popen(
-            [sys.executable, "-c", program], stdin=self._of_process, stdout=self._of_process,
-            stderr=self._of_process, cwd=CHECKOUT, start_new_session=True,
+            [sys.executable, *arguments], stdin=self._of_process, stdout=self._of_process,
+            stderr=self._of_process, cwd=cwd, preexec_fn=take,
             env={**variables, "TERM": "xterm-256color", "PYTHONUTF8": "1", **environment},
         )
         self.text = ""
@@ -369,7 +384,10 @@ class Terminal:
         assert "Traceback" not in self.text
         return self.process.returncode
 
-    def close(self) -> None:
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -377,64 +395,74 @@ class Terminal:
             os.close(end)
 
 
-@pytest.fixture
-def terminal(request: Any) -> Iterator[Terminal]:
-    made = Terminal(**getattr(request, "param", {}))
-    yield made
-    made.close()
+def on_terminal(state: str = "with_a_silent_sensor", **environment: str) -> Terminal:
+    return Terminal("-c", PROGRAM.format(state=state), **environment)
 
 
-def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q(terminal: Terminal) -> None:
-    terminal.read_until("SetBool")
-    assert "\x1b[?1049h" in terminal.text  # a screen of its own
-    assert "Alarms: " in terminal.text
-    terminal.resize(120, 50)
-    terminal.process.send_signal(signal.SIGWINCH)
-    terminal.read_until("Last 6 h")
-    terminal.press(b"x")
-    time.sleep(0.5)
-    assert terminal.process.poll() is None
-    terminal.press(b" ")
-    terminal.read_until("page 2 of ")
-    began = time.monotonic()
-    terminal.press(b"q")
-    assert terminal.ends() == 0
-    assert time.monotonic() - began < 20.0
-    assert "\x1b[?1049l" in terminal.text  # what was there before is there again
-    assert "\x1b[?25h" in terminal.text
+def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
+    """Keys that mean nothing here do nothing: nobody is asked to release this pump."""
+    with on_terminal() as terminal:
+        terminal.read_until("SetBool")
+        assert "\x1b[?1049h" in terminal.text  # a screen of its own
+        assert "Alarms: " in terminal.text
+        terminal.resize(120, 50)
+        terminal.process.send_signal(signal.SIGWINCH)
+        terminal.read_until("Last 6 h")
+        terminal.press(b"xrycy ")
+        terminal.read_until("page 2 of ")
+        assert "asked" not in terminal.text
+        began = time.monotonic()
+        terminal.press(b"q")
+        assert terminal.ends() == 0
+        assert time.monotonic() - began < 20.0
+        assert "\x1b[?1049l" in terminal.text  # what was there before is there again
+        assert "\x1b[?25h" in terminal.text
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_cleanly_when_it_is_asked_to(terminal: Terminal, number: int) -> None:
-    terminal.read_until("SetBool")
-    terminal.process.send_signal(number)
-    assert terminal.ends() == 0
-    assert "\x1b[?1049l" in terminal.text
+def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
+    """Each after a question, which y confirms and any other key does not; y alone does nothing."""
+    with on_terminal("with_a_stop_of_the_page") as terminal:
+        terminal.read_until("r releases the pump; c clears its fault")
+        for number, (key, question, action) in enumerate((
+            (b"r", "Release the pump? The pump then starts by itself", "release"),
+            (b"c", "Clear the pump? The fault is cleared: a slow start.", "clear"),
+        ), 1):
+            terminal.press(key)
+            terminal.read_until(question)
+            terminal.press(b"ny" + key + b"xy" + key)
+            terminal.read_until(question)
+            terminal.press(b"y")
+            terminal.read_until(f"asked {number} times, now for: {action}")
+        terminal.press(b"q")
+        assert terminal.ends() == 0
 
 
-@pytest.mark.parametrize("terminal", [{"TERM": "dumb"}], indirect=True)
-def test_a_dumb_terminal_gets_lines(terminal: Terminal) -> None:
-    terminal.read_until("SetBool")
-    assert "\x1b" not in terminal.text
-    terminal.press(b"q")
-    assert terminal.ends() == 0
-
-
-@pytest.mark.parametrize("terminal", [{"NO_COLOR": "1"}], indirect=True)
-def test_no_colour_where_none_is_wanted(terminal: Terminal) -> None:
-    terminal.read_until("SetBool")
-    assert "\x1b[?1049h" in terminal.text
-    assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
-    terminal.press(b"Q")
-    assert terminal.ends() == 0
+@pytest.mark.parametrize(("environment", "end", "screen", "colours"), [
+    ({}, signal.SIGINT, True, True),
+    ({"NO_COLOR": "1"}, signal.SIGTERM, True, False),
+    ({"TERM": "dumb"}, b"Q", False, False),  # it gets lines
+], ids=["colours", "no colours", "dumb"])
+def test_what_a_terminal_can_and_how_it_ends(
+    environment: dict[str, str], end: signal.Signals | bytes, screen: bool, colours: bool
+) -> None:
+    with on_terminal(**environment) as terminal:
+        terminal.read_until("SetBool")
+        assert ("\x1b" in terminal.text) == ("\x1b[?1049h" in terminal.text) == screen
+        assert bool(re.search(r"\x1b\[[0-9;]*m", terminal.text)) == colours
+        if isinstance(end, bytes):
+            terminal.press(end)
+        else:
+            terminal.process.send_signal(end)
+        assert terminal.ends() == 0
+        assert ("\x1b[?1049l" in terminal.text) == screen
 
 
 def test_into_a_file() -> None:
     """It is printed, and ends with the reader."""
-    program = PROGRAM.format(tests=str(CHECKOUT / "test"), here=str(Path(__file__).parent))
     with subprocess.Popen(
-        [sys.executable, "-c", program], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, cwd=CHECKOUT, env={**os.environ, "PYTHONUTF8": "1"},
+        [sys.executable, "-c", PROGRAM.format(state="with_a_silent_sensor")],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=CHECKOUT, env={**os.environ, "PYTHONUTF8": "1"},
     ) as process:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(10)]

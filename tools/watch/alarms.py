@@ -1,6 +1,6 @@
 """Every kind of alarm of the fault campaign, on the page in Chromium.
 
-``python test/watch/alarms.py`` does each case to a real live site as ``make faults`` does, and
+``python tools/watch/alarms.py`` does each case to a real live site as ``make faults`` does, and
 holds each fault for longer than the limit once it was said. What a node says is wrong on
 ``/diagnostics`` must stand on the page within the limit, with the condition's code, and go within
 it when it is over. What lasts less than the limit may be missed, but of each kind its own alarm
@@ -16,7 +16,6 @@ import itertools
 import math
 import random
 import re
-import shutil
 import sys
 import tempfile
 import threading
@@ -26,14 +25,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent / "faults"), str(HERE.parent), str(HERE.parent.parent)]
+CHECKOUT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(CHECKOUT / "test" / "faults"), str(CHECKOUT / "test"), str(CHECKOUT)]
 
+from browsers import started_browser  # noqa: E402
 from cases import LIVE, Case, all_cases  # noqa: E402
 from diagnosed import Diagnosed  # noqa: E402
 from graphs import Process, free_ports, own_domain  # noqa: E402
 from live import Outcome, run_case  # noqa: E402
-from playwright.sync_api import sync_playwright  # noqa: E402
 from rig import RIGS, BrokenError, Rig, wait  # noqa: E402
 
 # Within which a change must be on the page (s), where the machine does nothing else.
@@ -109,11 +108,8 @@ class Page:
         wait(lambda: self.looks or self.problem, 30, "no browser")
 
     def _look(self) -> None:
-        chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
         try:
-            with sync_playwright() as playwright:
-                browser = playwright.chromium.launch(
-                    executable_path=chromium, args=["--no-sandbox"])
+            with started_browser() as browser:
                 page = browser.new_page()
                 page.goto(self._url)
                 while not self._ended:
@@ -121,11 +117,11 @@ class Page:
                     alarms, events = page.evaluate(_ON_PAGE)
                     self.looks.append(Look(began, alarms, events))
                     time.sleep(_LOOK_S)
-                browser.close()
         except Exception as error:
             self.problem = f"{type(error).__name__}: {error}"
 
     def close(self) -> None:
+        """Look no more."""
         self._ended = True
         self._thread.join(10)
 
@@ -240,7 +236,7 @@ def do(
                 rig.until_running()
                 wait(lambda p=page, s=said: p.looks[-1].alarms == s.stands, 30, "no page of all")
             began = time.monotonic()
-            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)
+            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)  # noqa: S311
             time.sleep(limit + _LONGER_S)
             comparison = Comparison(said, page, began, time.monotonic(), limit)
             if page.problem:

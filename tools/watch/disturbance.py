@@ -1,4 +1,4 @@
-"""What watchers cost a run: ``python test/watch/disturbance.py tick|stops|browsers|memory``.
+"""What watchers cost a run: ``python tools/watch/disturbance.py tick|stops|browsers|memory``.
 
 - ``tick``: in one run at full speed, turns of some seconds with a watcher and without; the ratio
   of the medians of a tick's time.
@@ -11,36 +11,34 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import filecmp
 import math
 import os
 import shutil
 import signal
 import statistics
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
+CHECKOUT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(CHECKOUT / "test"), str(CHECKOUT)]
 
+from browsers import CHROMIUM  # noqa: E402
 from graphs import Process, bag_file, bring_up, free_ports, own_domain, wait_for  # noqa: E402
 from places import DATA  # noqa: E402
+from playwright.sync_api import sync_playwright  # noqa: E402
 
 from greenroof_ros.graph.looker import Looker  # noqa: E402
 from greenroof_ros.watch import wire  # noqa: E402
 
 STOP_S, BETWEEN_S = 6.0, 1.0
 SLOW_BYTES_S = 4096
-_CHROMIUM = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-             "--no-first-run", "--disable-component-update", "--disable-sync")
 
 
 @contextmanager
@@ -67,7 +65,8 @@ def client(address: str) -> Iterator[list[int]]:
     count, ended = [0], threading.Event()
 
     def read() -> None:
-        with urllib.request.urlopen(f"{address}events?hours=12", timeout=60) as stream:
+        events = f"{address}events?hours=12"
+        with urllib.request.urlopen(events, timeout=60) as stream:  # noqa: S310 - the page's own
             while not ended.is_set():
                 count[0] += len(stream.readline())
 
@@ -119,6 +118,7 @@ class Ticks:
         return self.newest
 
     def close(self) -> None:
+        """End hearing."""
         self._ended = True
         self._thread.join(5)
 
@@ -180,65 +180,47 @@ def browsers(hours: float) -> None:
     options = ("--hours", f"{hours:g}", "--speed", "30", "--controller", "mpc")
 
     def disturb(process: Process, address: str, over: Callable[[], bool]) -> str:
-        port = int(address.rstrip("/").rpartition(":")[2])
-        with ExitStack() as stack:
-            slow = free_ports(1)[0]
-            stack.enter_context(slow_link(slow, port))
-            pids = [
-                stack.enter_context(_browser(f"http://127.0.0.1:{one}/"))
-                for one in (port, port, slow)
-            ]
+        with sync_playwright() as playwright, tempfile.TemporaryDirectory() as directory:
+            contexts = []
+            for name in ("stopped", "usual", "slow"):
+                context = playwright.chromium.launch_persistent_context(
+                    f"{directory}/{name}", executable_path=CHROMIUM, args=["--no-sandbox"])
+                contexts.append(context)
+                if name == "slow":
+                    link = context.new_cdp_session(context.pages[0])
+                    link.send("Network.enable")
+                    link.send("Network.emulateNetworkConditions", {
+                        "offline": False, "latency": 0, "downloadThroughput": SLOW_BYTES_S,
+                        "uploadThroughput": -1,
+                    })
+                context.pages[0].goto(address, wait_until="commit")
             time.sleep(10)
-            os.killpg(pids[1], signal.SIGSTOP)
-            wait_for(over, 3600, "the end of the run")
-            os.killpg(pids[1], signal.SIGCONT)
+            stopped = _pids_of(f"{directory}/stopped")
+            _signal(stopped, signal.SIGSTOP)
+            try:
+                wait_for(over, 3600, "the end of the run")
+            finally:
+                _signal(stopped, signal.SIGCONT)
+            for context in contexts:
+                context.close()
         return f"three browsers, one stopped, one at {SLOW_BYTES_S} bytes a second"
 
     _compare(options, disturb)
 
 
-@contextmanager
-def _browser(address: str) -> Iterator[int]:
-    """Start a Chromium of its own on a page, and yield its process group."""
-    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        process = subprocess.Popen(
-            [found, *_CHROMIUM, f"--user-data-dir={profile}", "--remote-debugging-port=0", address],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-        )
-        try:
-            yield process.pid
-        finally:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+def _pids_of(words: str) -> list[int]:
+    """Return the processes that were started with some words."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # it has just ended
+            if words.encode() in file.read_bytes():
+                found.append(int(file.parent.name))
+    return found
 
 
-@contextmanager
-def slow_link(port: int, to: int) -> Iterator[None]:
-    """Hand on connections to another port, what comes back at so many bytes a second in all."""
-    loop = asyncio.new_event_loop()
-
-    async def pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        back, forth = await asyncio.open_connection("127.0.0.1", to, limit=SLOW_BYTES_S)
-
-        async def copy(
-            source: asyncio.StreamReader, sink: asyncio.StreamWriter, pause: float
-        ) -> None:
-            while data := await source.read(SLOW_BYTES_S // 4):
-                sink.write(data)
-                await sink.drain()
-                await asyncio.sleep(pause * len(data) / SLOW_BYTES_S)
-            sink.close()
-
-        await asyncio.gather(copy(reader, forth, 0.0), copy(back, writer, 1.0),
-                             return_exceptions=True)
-
-    server = loop.run_until_complete(asyncio.start_server(pass_on, "127.0.0.1", port))
-    thread = threading.Thread(target=loop.run_forever, daemon=True)
-    thread.start()
-    yield
-    loop.call_soon_threadsafe(server.close)
-    loop.call_soon_threadsafe(loop.stop)
+def _signal(pids: list[int], number: signal.Signals) -> None:
+    for pid in pids:
+        os.kill(pid, number)
 
 
 def _compare(

@@ -1,0 +1,53 @@
+"""What the tests of the page tell it: what nodes say on /diagnostics, values, and a store."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from paper import PAPER_SITE
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.wire import Status
+
+OK, WARN, ERROR, STALE = range(4)
+SECOND = 10**9
+START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, a multiple of 20 s
+STOPPED = "an operator stopped it"
+
+
+def node(
+    name: str, role: str, *parts: tuple[Any, ...], process: str = "host 1",
+    state: str = "ready", **values: Any,
+) -> list[Status]:
+    """Return what a node says: its own status, and those of its parts.
+
+    Of each part its name, level and sentence, and where it matters its code.
+    """
+    pairs = {"role": role, "process": process, **values}
+    own = {key: json.dumps(value) for key, value in pairs.items()}
+    return [
+        Status(name, OK, state, "host", own),
+        *(
+            Status(f"{name}: {part}", level, text, "host", {"code": code[0]} if code else {})
+            for part, level, text, *code in parts
+        ),
+    ]
+
+
+def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
+    """Return what is known of a graph of which only the site is."""
+    one = Store()
+    one.set_site(site)
+    one.set_present(mode=mode, factor=30.0, source="heard", note="")
+    return one
+
+
+def hear(one: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
+    """Have each topic's value from one second to another, the last one not included."""
+    times = START + SECOND * np.arange(first, last, every)
+    for topic, value in values.items():
+        one.add(topic, times, np.full(len(times), value))
