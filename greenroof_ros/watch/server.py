@@ -84,7 +84,7 @@ class _Connections:
     def accept(self) -> web.RequestHandler:
         """Make what handles another connection, for asyncio."""
         self._forget_closed()
-        if len(self._server.connections) >= _MOST_CONNECTIONS:
+        if len(self._until) >= _MOST_CONNECTIONS:  # those just accepted count, too
             idle = [(until, one) for one, until in self._until.items() if until is not None]
             if idle:
                 self._drop(min(idle, key=lambda each: each[0])[1])
