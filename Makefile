@@ -115,7 +115,7 @@ faults: $(FOR_TEST)
 	@$(BIN)/python -m pytest test/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
 	    -o timeout=1200 $(ARGS)
 ifeq ($(ARGS),)
-	@$(BIN)/python test/faults/table.py runs/faults doc/faults.md
+	@$(BIN)/python test/faults/table.py runs/faults doc/reference/faults.md
 endif
 
 # Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.

@@ -325,7 +325,7 @@ def interlocks() -> str:
     """Return what keeps the pump off, in its order."""
     meanings = read_conditions()
     return markdown(
-        ("code", "active when", "found in", "limit (parameter)", "kind"),
+        ("code", "active when", "evaluated in", "limit (parameter)", "kind"),
         (
             (
                 f"`{code}`", meanings[code].meaning, f"`{one.source}`",

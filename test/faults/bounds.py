@@ -1,6 +1,6 @@
 """How long the pump may go on after a fault: what the documentation says, from the code's defaults.
 
-doc/explanation/pump-safety.md and doc/explanation/live.md state the same figures.
+doc/reference/interlocks.md and doc/reference/live-inputs.md state the same figures.
 """
 
 from __future__ import annotations
