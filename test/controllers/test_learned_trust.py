@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -58,8 +59,9 @@ def always(time: float) -> Array:
     return ahead * 0.01 / (6 * HOUR_S)
 
 
+@functools.cache
 def season(
-    site: str, forecasts: list[Callable[[float], Array]], memory: float = 30.0,
+    site: str, *forecasts: Callable[[float], Array], memory: float = 30.0,
     falls: Callable[[Array], Array] = fallen,
 ) -> tuple[Lookahead, Array, Array]:
     """Run two weeks with each kind of forecasts, one kind after the other.
@@ -92,8 +94,8 @@ def most_days(time: float) -> Array:
 
 def test_a_worthless_forecast_is_given_up() -> None:
     """Rain that never comes costs one wait of five days, and not one each week."""
-    _, trusting, alike = season("paper", [most_days] * 2, memory=0.0, falls=np.zeros_like)
-    _, learned, trust = season("paper", [most_days] * 2, falls=np.zeros_like)
+    _, trusting, alike = season("paper", most_days, most_days, memory=0.0, falls=np.zeros_like)
+    _, learned, trust = season("paper", most_days, most_days, falls=np.zeros_like)
     assert alike.tolist() == [1.0] * len(alike)
     week = len(trust) // 4
     assert trust[: week // 2].tolist() == [1.0] * (week // 2)
@@ -104,9 +106,9 @@ def test_a_worthless_forecast_is_given_up() -> None:
 @pytest.mark.parametrize("site", SITES)
 def test_a_good_forecast_is_trusted_to_the_last_bit(site: str) -> None:
     """And gains."""
-    _, plain, _ = season(site, [dry])
-    _, trusting, _ = season(site, [truth], memory=0.0)
-    _, learned, trust = season(site, [truth])
+    _, plain, _ = season(site, dry, memory=0.0)
+    _, trusting, _ = season(site, truth, memory=0.0)
+    _, learned, trust = season(site, truth)
     assert trust.tolist() == [1.0] * len(trust)
     assert learned.tolist() == trusting.tolist()
     assert learned.sum() < plain.sum()
@@ -122,7 +124,7 @@ def test_trust_comes_back() -> None:
     def right(time: float) -> Array:
         return np.asarray(np.diff(falls(time + ENDS)) / np.diff(ENDS))
 
-    _, _, trust = season("paper", [most_days, right, right, right], falls=falls)
+    _, _, trust = season("paper", most_days, right, right, right, falls=falls)
     assert trust[: len(trust) // 4].min() == 0.0
     assert trust[-1] > 0.0
 
@@ -130,16 +132,16 @@ def test_trust_comes_back() -> None:
 @pytest.mark.parametrize("site", SITES)
 def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
     """The one of no trust is the roof without a forecast, that of all trust the one with it."""
-    controller, _, _ = season(site, [always], memory=30.0)
-    kept = np.exp(-np.arange(len(season(site, [dry])[1]))[::-1] * 1800 / DAY_S / 30)
+    controller, _, _ = season(site, always, memory=30.0)
     for shadow, forecast in ((0, dry), (-1, always)):
-        _, off, _ = season(site, [forecast], memory=0.0)
+        _, off, _ = season(site, forecast, memory=0.0)
+        kept = np.exp(-np.arange(len(off))[::-1] * 1800 / DAY_S / 30)
         assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.1)
 
 
 def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
     """Of trust and of the budget; all of it, or nothing."""
-    controller, _, trust = season("paper", [most_days], falls=np.zeros_like)
+    controller, _, trust = season("paper", most_days, falls=np.zeros_like)
     site, choice = SITES["paper"], find_controller("lookahead")
     again = choice.make(site, {**choice.defaults(site), "horizon": HORIZON})
     assert isinstance(again, Lookahead)
