@@ -29,7 +29,7 @@ _ROOMS = (
     "report", "study", "calibration", "verification", "graph", "bringup",
 )
 _OF_ROS = ("graph", "bringup")
-_LIMIT_S = 300
+_LIMIT_S = 900
 
 
 def run_command(

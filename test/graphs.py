@@ -240,7 +240,7 @@ def bag_file(run: Path) -> Path:
 
 
 def bring_up(
-    domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 300
+    domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 900
 ) -> dict[str, Any]:
     """Run bringup to its good end and return the summary; the bag has as much of each topic."""
     process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)
