@@ -21,7 +21,7 @@ settings.load_profile("greenroof_ros")
 # What takes longest starts first, so that the workers end together: names of tests and files.
 LONGEST = (
     "test_same_bits_as_simulate[mpc]", "test_report_page.py", "test_report.py", "test_faults.py",
-    "test_packaging.py", "test_planning.py",
+    "test_packaging.py", "test_learned_trust.py", "test_lookahead.py",
 )
 
 # A thousand processes that import the package need not compile it each, whatever the user has set.
