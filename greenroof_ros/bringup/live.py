@@ -222,7 +222,7 @@ class _Start:
             say(f"running: {levels}")
 
     def _advice(self, node: str, code: str) -> str:
-        """Return what to do about a code; of another version's, to read what is said."""
+        """Return what to do about a code, which a node of another version may have alone."""
         known = read_conditions().get(code)
         return known.advise(f"{self._namespace}/{node}") if known else "Read its message."
 

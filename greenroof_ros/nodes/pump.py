@@ -49,7 +49,7 @@ from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 
-# On what it acts, and how old each may be: parameters of it.
+# The inputs that it acts on; for the greatest age of each it has a parameter.
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
 # Without a call for so long the drive's thread stops the drive: this node hangs (s).
