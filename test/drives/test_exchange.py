@@ -423,7 +423,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     """-32768 of 20000 is no speed. In local control a person at its panel has it, and sees to it.
 
     Judged after 1 s instead of 10. Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s.
-    One whose speed can be read, and does not fall, is left with test_driver_and_simulator.py.
+    One whose speed can be read, and does not fall, is left in test_simulated_drive.py.
     """
     monkeypatch.setattr(exchange, "RUNS_ON_S", 1.0)
     bench.drive.values[5815] = 15

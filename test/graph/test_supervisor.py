@@ -377,42 +377,32 @@ def test_what_a_node_of_another_version_says() -> None:
     assert not shown
 
 
-# --- the permit that bringup gives the pump node: what comes for one, and is none -----------------
+# --- the permit that bringup gives the pump node --------------------------------------------------
 
-LATE = "bringup has given no permit for 2 s"
+NONE, LATE = "bringup has given no permit yet", "bringup has given no permit for 2 s"
+# By what came: why the pump may not run, at 100 s and 101.9 s, and at 102.1 s and an hour later.
+PERMITS = {
+    '{"inhibit": "", "at": 100.0}': ("", LATE),
+    '{"inhibit": "weather is silent", "at": 100.0}': ("weather is silent", LATE),
+    # Of no time, as of a bringup with another clock, which then hangs: it would never lapse.
+    **{f'{{"inhibit": "", "at": {at}}}': (LATE, LATE)
+       for at in ("1e9", "NaN", "Infinity", "-Infinity", "-1.0")},
+    # As of a bringup of another version.
+    **dict.fromkeys(
+        ("", "{}", "[]", "null", '{"at": 100.0}', '{"inhibit": ""}', "x"), (NONE, NONE)
+    ),
+}
 
 
-@pytest.fixture
-def pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PermitReader, int]]:
-    """Return the pump node's end, and the one to write to."""
+@pytest.mark.parametrize("line", PERMITS)
+def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
+    """It lapses after two seconds; what is none is not taken for one."""
     ours, theirs = os.pipe()
     monkeypatch.setenv(PERMIT_PIPE, str(ours))
-    yield PermitReader(), theirs
-    os.close(ours)
-    os.close(theirs)
-
-
-def test_a_permit_lapses(pipe: tuple[PermitReader, int]) -> None:
-    """After two seconds, or with its reason; before the first there is none."""
-    reader, end = pipe
-    assert reader.missing(100.0) == "bringup has given no permit yet"
-    os.write(end, b'{"inhibit": "", "at": 100.0}\n')
-    assert [reader.missing(at) for at in (100.0, 101.9, 102.1)] == ["", "", LATE]
-    os.write(end, b'{"inhibit": "weather is silent", "at": 103.0}\n')
-    assert reader.missing(103.1) == "weather is silent"
-
-
-@pytest.mark.parametrize("at", ["1e9", "NaN", "Infinity", "-Infinity", "-1.0"])
-def test_what_is_of_no_time_is_no_permit(pipe: tuple[PermitReader, int], at: str) -> None:
-    """As of a bringup with another clock, which then hangs: its permit would never lapse."""
-    reader, end = pipe
-    os.write(end, f'{{"inhibit": "", "at": {at}}}\n'.encode())
-    assert [reader.missing(now) for now in (100.0, 3700.0)] == [LATE, LATE]
-
-
-@pytest.mark.parametrize("line", ["", "{}", "[]", "null", '{"at": 100.0}', '{"inhibit": ""}', "x"])
-def test_what_says_something_else_is_no_permit(pipe: tuple[PermitReader, int], line: str) -> None:
-    """As of a bringup of another version."""
-    reader, end = pipe
-    os.write(end, f"{line}\n".encode())
-    assert reader.missing(100.0) == "bringup has given no permit yet"
+    with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:
+        reader = PermitReader()
+        assert reader.missing(100.0) == NONE
+        end.write(f"{line}\n".encode())
+        fresh, late = PERMITS[line]
+        said = [reader.missing(at) for at in (100.0, 101.9, 102.1, 3700.0)]
+    assert said == [fresh, fresh, late, late]

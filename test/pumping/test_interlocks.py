@@ -1,4 +1,4 @@
-"""The table of what keeps the pump off: each row by what brings it about; and all the codes."""
+"""The table of what keeps the pump off, and who may end it; each row by its cause; all codes."""
 
 from __future__ import annotations
 
@@ -175,6 +175,56 @@ def test_the_table_is_whole() -> None:
     }
     named = {name for one in rows for name in one.limit.split(", ") if name}
     assert named <= settings | of_nodes
+
+
+# --- what the page may do: release what it stopped, and clear what nobody has to look at ----------
+
+
+def test_the_page_releases_what_it_stopped_and_nothing_else() -> None:
+    rig = Rig(x2=0.5)
+    rig.run(15, 0.5)
+    rig.control.stop_on_page(True)
+    assert rig.step(0.5).state == "held"
+    rig.control.stop(True)
+    rig.control.stop_on_page(False)
+    assert codes(rig.step(0.5)) == ["operator_stop"]
+    rig.control.stop_on_page(True)
+    assert codes(rig.step(0.5)) == ["operator_stop", "page_stop"]
+    rig.control.stop(False)  # at the pump node, whoever it was
+    assert rig.run(60, 0.5).state == "running"
+
+
+def test_the_page_starts_no_pump_sooner_than_it_may() -> None:
+    """Not within 120 s, by a release and by clearing a fault."""
+    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
+    assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None
+    rig.control.stop_on_page(True)
+    rig.ledger.fault("it turns at another speed", "speed_not_followed")
+    assert rig.run(5, 1.0).speed is None
+    rig.control.stop_on_page(False)
+    rig.control.clear_on_page()
+    assert rig.run(114, 1.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(5, 1.0).speed is not None
+
+
+@pytest.mark.parametrize("code", [code for code, one in INTERLOCKS.items() if one.kind == LATCHED])
+def test_a_fault_is_cleared_once_in_a_day_and_some_never(code: str) -> None:
+    """One of delivery or drive needs somebody who has looked, and so does an unknown one."""
+    rig = Rig(x2=0.5)
+    rig.run(2, 0.0)
+    assert rig.control.page_may_not_clear == "there is no fault"
+    rig.ledger.fault("why", code)
+    if code in ("delivery", "drive_fault", "fault_unknown"):
+        assert "somebody who has looked" in rig.control.page_may_not_clear
+        return
+    rig.control.clear_on_page()
+    assert rig.ledger.record.fault == ""
+    rig.ledger.fault("why", code)
+    assert "once in 24 h" in rig.control.page_may_not_clear
+    rig.ledger.count(86_390.0, 0.0, 0.0)
+    assert rig.control.page_may_not_clear
+    rig.ledger.count(10.0, 0.0, 0.0)
+    assert rig.control.page_may_not_clear == ""
 
 
 # --- the codes that the parts of the package report -----------------------------------------------

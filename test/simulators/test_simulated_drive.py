@@ -1,4 +1,4 @@
-"""The simulated drive, on paper and as a program, in bytes written from the makers' manuals."""
+"""The simulated drive in bytes from the manuals, on paper and as a program; and with the driver."""
 
 from __future__ import annotations
 
@@ -6,17 +6,22 @@ import os
 import select
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import pytest
 from graphs import free_ports
+from places import guarding
 from simulators import DEFAULT, Bus, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
+from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.exchange import DriveExchange, State
+from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.simulators.control_profiles import profile_of
 from greenroof_ros.simulators.simulated_drive import DriveSettings
 
@@ -130,6 +135,11 @@ def start(bus: Bus, make: str) -> None:
     """Bring a drive to half of its rated speed."""
     for address, word, _, _ in MAKES[make].start:
         bus.write(address, word)
+
+
+def place_of(drive: Simulator) -> str:
+    """Return the address that a simulator says is the drive's."""
+    return drive.ready.split()[2].rstrip(",")
 
 
 # --- running --------------------------------------------------------------------------------------
@@ -335,19 +345,6 @@ def test_a_speed_that_stays_and_a_motor_that_runs_on() -> None:
     assert drive.speed(20.0) == 0
 
 
-def test_a_drive_that_says_it_is_off_and_runs_on() -> None:
-    """ABB: bits 0 to 2 of the status word are 001 after OFF1, as at rest."""
-    drive = OnPaper("abb_acs880", ramp_s=1.0, timeout_s=5.0, coast_s=2.0)
-    drive.run()
-    drive.drive.inject("runs_on", 0)
-    for _ in range(20):
-        drive.write(0, 0x047E)
-        drive.now += 1
-        assert drive.read(4) == 10000 and drive.speed() == 0.5
-        assert drive.status(0x0007) == 0x0001
-    assert drive.speed(drive.now + 7) == 0
-
-
 @pytest.mark.parametrize("make", ["grundfos_cim500", "danfoss_fc202"])
 def test_local_control_takes_no_orders_from_the_bus(make: str) -> None:
     """A bit of the status word says whose the drive is."""
@@ -508,13 +505,14 @@ def test_a_port_that_closes_and_comes_back(drive: Simulator, bus: Bus, gone: str
 def test_rtu_over_a_pseudo_terminal() -> None:
     """Frames with their CRC as in Modbus over Serial Line V1.02, 6.2.2, by hand; unit 2 is another.
 
-    CRC of 01 03 0003 0001 is 74 0A, of 01 03 02 1230 B4 F0. Without power the line is silent.
+    CRC of 01 03 0003 0001 is 74 0A, of 01 03 02 1230 B4 F0. Without power the line is silent. The
+    driver is told there, too, that it is a simulator.
     """
     with Simulator(
         "drive_simulator", "--drive", "abb_acs880", "--serial", "pty", "--workbench", "0",
         "--boot", "0.5",
     ) as drive:
-        device = os.open(drive.ready.split()[2].rstrip(","), os.O_RDWR | os.O_NOCTTY)
+        device = os.open(place_of(drive), os.O_RDWR | os.O_NOCTTY)
 
         def ask(frame: str, seconds: float) -> str:
             os.write(device, bytes.fromhex(frame))
@@ -530,6 +528,12 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         assert ask(status, 0.2) == ""
         time.sleep(0.4)
         assert ask(status, 2) == "0103021230b4f0"
+        driver = Drive(
+            read_drive_file(find_drive_file("abb_acs880")), parse_address(place_of(drive))
+        )
+        driver.line.connect()
+        assert driver.why_no_simulator() == ""
+        driver.line.close()
         os.close(device)
 
 
@@ -560,3 +564,67 @@ def test_it_listens_on_loopback_alone_and_its_workbench_is_beside_it() -> None:
         assert {at for at, _, state in listening if state == "0A" and at[-4:] in ours} == {
             f"0100007F:{each}" for each in ours
         }
+
+
+# --- with the driver, which is made from the drive files ------------------------------------------
+
+
+def test_with_the_driver_every_make_runs_stops_and_is_left_when_it_does_not(
+    make: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault and its reset, and a stop that is acknowledged and no more; seen after 2 s here.
+
+    It says that it is a simulator, at a port, or at a gateway's where the make has none. Writing
+    *stop* on and on would keep its own timeout alive, so it is left in silence. That is 2 s here,
+    but for a CIM, whose is fixed.
+    """
+    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 2.0)
+    timeout = 5 if make == "grundfos_cim500" else 2
+    file = read_drive_file(Path(guarding(make, tmp_path)))
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, closing(
+        DriveExchange(file, parse_address(place_of(drive)), period_s=0.1)
+    ) as exchange:
+
+        def said(what: Callable[[DriveStatus], bool]) -> bool:
+            return exchange.snapshot.status is not None and what(exchange.snapshot.status)
+
+        def reach(speed: float) -> None:
+            """Ask for a speed until motor and driver both say that it is there."""
+
+            def there() -> bool:
+                exchange.demand(speed or None)
+                return drive.speed() == pytest.approx(speed, abs=1e-3) and said(
+                    lambda status: status.speed == pytest.approx(speed, abs=2e-3)
+                )
+
+            until(there, 8)
+
+        exchange.only_simulator()
+        exchange.start()
+        reach(0.6)
+        assert exchange.snapshot.timeout_s == timeout
+        reach(0.0)
+        reach(0.4)
+        drive.inject("drive_fault")
+        until(lambda: said(lambda status: status.fault != "") and drive.speed() == 0)
+        drive.inject("none")
+        exchange.demand(None)
+        exchange.reset()
+        until(lambda: said(lambda status: status.fault == ""))
+        reach(0.6)
+        drive.inject("runs_on")
+        exchange.demand(None)
+        until(lambda: said(lambda status: "acknowledges *stop*" in status.fault), 20)
+        assert exchange.snapshot.state is State.STOPPING  # its cause is seen before the silence
+        until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
+        assert drive.speed() == pytest.approx(0.6, abs=1e-3)
+        assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
+        until(lambda: drive.speed() == 0, 20)
+        until(lambda: exchange.snapshot.connected, 20)
+        reach(0.4)
+        exchange.close()
+        assert drive.speed() < 0.4
+        until(lambda: drive.speed() == 0)
+    assert f"communication timeout: nothing for {timeout} s" in drive.said
