@@ -239,6 +239,15 @@ def bag_file(run: Path) -> Path:
     return run / "bag" / "bag_0.mcap"
 
 
+def messages_of(run: Path) -> dict[str, list[bytes]]:
+    """Return each topic's messages in the closed bag of a run; their checksums must be right."""
+    found: dict[str, list[bytes]] = {}
+    with bag_file(run).open("rb") as stream:
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            found.setdefault(channel.topic, []).append(message.data)
+    return found
+
+
 def bring_up(
     domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 900
 ) -> dict[str, Any]:

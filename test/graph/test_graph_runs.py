@@ -7,16 +7,21 @@ import json
 import os
 import signal
 import struct
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from bag_topics import MPC_TOPICS, bag_topics
 from commands import run_command
-from graphs import Process, bag_file, bring_up, environment, summary_of, wait_for
-from mcap.reader import make_reader
+from graphs import (
+    Process,
+    bag_file,
+    bring_up,
+    environment,
+    messages_of,
+    summary_of,
+    wait_for,
+)
 from paper import PAPER_SITE, paper_run, site_file
 from places import DATA
 
@@ -45,16 +50,6 @@ COLUMNS = {
 }
 
 
-def bag_values(run: Path) -> dict[str, list[bytes]]:
-    """Return the eight bytes of each value of each of these topics in a bag."""
-    values: dict[str, list[bytes]] = {}
-    with bag_file(run).open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        for _, channel, message in reader.iter_messages(COLUMNS, log_time_order=False):
-            values.setdefault(channel.topic, []).append(message.data[4:12])
-    return values
-
-
 def assert_same(directory: Path) -> list[dict[str, str]]:
     """The bag in run/ has each bit of run.csv, and its summary each figure of inprocess/'s.
 
@@ -63,9 +58,10 @@ def assert_same(directory: Path) -> list[dict[str, str]]:
     """
     with (directory / "run.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    values = bag_values(directory / "run")
+    bag = messages_of(directory / "run")
     for topic, column in COLUMNS.items():
-        assert values[topic] == [struct.pack("<d", float(row[column])) for row in rows], topic
+        values = [message[4:12] for message in bag[topic]]
+        assert values == [struct.pack("<d", float(row[column])) for row in rows], topic
     summary, inprocess = (
         json.loads((directory / run / "summary.json").read_text()) for run in ("run", "inprocess")
     )
@@ -93,12 +89,7 @@ def assert_same_plans(directory: Path, options: Sequence[str]) -> list[int]:
     encode = encoder(topic.type, topic.dimensions)
     plans = [(encode(controller.plan), len(controller.plan))
              for _ in closed_loop(run, controller, Metrics())]
-    with bag_file(directory / "run").open("rb") as stream:
-        found = [
-            message.data
-            for _, _, message in make_reader(stream).iter_messages(topics=[topic.name])
-        ]
-    assert found == [plan for plan, _ in plans]
+    assert messages_of(directory / "run")[topic.name] == [plan for plan, _ in plans]
     return [rows for _, rows in plans]
 
 
@@ -120,13 +111,11 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
 
 def simulate(domain: int, directory: Path, *options: str) -> None:
     """Do the run in one process; it leaves ``run.csv``."""
-    subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", *options,
-            "--trajectory", "run.csv", "--output", "inprocess",
-        ],
-        cwd=directory, env=environment(domain), check=True, capture_output=True,
+    done = run_command(
+        "simulate", *options, "--trajectory", "run.csv", "--output", "inprocess", cwd=directory,
+        env=environment(domain),
     )
+    assert done.returncode == 0, done.stderr
 
 
 # How long, and when, of runs that differ in controller and site; of two more below.
@@ -251,14 +240,6 @@ def options(cwd: Path, site: str) -> tuple[str, ...]:
     return (*OPTIONS[site], "--parameters", file.name)
 
 
-def bag_names(run: Path) -> set[str]:
-    """Return the names of the topics in a bag."""
-    with bag_file(run).open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    return {channel.topic for channel in summary.channels.values()}
-
-
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
     """Their bags have each byte of those of runs alone, and names in their namespace.
 
@@ -288,17 +269,14 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
         assert bag_file(beside).read_bytes() == bag_file(alone).read_bytes()
         metadata = Path("bag") / "metadata.yaml"
         assert (beside / metadata).read_bytes() == (alone / metadata).read_bytes()
-        assert bag_names(beside) == {f"/{site}{topic}" for topic in TOPICS[site]}
+        assert messages_of(beside).keys() == {f"/{site}{topic}" for topic in TOPICS[site]}
     assert summary_of(tmp_path / "site1-together")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2-together")["max_command"] == 0.4
     # What is recorded under a namespace is recovered under it.
-    done = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.recover", "site1-alone",
-            "--output", str(tmp_path / "again" / "bag"),
-        ],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=False,
+    done = run_command(
+        "recover", "site1-alone", "--output", str(tmp_path / "again" / "bag"), cwd=tmp_path,
+        env=environment(domain),
     )
     assert done.returncode == 0, done.stderr
     assert bag_file(tmp_path / "again").read_bytes() == (

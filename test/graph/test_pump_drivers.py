@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from graphs import Process, bag_file, bring_up, environment, wait_for
-from mcap.reader import make_reader
+from graphs import Process, bring_up, environment, messages_of, wait_for
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the check needs ROS 2")
@@ -189,15 +188,6 @@ rclpy.spin(node)
 """
 
 
-def values(run: Path, topic: str) -> list[float]:
-    """Return a topic's values."""
-    with bag_file(run).open("rb") as stream:
-        return [
-            struct.unpack_from("<d", message.data, 4)[0]
-            for _, _, message in make_reader(stream).iter_messages(topics=[topic])
-        ]
-
-
 def test_example_driver(domain: int, tmp_path: Path) -> None:
     """A thousand ticks through examples/pump_driver.py, with a lag: the levels follow its flow."""
     assert "greenroof" not in EXAMPLE
@@ -220,8 +210,12 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
         if driver.poll() is None:
             driver.send_signal(signal.SIGINT)
             driver.wait(300)
-    run = tmp_path / "run"
-    commands, flows = values(run, "/pump/command"), values(run, "/pump/flow")
+    bag = messages_of(tmp_path / "run")
+
+    def values(topic: str) -> list[float]:
+        return [struct.unpack_from("<d", message, 4)[0] for message in bag[topic]]
+
+    commands, flows = values("/pump/command"), values("/pump/flow")
     assert len(flows) == 1001
     # Its flow: a first-order lag behind its maximum flow times the command, clamped at 1.
     constants = re.search(r"^MAX_FLOW, LAG, TICK = ([\d., ]+)", EXAMPLE, re.MULTILINE)
@@ -238,10 +232,10 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
     assert max(commands) == 2.0
     assert 0.5 * maximum < max(flows) < maximum
     # The levels: the mass balance with that flow, and not with the simulated pump's.
-    cistern, roof = values(run, "/cistern/level"), values(run, "/roof/level")
-    rain = values(run, "/weather/precipitation")
-    evapotranspiration = values(run, "/weather/evapotranspiration")
-    outflow, drainage = values(run, "/cistern/outflow"), values(run, "/roof/drainage")
+    cistern, roof = values("/cistern/level"), values("/roof/level")
+    rain = values("/weather/precipitation")
+    evapotranspiration = values("/weather/evapotranspiration")
+    outflow, drainage = values("/cistern/outflow"), values("/roof/drainage")
     for k in range(1000):
         into_cistern = rain[k] * A_IN - outflow[k] - flows[k]
         into_roof = rain[k] * A2 + flows[k] - evapotranspiration[k] - drainage[k]

@@ -6,12 +6,12 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 from bag_topics import MPC_TOPICS
+from commands import run_command
 from disks import small_disk
 from graphs import Process, bag_file, bring_up, environment, summary_of
 from mcap.reader import make_reader
@@ -30,10 +30,7 @@ def recorded(domain: int, once: Once) -> Path:
 
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the recovery as a user would."""
-    return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.recover", str(directory), *arguments],
-        env=environment(0), capture_output=True, text=True, check=False,
-    )
+    return run_command("recover", str(directory), *arguments, cwd=Path.cwd(), env=environment(0))
 
 
 def test_rosbags_decodes_it(recorded: Path) -> None:
