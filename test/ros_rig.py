@@ -62,20 +62,6 @@ def start_node(
     )
 
 
-@contextmanager
-def nodes(domain: int, cwd: Path, *commands: str) -> Iterator[list[subprocess.Popen[str]]]:
-    """Start nodes by hand, and end them by Ctrl-C."""
-    errors = {"stderr": subprocess.PIPE, "text": True}
-    started = [start_node(domain, cwd, command, popen=errors) for command in commands]
-    try:
-        yield started
-    finally:
-        for process in started:
-            process.send_signal(signal.SIGINT)
-        for process in started:
-            process.wait(300)
-
-
 class Observer:
     """A node of the test's own.
 

@@ -220,24 +220,20 @@ def test_starts_in_a_row_lose_nothing(domain: int, tmp_path: Path) -> None:
 
 # --- side by side, each in a namespace of its own -------------------------------------------------
 
-# Each with a parameter file of its own, which holds in a namespace; the first is of the paper's
-# controller.
-FILES = {
-    "site1": "/**/mpc:\n  ros__parameters:\n    weight: 0.02\n",
-    "site2": "/**/onoff:\n  ros__parameters:\n    fraction: 0.4\n",
+# Of each its controller, a parameter, and its topics.
+SITES = {
+    "site1": ("mpc", "weight: 0.02", MPC_TOPICS), "site2": ("onoff", "fraction: 0.4", bag_topics()),
 }
-OPTIONS = {
-    "site1": ("--namespace", "site1", "--controller", "mpc", "--hours", "0.1"),
-    "site2": ("--namespace", "/site2", "--controller", "onoff", "--hours", "0.1"),
-}
-TOPICS = {"site1": MPC_TOPICS, "site2": bag_topics()}
 
 
 def options(cwd: Path, site: str) -> tuple[str, ...]:
-    """Return a site's options; its parameter file is written."""
-    file = cwd / f"{site}.yaml"
-    file.write_text(FILES[site])
-    return (*OPTIONS[site], "--parameters", file.name)
+    """Return a site's options; its parameter file, which holds in its namespace, is written."""
+    controller, parameter, _ = SITES[site]
+    (cwd / f"{site}.yaml").write_text(
+        f"/**/{controller}:\n  ros__parameters:\n    {parameter}\n"
+    )
+    return ("--namespace", site, "--controller", controller, "--parameters", f"{site}.yaml",
+            "--hours", "0.1")
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
@@ -254,7 +250,7 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
             domain, "bringup", "--output", f"{site}-together", *options(tmp_path, site),
             cwd=tmp_path,
         )
-        for site in OPTIONS
+        for site in SITES
     }
     file = bag_file(tmp_path / "site2-together")
     wait_for(lambda: file.exists() and file.stat().st_size > 10_000, 60, "a bag")
@@ -263,13 +259,13 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert "node weather ended (SIGKILL)" in killed.stderr()
     for process in together.values():
         assert process.wait(120) == 0, process.stderr()
-    for site in OPTIONS:
+    for site, (_, _, topics) in SITES.items():
         bring_up(domain, tmp_path, *options(tmp_path, site), output=f"{site}-alone")
         alone, beside = tmp_path / f"{site}-alone", tmp_path / f"{site}-together"
         assert bag_file(beside).read_bytes() == bag_file(alone).read_bytes()
         metadata = Path("bag") / "metadata.yaml"
         assert (beside / metadata).read_bytes() == (alone / metadata).read_bytes()
-        assert messages_of(beside).keys() == {f"/{site}{topic}" for topic in TOPICS[site]}
+        assert messages_of(beside).keys() == {f"/{site}{topic}" for topic in topics}
     assert summary_of(tmp_path / "site1-together")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2-together")["max_command"] == 0.4
