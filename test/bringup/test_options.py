@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from commands import run_command
-from graphs import environment, wait_for
+from graphs import environment
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
@@ -24,8 +25,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.drives.drive import DriveLock
 from greenroof_ros.drives.drive_file import find_drive_file
-from greenroof_ros.drives.exchange import DriveExchange
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -62,13 +63,10 @@ def test_plant_external_is_live(tmp_path: Path) -> None:
 def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
     """A real motor would run on made-up levels, with sixty times the starts per hour."""
     drive = acs880()
-    wire = Wire(drive)
     options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
-    try:
+    with closing(Wire(drive)) as wire:
         done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
         assert not drive.written and len(wire.seen) == 1
-    finally:
-        wire.close()
     assert done.returncode == 2
     assert done.stderr.startswith(
         "error: --speed = '60': is for the drive simulator alone, at loopback or on a pseudo-"
@@ -251,34 +249,22 @@ def test_a_state_file_is_a_drives_however_its_address_is_written(
         name("tcp://no-such-host.invalid")
 
 
-def test_a_drive_of_another_program_is_left_to_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started at the same drive by mistake."""
-    drive = acs880()
-    wire = Wire(drive)
-    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-    exchange = DriveExchange(*choice.read())
-    ours = subprocess.Popen(["sleep", "60"])
-    try:
-        exchange.start()
-        wait_for(lambda: exchange.snapshot.connected, 20, "the drive")
-        stop = choice.stopper()
-        assert stop(ours.pid) == (
+    with closing(Wire(acs880())) as wire:
+        choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
+        driver, stop = DriveLock(*choice.read()), choice.stopper()
+        driver.take()
+        assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive: left to it, which may run "
             "the pump",
         )
-        assert wire.connections == 1
-        assert stop(os.getpid())[1].startswith("bringup told the drive to stop")
-        assert wire.connections == 2
-        exchange.close()
-        assert stop(ours.pid)[1].startswith("bringup told the drive to stop")
-    finally:
-        exchange.close()
-        wire.close()
-        ours.kill()
-        ours.wait()
+        assert wire.connections == 0
+        told = "bringup told the drive to stop, which said then: speed 0.0%"
+        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(told)
+        driver.release()
+        assert stop(1)[0] and stop(1)[1].startswith(told)
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
