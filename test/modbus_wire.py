@@ -75,32 +75,22 @@ class Wire:
 
     def _serve(self, one: socket.socket) -> None:
         try:
-            while True:
-                head = self._take(one, 6)
-                request = head + self._take(one, int.from_bytes(head[4:6], "big"))
-                self.seen.append(request)
-                self.times.append(time.monotonic())
-                answers = self.answer(request)
-                if answers is None:
-                    one.close()
-                    return
-                for wait, data in answers:
-                    time.sleep(wait)
-                    one.sendall(data)
+            with one.makefile("rb") as stream:
+                while head := stream.read(6):
+                    request = head + stream.read(int.from_bytes(head[4:6], "big"))
+                    self.seen.append(request)
+                    self.times.append(time.monotonic())
+                    answers = self.answer(request)
+                    if answers is None:
+                        one.close()
+                        return
+                    for wait, data in answers:
+                        time.sleep(wait)
+                        one.sendall(data)
         except ConnectionResetError:
             self.resets += 1
         except OSError:
             pass
-
-    @staticmethod
-    def _take(one: socket.socket, count: int) -> bytes:
-        data = b""
-        while len(data) < count:
-            more = one.recv(count - len(data))
-            if not more:
-                raise OSError
-            data += more
-        return data
 
 
 def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:

@@ -96,9 +96,6 @@ class Simulator:
     def power_cycle(self) -> None:
         self._on_workbench(lambda bench: bench.power_cycle())
 
-    def take_over(self, local: bool) -> None:
-        self._on_workbench(lambda bench: bench.take_over(local))
-
     def speed(self) -> float:
         """Return the true speed (share of rated)."""
         return self._on_workbench(lambda bench: bench.speed())

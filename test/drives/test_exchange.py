@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -704,17 +705,6 @@ def test_whatever_fails_the_next_step_begins_again(
 # --- how it is left -------------------------------------------------------------------------------
 
 
-class Stop:
-    """The supervisor's stop, in a thread of its own."""
-
-    def __init__(self, wire: Wire) -> None:
-        self.left: list[DriveStatus] = []
-        at = parse_address(wire.at)
-        self._thread = threading.Thread(target=lambda: self.left.append(stop_drive(ABB, at)))
-        self._thread.start()
-        self.join = self._thread.join
-
-
 def falls_for(drive: Registers, seconds: float) -> None:
     """Have it turn at rated speed, and ramp down from the first *stop* on."""
     began: list[float] = []
@@ -735,17 +725,17 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     """For as long as LEAVE_S, here 5 s: longer than a drive is left that does not slow down."""
     monkeypatch.setattr(exchange, "LEAVE_S", 5.0)
     second = acs880()
-    with closing(Wire(second)) as other:
+    with closing(Wire(second)) as other, ThreadPoolExecutor() as pool:
         falls_for(bench.drive, seconds)
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = Stop(other)
+        stop = pool.submit(stop_drive, ABB, parse_address(other.at))
         bench.exchange.close()
-        stop.join()
+        left = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
     assert bench.now.status is not None
-    assert (bench.now.status.stands, stop.left[0].stands) == (stands, stands)
+    assert (bench.now.status.stands, left.stands) == (stands, stands)
 
 
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
@@ -755,15 +745,16 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     bench.drive.values.update({3: 0x1137, 4: 20000})
     bench.drive.on_write = lambda _address, _word: None
     began = time.monotonic()
-    stop = Stop(bench.wire)
-    wait(lambda: bench.wire.seen)
-    bench.exchange.start()
-    wait(lambda: "runs this drive already" in bench.now.problem)
-    stop.join()
+    with ThreadPoolExecutor() as pool:
+        stop = pool.submit(stop_drive, ABB, parse_address(bench.wire.at))
+        wait(lambda: bench.wire.seen)
+        bench.exchange.start()
+        wait(lambda: "runs this drive already" in bench.now.problem)
+        left = stop.result()
     assert time.monotonic() - began < 4.0
     wait(lambda: bench.now.connected)
     bench.close_within(4.0)
-    for status in (*stop.left, bench.now.status):
+    for status in (left, bench.now.status):
         assert str(status) == "speed 100.0%, running, local control"
         assert status is not None and not status.stands
 

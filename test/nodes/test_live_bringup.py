@@ -29,6 +29,7 @@ from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_for
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.experiment.incidents import read_incidents
+from greenroof_ros.pumping.ledger import Ledger
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
@@ -377,16 +378,6 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         assert "No space left on device; the new configuration is in memory only" in said
 
 
-LATCH = """
-import sys, time
-from pathlib import Path
-from greenroof_ros.pumping.ledger import Ledger
-ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.fault("the drive reports: overload", "drive_fault")
-assert ledger.close() == ""
-"""
-
-
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     """At real time unless told otherwise; the drive stands at the end, be that early."""
     hardware = Hardware(domain, tmp_path, "20")
@@ -400,7 +391,9 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
     # A fault is the drive's: it stops the pump in the next run, and bringup says so, and where.
     state = state_of_drive()
-    subprocess.run([sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True)
+    ledger = Ledger(state, time.time)
+    ledger.fault("the drive reports: overload", "drive_fault")
+    assert ledger.close() == ""
     fast = (*PUMPING, "--hours", "0.02", "--speed", "20")
     stopped = hardware.in_the_loop(*fast, output="stopped")
     assert stopped.wait(300) == 1, stopped.stderr()

@@ -11,7 +11,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import closing, nullcontext
@@ -34,6 +33,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.nodes.pump import _Drive
+from greenroof_ros.pumping.ledger import Ledger
 
 
 @pytest.fixture
@@ -232,17 +232,6 @@ def test_a_stop_that_fails_at_the_end_is_said(rig: PumpRig) -> None:
 
 
 STOPPED = "held: an operator stopped it"
-_HOLDER = """
-import sys, time
-from pathlib import Path
-from greenroof_ros.pumping.ledger import Ledger
-ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.why_not_kept()
-print("has it", flush=True)
-sys.stdin.readline()
-ledger.fault("burst pipe", "delivery")
-ledger.close()
-"""
 
 
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
@@ -251,12 +240,9 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     What the other program found meanwhile counts, and so does the stop.
     """
     file = rig.cwd / "pump.json"
-    with subprocess.Popen(
-        [sys.executable, "-c", _HOLDER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    ) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == b"has it\n"
-        words = f"process {holder.pid} has it already"
+    with closing(Ledger(file, time.time)) as holder:
+        assert holder.why_not_kept(20.0) == ""
+        words = f"process {os.getpid()} has it already"
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
@@ -268,7 +254,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         assert not answer.success and words in answer.message
         assert rig.state.startswith(STOPPED)
         assert file.read_bytes() == before
-        holder.communicate(b"\n", timeout=120)
+        holder.fault("burst pipe", "delivery")
     rig.until_state("fault: burst pipe; an operator stopped it", 20)
     assert rig.call(Trigger, "reset").success
     assert rig.drive.speed() == 0.0

@@ -185,15 +185,6 @@ def test_true_water_with_noise_never_jumps(
         assert rules.came(now, level + 0.0099 * error).good
 
 
-@given(passed=st.floats(0.01, 30.0), beyond=st.floats(0.0001, 5.0), up=st.booleans())
-def test_any_step_beyond_is_a_jump(passed: float, beyond: float, up: bool) -> None:
-    """Further than water and the tolerance allow, either way."""
-    rules = InputRules(0.0, 1e9, 0.0, level=level_rule())
-    rules.came(0.0, 20.0)
-    step = passed * 0.001 + 0.02 + beyond if up else -(passed * 0.002 + 0.02 + beyond)
-    assert rule(rules.came(passed, 20.0 + step)) == "jump"
-
-
 def test_speeds_of_the_paper_s_site() -> None:
     """Half as fast again as Eqs. (2)-(4) and the world's greatest rain allow, by hand.
 
