@@ -292,30 +292,3 @@ def clock_gettime(clock):
     return awake(clock) + slept
 time.clock_gettime = clock_gettime
 """
-_IMPOSTOR = """
-import sys, rclpy
-from rclpy.node import Node
-from std_msgs.msg import Float64
-from greenroof_ros.common.interface import read_live_topics
-from greenroof_ros.graph.messages import qos_profile
-rclpy.init()
-node = Node(sys.argv[1], start_parameter_services=False)
-topic = read_live_topics()[sys.argv[2]]
-publisher = node.create_publisher(Float64, sys.argv[2], qos_profile(topic.qos))
-node.create_timer(0.1, lambda: publisher.publish(Float64(data=float(sys.argv[3]))))
-rclpy.spin(node)
-"""
-
-
-@contextmanager
-def impostor(domain: int, cwd: Path, name: str, topic: str, value: float) -> Iterator[None]:
-    """Publish what another node does, under its name, and report nothing."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", _IMPOSTOR, name, topic, str(value)], cwd=cwd,
-        env=environment(domain),
-    )
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait(120)

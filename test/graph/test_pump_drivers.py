@@ -8,13 +8,17 @@ import signal
 import struct
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from graphs import Process, bring_up, environment, messages_of, wait_for
+from lookers import Peer, in_domain
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the check needs ROS 2")
+
+from std_msgs.msg import Float64
 
 DRIVER = CHECKOUT / "examples" / "pump_driver.py"
 EXAMPLE = DRIVER.read_text()
@@ -175,18 +179,6 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_
 # Table I of the paper.
 A1, A2, A_IN = 25.0, 68.8, 0.305**2 * math.pi
 
-# With rclpy's own settings.
-DEFAULT_DRIVER = """
-import rclpy
-from std_msgs.msg import Float64
-
-rclpy.init()
-node = rclpy.create_node("pump")
-publisher = node.create_publisher(Float64, "/pump/flow", 10)
-node.create_subscription(Float64, "/pump/command", publisher.publish, 10)
-rclpy.spin(node)
-"""
-
 
 def test_example_driver(domain: int, tmp_path: Path) -> None:
     """A thousand ticks through examples/pump_driver.py, with a lag: the levels follow its flow."""
@@ -247,11 +239,8 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
 def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
     """One line on the console and in the log: who, what it is, and all that it must be."""
     logs = tmp_path / "run" / "log"
-    driver = subprocess.Popen(
-        [sys.executable, "-c", DEFAULT_DRIVER], cwd=tmp_path, env=environment(domain),
-        stderr=subprocess.DEVNULL,
-    )
-    try:
+    with in_domain(domain), closing(Peer(domain, "pump")) as driver:
+        driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's own settings
         process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
         warning = (
@@ -263,9 +252,6 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         wait_for(lambda: log.exists() and warning in log.read_text(), 60, "the log")
         process.process.terminate()
         assert process.wait(300) == 130
-    finally:
-        driver.kill()
-        driver.wait(300)
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
     assert warnings == [f"warning: {warning}"]
     assert not any("Last incompatible policy" in log.read_text() for log in logs.iterdir())
