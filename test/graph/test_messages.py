@@ -13,6 +13,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
+from builtin_interfaces.msg import Time  # noqa: E402
 from rclpy.logging import get_logger  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
@@ -34,12 +35,6 @@ ENSEMBLE = ("member", "step")
 VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
 
 
-def clock(seconds: int, nanoseconds: int) -> Clock:
-    message = Clock()
-    message.clock.sec, message.clock.nanosec = seconds, nanoseconds
-    return message
-
-
 @pytest.mark.parametrize(
     ("kind", "value", "message"),
     [
@@ -48,8 +43,9 @@ def clock(seconds: int, nanoseconds: int) -> Clock:
             (NUMBERS, array("d", VALUES[:size]), Float64MultiArray(data=VALUES[:size]))
             for size in range(len(VALUES))
         ),
-        (CLOCK, 1_625_641_200_123_456_789, clock(1_625_641_200, 123_456_789)),
-        (CLOCK, 0, clock(0, 0)),
+        (CLOCK, 1_625_641_200_123_456_789,
+         Clock(clock=Time(sec=1_625_641_200, nanosec=123_456_789))),
+        (CLOCK, 0, Clock()),
     ],
 )
 def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> None:

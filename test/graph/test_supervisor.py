@@ -9,7 +9,7 @@ import resource
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -56,13 +56,12 @@ class Site:
         for node in nodes:
             self.supervisor.add(node, "small_node", node, str(self.marks))
 
-    def until(self, condition: object, seconds: float = TOO_LONG_S) -> None:
+    def until(self, condition: Callable[[], object], seconds: float = TOO_LONG_S) -> None:
         """Supervise until something holds."""
 
         def step() -> bool:
             self.supervisor.listen()
             self.supervisor.look()
-            assert callable(condition)
             return bool(condition())
 
         wait_for(step, seconds, "what the test waits for")

@@ -12,7 +12,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
-from ros_rig import ERROR, OK, STALE, WARN, Observer, qos
+from ros_rig import ERROR, OK, STALE, WARN, Observer
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
 
@@ -21,15 +21,6 @@ from greenroof_ros.common.files import read_yaml
 from greenroof_ros.controllers.registry import BUILT_IN
 
 HERE = socket.gethostname()
-
-
-def listen(watcher: Observer) -> list[DiagnosticArray]:
-    """Return all that comes from now on."""
-    arrays: list[DiagnosticArray] = []
-    watcher.node.create_subscription(
-        DiagnosticArray, "/diagnostics", arrays.append, qos("/diagnostics")
-    )
-    return arrays
 
 
 def check(arrays: list[DiagnosticArray]) -> None:
@@ -83,7 +74,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
     began = time.time()
-    arrays = listen(observer)
+    arrays = observer.hear("/diagnostics", lambda one: one)
     other = observer.node.create_publisher(Clock, "/clock", 10)
     message = Clock()
     message.clock.sec = start + 86_400
@@ -126,7 +117,7 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
 
     Its process and site are in its values. The weather ends with it.
     """
-    arrays = listen(observer)
+    arrays = observer.hear("/diagnostics", lambda one: one)
 
     def said() -> list[tuple[bytes, str]]:
         return [

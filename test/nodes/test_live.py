@@ -39,7 +39,7 @@ from ros_rig import (
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
-from test_diagnostics import check, listen
+from test_diagnostics import check
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text
@@ -51,7 +51,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     That it has no forecast is nothing to on/off, nor is one that is refused.
     """
-    arrays = listen(site.watcher)
+    arrays = site.watcher.hear("/diagnostics", lambda one: one)
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -447,7 +447,7 @@ def test_live_weather_that_lacks_something(site: Site) -> None:
     )
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
-    arrays = listen(site.watcher)
+    arrays = site.watcher.hear("/diagnostics", lambda one: one)
     with site.live(
         "weather", forecast=file, unknown_frost_may_pump="true", dressed=record,
         site_file=site.cwd / "mine.yaml",

@@ -18,9 +18,10 @@ from commands import run_command
 from graphs import Process, environment, free_ports, summary_of, udp_addresses_of, wait_for
 from mcap.reader import make_reader
 from places import CHECKOUT, CONFIG
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_rig import FORECASTS, Observer, policies, qos
 from rosgraph_msgs.msg import Clock
@@ -37,11 +38,8 @@ def parameter(observer: Observer, node: str, name: str) -> ParameterValue:
 
 
 def set_weight(observer: Observer, value: float) -> Any:
-    """Ask mpc for a weight, and return the answer."""
-    given = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-    if isinstance(value, int):  # as `ros2 param set /mpc weight 5` sends it
-        given = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
-    weight = Parameter(name="weight", value=given)
+    """Ask mpc for a weight, and return the answer; a whole number goes as one, as by ros2 param."""
+    weight = Parameter("weight", value=value).to_parameter_msg()
     return observer.call(SetParameters, "/mpc/set_parameters", parameters=[weight]).results[0]
 
 
