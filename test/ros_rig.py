@@ -47,7 +47,7 @@ def qos(topic: str) -> Any:
 def ros_arguments(**parameters: object) -> list[str]:
     """Return ROS arguments that set parameters; those that are None are left out."""
     given = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
-    return ["--ros-args", *(word for one in given for word in ("-p", one))]
+    return ["--ros-args", *(word for one in given for word in ("-p", one))] if given else []
 
 
 def start_node(
@@ -55,10 +55,9 @@ def start_node(
     **parameters: object,
 ) -> subprocess.Popen[Any]:
     """Start a node by hand: its module, and arguments."""
-    arguments = ros_arguments(**parameters) if parameters else []
+    words = [*f"greenroof_ros.nodes.{command}".split(), *ros_arguments(**parameters)]
     return subprocess.Popen(
-        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split(), *arguments], cwd=cwd,
-        **{"env": environment(domain), **(popen or {})},
+        [sys.executable, "-m", *words], cwd=cwd, **{"env": environment(domain), **(popen or {})}
     )
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bag_topics import MPC_TOPICS
-from graphs import bag_file, bring_up, wait_for
+from graphs import Process, bag_file, bring_up, wait_for
 from mcap.reader import make_reader
 from places import Once
 from rclpy.duration import Duration
-from ros_rig import FORECASTS, Observer
+from ros_rig import FORECASTS, Observer, ros_arguments
 from rosgraph_msgs.msg import Clock
 
 from greenroof_ros.common.interface import read_topics
@@ -22,37 +21,34 @@ from greenroof_ros.graph.messages import message_class
 
 
 class Nodes:
-    """Nodes started by hand, each with what it prints in a file."""
+    """Nodes started by hand, by their names."""
 
-    def __init__(self, observer: Observer) -> None:
-        self.observer, self.cwd = observer, observer.cwd
-        self.started: dict[str, subprocess.Popen[str]] = {}
+    def __init__(self, domain: int, cwd: Path) -> None:
+        self.domain, self.cwd = domain, cwd
+        self.started: dict[str, Process] = {}
 
-    def node(self, name: str, **parameters: object) -> None:
+    def node(self, name: str, **parameters: object) -> Process:
         """Start one; a controller by its own name."""
-        which = f"controller --controller {name}" if name in ("mpc", "onoff") else name
-        with (self.cwd / f"{name}.log").open("w") as log:
-            popen = {"stdin": subprocess.PIPE, "stdout": log, "stderr": log, "text": True}
-            self.started[name] = self.observer.start(which, popen=popen, **parameters)
+        which = ["controller", "--controller", name] if name in ("mpc", "onoff") else [name]
+        self.started[name] = Process(
+            self.domain, f"nodes.{which[0]}", *which[1:], *ros_arguments(**parameters),
+            cwd=self.cwd,
+        )
+        return self.started[name]
 
     def log(self, name: str) -> str:
-        return (self.cwd / f"{name}.log").read_text()
+        return self.started[name].stderr()
 
-    def says(self, name: str, text: str, seconds: float = 20) -> None:
-        """Wait until a node has printed a text."""
-        wait_for(lambda: text in self.log(name), seconds, f"'{text}' of {name}")
-
-    def code(self, name: str, seconds: float) -> int:
+    def code(self, name: str) -> int:
         """Wait for the end of a node by itself and return its exit code."""
-        wait_for(lambda: self.started[name].poll() is not None, seconds, f"the end of {name}")
-        found = self.started[name].returncode
+        found = self.started[name].wait(60)
         # Where the middleware takes long to go, the kernel ends a node that has said all.
         return int("FATAL" in self.log(name)) if found == -signal.SIGALRM else found
 
 
 @pytest.fixture
-def nodes(observer: Observer) -> Nodes:
-    return Nodes(observer)
+def nodes(domain: int, tmp_path: Path) -> Nodes:
+    return Nodes(domain, tmp_path)
 
 
 def test_started_by_hand_gives_the_bag_of_bringup(
@@ -62,17 +58,16 @@ def test_started_by_hand_gives_the_bag_of_bringup(
 
     All end by themselves with exit code 0.
     """
-    nodes.node("weather", run_length=360)
-    nodes.says("weather", "waiting for plant\n")
-    nodes.node("recorder", directory="bag")
-    nodes.says("recorder", "waiting for mpc, plant\n")
-    nodes.node("plant", run_length=360, record="true")
-    nodes.says("plant", "waiting for the controller\n")
-    nodes.says("weather", "waiting for the controller\n")
+    weather = nodes.node("weather", run_length=360)
+    weather.until_said("waiting for plant\n")
+    nodes.node("recorder", directory="bag").until_said("waiting for mpc, plant\n")
+    plant = nodes.node("plant", run_length=360, record="true")
+    plant.until_said("waiting for the controller\n")
+    weather.until_said("waiting for the controller\n")
     nodes.node("mpc")
-    nodes.says("plant", "finished 360 ticks", 60)
+    plant.until_said("finished 360 ticks")
     for name in nodes.started:
-        assert nodes.code(name, 60) == 0
+        assert nodes.code(name) == 0
         log = nodes.log(name)
         assert "does not answer" not in log and "ended" not in log
         assert log.count("waiting for") < 15
@@ -90,9 +85,9 @@ def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> N
     nodes.node("plant", run_length=40_000, record="true", speed=500.0)
     file = nodes.cwd / "bag" / "bag_0.mcap"
     wait_for(lambda: file.exists() and file.stat().st_size > 20_000, 60, "a growing bag")
-    nodes.started["plant"].send_signal(how)
+    nodes.started["plant"].process.send_signal(how)
     for name in ("weather", "onoff", "recorder"):
-        assert nodes.code(name, 60) == 1, name
+        assert nodes.code(name) == 1, name
         (line,) = [line for line in nodes.log(name).splitlines() if "FATAL" in line]
         assert "plant has ended" in line
     with file.open("rb") as stream:
@@ -106,8 +101,8 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=5.0)
     flows = observer.hear("/pump/flow")
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
-    nodes.started["weather"].kill()
-    assert nodes.code("plant", 60) == 1
+    nodes.started["weather"].process.kill()
+    assert nodes.code("plant") == 1
     (said,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
     assert said.endswith(
         "nothing came within 5 s on /weather/precipitation, /weather/evapotranspiration from "
@@ -167,7 +162,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
             assert publisher.wait_for_all_acked(Duration(seconds=60))
         time.sleep(0.5)
         say(then)
-    assert nodes.code(node, 60) in (code, -signal.SIGALRM)
+    assert nodes.code(node) in (code, -signal.SIGALRM)
     assert words in nodes.log(node)
 
 
@@ -175,5 +170,5 @@ def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> 
     """As nodes that were started by hand find it: bringup looks before it starts any."""
     both = [observer.publisher(LEVEL[0]) for _ in range(2)]
     nodes.node("onoff")
-    assert len(both) == 2 and nodes.code("onoff", 60) == 3
+    assert len(both) == 2 and nodes.code("onoff") == 3
     assert "/cistern/level has 2 publishers (" in nodes.log("onoff")
