@@ -33,20 +33,17 @@ def test_a_lock_that_is_a_link_is_not_followed(
     assert file.read_text() == "of this user"
 
 
-def publishers(element: ElementTree.Element) -> bytes:
-    """Return what a file of profiles says of publishers."""
-    publisher = element.find("{*}publisher")
-    assert publisher is not None
-    return ElementTree.tostring(publisher).strip()
-
-
 def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:
     """Fast DDS reads one file, on loopback alone or not; its version 3 has two new names."""
     files = {
         name: ElementTree.parse(CONFIG / f"{name}.xml").getroot()
         for name in ("fastdds", "fastdds_loopback", "fastdds3", "fastdds3_loopback")
     }
-    assert publishers(files["fastdds"]) == publishers(files["fastdds_loopback"])
+    publishers = {
+        ElementTree.tostring(files[name].find("{*}publisher")).strip()
+        for name in ("fastdds", "fastdds_loopback")
+    }
+    assert len(publishers) == 1
     for kind in ("", "_loopback"):
         text, new = (ElementTree.tostring(files[name + kind]) for name in ("fastdds", "fastdds3"))
         for before, after in (

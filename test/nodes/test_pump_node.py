@@ -476,7 +476,6 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     rig.start(
         live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
         command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
-        popen={"env": environment(rig.domain)},
     )
     given = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
 

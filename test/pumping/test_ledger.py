@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -39,13 +39,6 @@ class Clock:
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
-
-
-@pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 64 KiB."""
-    with small_disk(tmp_path / "disk", "64k"):
-        yield tmp_path / "disk"
 
 
 def written(file: Path) -> dict[str, Any]:
@@ -270,35 +263,37 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert "no file" in ledger.why_not_kept()
 
 
-def test_a_full_disk(disk: Path, clock: Clock) -> None:
+def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
     """A stop is taken, since the room for it was taken when the file was made.
 
     Where there was none even for that it is said, the control goes on, and the file is made once
     there is room.
     """
-    ledger = Ledger(disk / "before.json", clock)
-    assert ledger.why_not_kept() == ""
-    with pytest.raises(OSError, match="No space left"):
-        (disk / "rubbish").write_bytes(b"x" * 100_000)
-    for number in range(3):
-        ledger.stop(f"stop {number}")
-        ledger.fault(f"fault {number}", "delivery")
+    disk = tmp_path / "disk"
+    with small_disk(disk, "64k"):
+        ledger = Ledger(disk / "before.json", clock)
         assert ledger.why_not_kept() == ""
-        again = read(disk / "before.json", clock)
-        assert (again.operator_stop, again.fault) == (f"stop {number}", f"fault {number}")
-    file = disk / "pump.json"
-    rig = Rig(file=file)
-    rig.control.stop(True)
-    assert rig.step(1.0).state == "held"
-    rig.control.stop(False)
-    assert rig.ledger.why_not_kept().startswith(
-        f"{file} cannot be written: No space left on device; a restart would not know"
-    )
-    assert rig.run(30, 1.0).state == "running"
-    (disk / "rubbish").unlink()
-    rig.run(30, 1.0)
-    wait_for(lambda: rig.ledger.problem == "", 60, "the file")
-    assert read(file, clock).starts
+        with pytest.raises(OSError, match="No space left"):
+            (disk / "rubbish").write_bytes(b"x" * 100_000)
+        for number in range(3):
+            ledger.stop(f"stop {number}")
+            ledger.fault(f"fault {number}", "delivery")
+            assert ledger.why_not_kept() == ""
+            again = read(disk / "before.json", clock)
+            assert (again.operator_stop, again.fault) == (f"stop {number}", f"fault {number}")
+        file = disk / "pump.json"
+        rig = Rig(file=file)
+        rig.control.stop(True)
+        assert rig.step(1.0).state == "held"
+        rig.control.stop(False)
+        assert rig.ledger.why_not_kept().startswith(
+            f"{file} cannot be written: No space left on device; a restart would not know"
+        )
+        assert rig.run(30, 1.0).state == "running"
+        (disk / "rubbish").unlink()
+        rig.run(30, 1.0)
+        wait_for(lambda: rig.ledger.problem == "", 60, "the file")
+        assert read(file, clock).starts
 
 
 def test_killed_at_any_moment(tmp_path: Path) -> None:

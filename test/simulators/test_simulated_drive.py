@@ -616,7 +616,9 @@ def test_with_the_driver_every_make_runs_stops_and_is_left_when_it_does_not(
         reach(0.6)
         drive.inject("runs_on")
         exchange.demand(None)
-        until(lambda: said(lambda status: "acknowledges *stop*" in status.fault), 20)
+        until(lambda: said(
+            lambda status: "acknowledges *stop*" in status.fault and not status.running
+        ), 20)
         assert exchange.snapshot.state is State.STOPPING  # its cause is seen before the silence
         until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
         assert drive.speed() == pytest.approx(0.6, abs=1e-3)
