@@ -345,6 +345,15 @@ def test_a_speed_that_stays_and_a_motor_that_runs_on() -> None:
     assert drive.speed(20.0) == 0
 
 
+def test_a_drive_that_runs_on_says_that_it_is_off() -> None:
+    """ABB: bits 0 to 2 of the status word are 001 after OFF1, as at rest."""
+    drive = OnPaper("abb_acs880", timeout_s=100.0)
+    drive.run()
+    drive.drive.inject("runs_on", 0)
+    drive.write(0, 0x047E)
+    assert drive.speed(drive.now + 1) == 0.5 and drive.status(0x0007) == 0x0001
+
+
 @pytest.mark.parametrize("make", ["grundfos_cim500", "danfoss_fc202"])
 def test_local_control_takes_no_orders_from_the_bus(make: str) -> None:
     """A bit of the status word says whose the drive is."""
