@@ -50,17 +50,6 @@ def ros_arguments(**parameters: object) -> list[str]:
     return ["--ros-args", *(word for one in given for word in ("-p", one))] if given else []
 
 
-def start_node(
-    domain: int, cwd: Path, command: str, *, popen: dict[str, Any] | None = None,
-    **parameters: object,
-) -> subprocess.Popen[Any]:
-    """Start a node by hand: its module, and arguments."""
-    words = [*f"greenroof_ros.nodes.{command}".split(), *ros_arguments(**parameters)]
-    return subprocess.Popen(
-        [sys.executable, "-m", *words], cwd=cwd, **{"env": environment(domain), **(popen or {})}
-    )
-
-
 class Observer:
     """A node of the test's own.
 
@@ -94,8 +83,12 @@ class Observer:
     def start(
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
     ) -> subprocess.Popen[Any]:
-        """Start a node beside it."""
-        process = start_node(self.domain, self.cwd, command, popen=popen, **parameters)
+        """Start a node beside it: its module, with arguments."""
+        words = [*f"greenroof_ros.nodes.{command}".split(), *ros_arguments(**parameters)]
+        process = subprocess.Popen(
+            [sys.executable, "-m", *words], cwd=self.cwd,
+            **{"env": environment(self.domain), **(popen or {})},
+        )
         self.started.append(process)
         return process
 

@@ -27,8 +27,6 @@ from greenroof_ros.model.metrics import METRICS
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
-from ros_rig import start_node
-
 # The name of the node that each module runs.
 NODES = {"plant": "plant", "weather": "weather", "controller": "mpc", "recorder": "recorder"}
 
@@ -241,13 +239,11 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path, namespace: str) -> None
 
 def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     """The same for nodes that were started by hand."""
-    weather = start_node(domain, tmp_path, "weather")
-    try:
-        wait_for(lambda: udp_addresses_of(weather.pid), 60, "the start of the node")
-        time.sleep(0.5)  # until it has said its name
-        refused = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-        assert refused.wait(300) == 3
-        assert "ROS_DOMAIN_ID" in refused.stderr()
-    finally:
-        weather.kill()
-        weather.wait()
+    weather = Process(domain, "nodes.weather", cwd=tmp_path)
+    wait_for(lambda: udp_addresses_of(weather.process.pid), 60, "the start of the node")
+    time.sleep(0.5)  # until it has said its name
+    refused = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    assert refused.wait(300) == 3
+    assert "ROS_DOMAIN_ID" in refused.stderr()
+    weather.process.kill()
+    weather.process.wait()
