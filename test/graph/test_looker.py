@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -40,15 +40,10 @@ class Heard:
         self.messages[name].append((number, message, arrived_ns))
 
     def levels(self) -> list[tuple[int | None, float]]:
+        """Return number and value of each level that has come by now."""
+        self.looker.look(0.02)
         decode = decoder("std_msgs/msg/Float64")
         return [(number, decode(message)) for number, message, _ in self.messages[LEVEL]]
-
-    def look_until(self, condition: Callable[[], Any]) -> None:
-        def look() -> bool:
-            self.looker.look(0.02)
-            return bool(condition())
-
-        wait_for(look, 20, "what was to be heard")
 
 
 @pytest.fixture
@@ -74,8 +69,7 @@ def test_messages_come_with_their_numbers(place: int) -> None:
 
     def heard_one() -> bool:
         say()
-        heard.looker.look(0.02)
-        return len(heard.messages[LEVEL]) > so_far
+        return len(heard.levels()) > so_far
 
     with closing(Peer(place, "gauge", "/site1")) as peer:
         heard = Heard("/site1")
@@ -86,13 +80,15 @@ def test_messages_come_with_their_numbers(place: int) -> None:
             for _ in range(2):
                 for _ in range(3):
                     say()
-                unheard, so_far, before = said, len(heard.messages[LEVEL]), time.time_ns()
+                unheard, so_far, before = said, len(heard.levels()), time.time_ns()
                 heard.looker.listen([LEVEL])
                 wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
                 wait_for(heard_one, 20, "what was to be heard")
                 for _ in range(60):
                     say()
-                heard.look_until(lambda: heard.levels()[-1] == (said, float(said)))
+                wait_for(
+                    lambda: heard.levels()[-1] == (said, float(said)), 20, "what was said last"
+                )
                 new = heard.levels()[so_far:]
                 first = new[0][0]
                 assert first is not None and first > unheard

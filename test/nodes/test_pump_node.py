@@ -332,23 +332,15 @@ def _numbers(rig: PumpRig) -> dict[str, float]:
     }
 
 
-def _at_speed(numbers: dict[str, float], flow: float) -> bool:
-    """Whether they are those of a pump that does what it was asked to, and is said to (m3/s)."""
-    if numbers.keys() != {"asked_speed", "speed", "flow", "command"}:
-        return False
-    return (
-        numbers["command"] == 0.5
-        and numbers["speed"] == pytest.approx(numbers["asked_speed"], abs=0.02)
-        and numbers["flow"] == pytest.approx(flow, rel=0.05)
-    )
-
-
 def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     """Connection refused, half-open, power cycle: off, said, and running again by itself."""
     rig.start()
     for fault in ("refused", "half_open", "power_cycle"):
         rig.run()
-        rig.tick_until(0.5, lambda: _at_speed(_numbers(rig), rig.flows[-1]), LATE, "numbers")
+        rig.tick_until(0.5, lambda: _numbers(rig) == pytest.approx({
+            "command": 0.5, "asked_speed": rig.drive.speed(), "speed": rig.drive.speed(),
+            "flow": rig.flows[-1],
+        }, rel=0.05), LATE, "numbers of a pump that does what it was asked to")
         rig.drive.inject(fault)
         rig.until_state("unknown: no connection to the drive", 6)
         assert rig.tick(0.5) == 0.0
