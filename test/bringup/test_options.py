@@ -117,6 +117,14 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
+@pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])
+def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        make_parser().parse_args(["--namespace", name])
+    said = capsys.readouterr().err
+    assert name in said and "such as site1" in said
+
+
 def test_a_serial_line_of_a_sensor_and_the_drive(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -264,12 +264,3 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert bag_file(tmp_path / "again").read_bytes() == (
         bag_file(tmp_path / "site1-alone").read_bytes()
     )
-
-
-@pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])
-def test_wrong_namespace(unused_domain: int, tmp_path: Path, name: str) -> None:
-    """What ROS does not take as a namespace is refused before anything starts."""
-    done = run_command("bringup", "--namespace", name, cwd=tmp_path, env=environment(unused_domain))
-    assert done.returncode == 2
-    assert name in done.stderr
-    assert "such as site1" in done.stderr
