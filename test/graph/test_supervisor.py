@@ -395,7 +395,7 @@ PERMITS = {
 
 @pytest.mark.parametrize("line", PERMITS)
 def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
-    """It lapses after two seconds; what is none is not taken for one."""
+    """It lapses after two seconds; what is none is not taken for one; the next counts."""
     ours, theirs = os.pipe()
     monkeypatch.setenv(PERMIT_PIPE, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:
@@ -404,4 +404,6 @@ def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> 
         end.write(f"{line}\n".encode())
         fresh, late = PERMITS[line]
         said = [reader.missing(at) for at in (100.0, 101.9, 102.1, 3700.0)]
-    assert said == [fresh, fresh, late, late]
+        assert said == [fresh, fresh, late, late]
+        end.write(b'{"inhibit": "", "at": 3701.0}\n')
+        assert reader.missing(3701.0) == ""
