@@ -240,10 +240,11 @@ def bag_file(run: Path) -> Path:
 
 
 def messages_of(run: Path) -> dict[str, list[bytes]]:
-    """Return each topic's messages in the closed bag of a run; their checksums must be right."""
+    """Return each topic's messages in a run's closed bag, as written; checksums must be right."""
     found: dict[str, list[bytes]] = {}
     with bag_file(run).open("rb") as stream:
-        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+        reader = make_reader(stream, validate_crcs=True)
+        for _, channel, message in reader.iter_messages(log_time_order=False):
             found.setdefault(channel.topic, []).append(message.data)
     return found
 
