@@ -248,11 +248,8 @@ WRONG_PARAMETERS = {
         *((f"{node} --ros-args -p {given}", words)
           for node, wrong in WRONG_PARAMETERS.items() for given, words in wrong.items()),
         ("plant --nonsense", ("--nonsense",)),
-        ("weather mine.csv", ("mine.csv",)),
         ("controller", ("--controller",)),
-        ("level_sensor", ("--tank",)),
         ("level_sensor --tank basement", ("basement",)),
-        ("controller --controller mpc --weight 1", ("--weight",)),
         ("controller --controller pid --help", ("pid", "mpc", "package.module:Class")),
     ],
 )
