@@ -51,6 +51,8 @@ setup(
     name=NAME,
     version=version(),
     description="A green roof watered from a storm cistern, as a ROS 2 node graph",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     maintainer="greenroof_ros maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
     license="Apache-2.0",
@@ -128,6 +130,9 @@ setup(
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
             "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
+            "build>=1.2",  # sdist and wheel, as they would be released
+            "twine>=6",  # whether a package index would take them
+            "check-wheel-contents>=0.6,<1",  # whether the wheel has what it should, and no more
             # Builds the package in a workspace of its own, as a ROS 2 user does.
             "colcon-ros>=0.5",  # the build type ament_python; brings colcon-core
             "colcon-bash>=0.5",  # install/setup.bash
