@@ -16,8 +16,8 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "verify", "study.__main__",
-    "report.__main__", "watch.__main__",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
+    "verify", "study.__main__", "report.__main__", "watch.__main__",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
@@ -110,6 +110,8 @@ setup(
             # of ROS 2 Jazzy's Ubuntu
             "aiohttp>=3.9.1,<4",
         ],
+        # The forecast of the internet; the same library as the page's.
+        "fetch": ["aiohttp>=3.9.1,<4"],
         # Completes greenroof's commands and options in bash and zsh; 3.1 is that of ROS 2 Jazzy's
         # Ubuntu.
         "completion": ["argcomplete>=3.1,<4"],

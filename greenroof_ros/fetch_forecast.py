@@ -9,7 +9,13 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, w
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.service import ATTRIBUTION, Fetcher, Service, ServiceRequest
+from greenroof_ros.forecast.service import (
+    ATTRIBUTION,
+    MOST_DAYS,
+    Fetcher,
+    Service,
+    ServiceRequest,
+)
 from greenroof_ros.model.site import read_site
 
 
@@ -44,7 +50,7 @@ def make_parser() -> argparse.ArgumentParser:
         "choice for the place)",
     )
     parser.add_argument(
-        "--days", type=within(1, 16, int), default=7, metavar="N",
+        "--days", type=within(1, MOST_DAYS, int), default=7, metavar="N",
         help="from today on that it reaches (default: %(default)s)",
     )
     parser.add_argument(

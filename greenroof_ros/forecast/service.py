@@ -34,6 +34,10 @@ from greenroof_ros.weather.evapotranspiration import fao56
 
 OPEN_METEO = "open-meteo"
 """How the service is named where a file of forecasts could be."""
+ENSEMBLE = "ensemble"
+INTERFACES = ("forecast", ENSEMBLE)
+MOST_DAYS = 16
+"""that the interface "forecast" reaches"""
 ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
 _FORECAST = "https://api.open-meteo.com/v1/forecast"
@@ -86,10 +90,11 @@ class ServiceRequest:
         Raises:
             ConfigurationError: the site does not say where it is.
         """
-        for name in ("latitude", "longitude"):
+        for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
                 raise ConfigurationError(
-                    f"must be in the site file: {OPEN_METEO} is asked by it", key=name
+                    f"must be in the site file: {OPEN_METEO} is asked for the place, and "
+                    "evapotranspiration computed there", key=name,
                 )
         given: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),

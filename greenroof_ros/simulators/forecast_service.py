@@ -42,13 +42,14 @@ FAULTS = {
     "unit": "precipitation is in a unit that the service does not have",
     "length": "the series of temperature is an hour short",
     "missing": "every value is null",
+    "old": "answers are of last month",
     "clock": "the service's clock is a day late",
 }
 _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367
 _SILENT_S = 3600.0
 # A made-up share of the rain for each member in turn.
-_SHARES = (1.0, 0.6, 1.3, 0.8, 1.6)
+_SHARES = (0.4, 0.6, 1.3, 0.8, 1.6)
 
 
 class ForecastService:
@@ -58,6 +59,7 @@ class ForecastService:
         fault: one of :data:`FAULTS` that stands; may be changed at any time, also by
             ``POST /fault/NAME``.
         asked: how many requests for a forecast came.
+        unchanged: how many of them were answered 304 Not Modified.
     """
 
     def __init__(self, site: Site, records: Records, start: datetime, port: int) -> None:
@@ -73,7 +75,7 @@ class ForecastService:
             OSError: the port cannot be opened.
         """
         self.fault = NONE
-        self.asked = 0
+        self.asked = self.unchanged = 0
         self._site, self._records = site, records
         self._moved = start - datetime.now(timezone.utc)
         service = self
@@ -98,6 +100,8 @@ class ForecastService:
         """Return the answer to a query, as JSON."""
         days = int(query.get("forecast_days", ["7"])[0])
         first = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
+        if self.fault == "old":
+            first -= timedelta(days=30)
         begins = [first + hour * HOUR for hour in range(24 * days)]
         hourly: dict[str, Any] = {"time": [f"{time:%Y-%m-%dT%H:%M}" for time in begins]}
         units = {"time": "iso8601"}
@@ -176,7 +180,8 @@ class _Handler(BaseHTTPRequestHandler):
         if fault == "broken":
             answer = b"<html>please log in to the hotel's network</html>"
         tag = f'"{hashlib.sha256(answer).hexdigest()[:16]}"'
-        if self.headers.get("If-None-Match") == tag:
+        if fault == NONE and self.headers.get("If-None-Match") == tag:
+            service.unchanged += 1
             self._send(304, b"", {"ETag": tag})
             return
         self._send(200, answer, {"ETag": tag})
