@@ -27,7 +27,8 @@ NODES = (
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "verify", "study", "report", "watch",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
+    "verify", "study", "report", "watch",
 )
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.
@@ -56,6 +57,7 @@ EXTRA_KEYS = {
         "jinja2": ["python3-jinja2"],
     },
     "watch": {"aiohttp": ["python3-aiohttp"]},
+    "fetch": {"aiohttp": ["python3-aiohttp"]},
     "completion": {"argcomplete": ["python3-argcomplete"]},
     "netcdf": {"netcdf4": ["python3-netcdf4"]},
     "dask": {"distributed": []},
