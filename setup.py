@@ -16,8 +16,8 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "verify", "study.__main__",
-    "report.__main__", "watch.__main__",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
+    "verify", "study.__main__", "report.__main__", "watch.__main__",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
@@ -51,6 +51,8 @@ setup(
     name=NAME,
     version=version(),
     description="A green roof watered from a storm cistern, as a ROS 2 node graph",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     maintainer="greenroof_ros maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
     license="Apache-2.0",
@@ -110,6 +112,8 @@ setup(
             # of ROS 2 Jazzy's Ubuntu
             "aiohttp>=3.9.1,<4",
         ],
+        # The forecast of the internet; the same library as the page's.
+        "fetch": ["aiohttp>=3.9.1,<4"],
         # Completes greenroof's commands and options in bash and zsh; 3.1 is that of ROS 2 Jazzy's
         # Ubuntu.
         "completion": ["argcomplete>=3.1,<4"],
@@ -128,6 +132,9 @@ setup(
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
             "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
+            "build>=1.2",  # sdist and wheel, as they would be released
+            "twine>=6",  # whether a package index would take them
+            "check-wheel-contents>=0.6,<1",  # whether the wheel has what it should, and no more
             # Builds the package in a workspace of its own, as a ROS 2 user does.
             "colcon-ros>=0.5",  # the build type ament_python; brings colcon-core
             "colcon-bash>=0.5",  # install/setup.bash

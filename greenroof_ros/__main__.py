@@ -30,6 +30,7 @@ GROUPS = {
     "run the roof": {
         "run": Command("bringup.__main__", "the node graph: simulated, or a drive in the loop"),
         "live": Command("bringup.live", "a site with sensors and a pump, until it is stopped"),
+        "fetch-forecast": Command("fetch_forecast", "a forecast of the internet, as a file"),
     },
     "see what it does, or did": {
         "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
@@ -50,6 +51,7 @@ GROUPS = {
         "check-pump": Command("check_pump", "whether a pump driver keeps to the interface"),
         "simulators drive": Command("drive_simulator", "a drive on Modbus that is not there"),
         "simulators site": Command("site_simulator", "cistern and roof behind level sensors"),
+        "simulators forecast": Command("forecast_simulator", "a forecast service of this machine"),
         "topics": Command("topics", "the topics of the graph, and what each carries"),
     },
 }
@@ -59,7 +61,7 @@ COMMANDS = {name: one for group in GROUPS.values() for name, one in group.items(
 def make_parser() -> argparse.ArgumentParser:
     """Return what prints the help and refuses what is no command."""
     groups = (
-        "\n".join([f"{title}:", *(f"  {name:18}{one.about}" for name, one in group.items())])
+        "\n".join([f"{title}:", *(f"  {name:20}{one.about}" for name, one in group.items())])
         for title, group in GROUPS.items()
     )
     return argparse.ArgumentParser(

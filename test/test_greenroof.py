@@ -27,7 +27,8 @@ MODULES = {
     "check-controller": "check_controller",
     "check-pump": "check_pump",
     "simulators drive": "drive_simulator",
-    "simulators site": "site_simulator",
+    "simulators site": "site_simulator", "simulators forecast": "forecast_simulator",
+    "fetch-forecast": "fetch_forecast",
     "recover": "recover",
     "topics": "topics",
 }
@@ -69,7 +70,7 @@ def test_help_groups_the_commands(tmp_path: Path, words: tuple[str, ...]) -> Non
         for lines in (part.splitlines() for part in done.stdout.split("\n\n"))
     }
     for title, group in GROUPS.items():
-        assert [line[2:20].strip() for line in sections[title]] == list(group)
+        assert [line[2:22].strip() for line in sections[title]] == list(group)
         assert max(map(len, sections[title])) <= 80
 
 
@@ -125,7 +126,7 @@ def test_a_command_imports_what_it_needs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("typed", "completed"), [
     ("greenroof s", {"simulate", "simulators", "study"}),
-    ("greenroof simulators ", {"drive", "site", "-h", "--help"}),
+    ("greenroof simulators ", {"drive", "site", "forecast", "-h", "--help"}),
     ("greenroof simulate --controller lookahead --hor", {"--horizon"}),
     ("greenroof simulate --initial high", {"high-low", "high-high"}),
     ("greenroof simulators drive --ram", {"--ramp"}),

@@ -27,7 +27,8 @@ NODES = (
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "verify", "study", "report", "watch",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
+    "verify", "study", "report", "watch",
 )
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.
@@ -56,6 +57,7 @@ EXTRA_KEYS = {
         "jinja2": ["python3-jinja2"],
     },
     "watch": {"aiohttp": ["python3-aiohttp"]},
+    "fetch": {"aiohttp": ["python3-aiohttp"]},
     "completion": {"argcomplete": ["python3-argcomplete"]},
     "netcdf": {"netcdf4": ["python3-netcdf4"]},
     "dask": {"distributed": []},
@@ -168,20 +170,41 @@ def pip_of(environment):
 
 
 @pytest.fixture(scope="module")
-def pip_installed(package_index, tmp_path_factory):
-    """Return a new virtual environment in which ``pip install .`` was run, and nothing else."""
-    directory = tmp_path_factory.mktemp("pip")
+def released(package_index, tmp_path_factory):
+    """Return the directory of sdist and wheel, the wheel being built from the sdist."""
+    directory = tmp_path_factory.mktemp("release")
     checkout = copy_of_checkout(directory / "checkout")
-    home = Path(os.environ.get("HOME", directory))  # holds pip's cache
-    environment = bare_environment(home)
+    environment = bare_environment(Path(os.environ.get("HOME", directory)))  # holds pip's cache
+    run(sys.executable, "-m", "build", "--outdir", directory / "dist", ".",
+        cwd=checkout, env=environment)
+    shutil.rmtree(checkout)  # nothing may depend on it any longer
+    return directory / "dist"
+
+
+@pytest.fixture(scope="module")
+def pip_installed(released, tmp_path_factory):
+    """Return a new virtual environment in which the wheel was installed, and nothing else."""
+    directory = tmp_path_factory.mktemp("pip")
+    environment = bare_environment(Path(os.environ.get("HOME", directory)))
     # This environment's pip, told to work there: one of its own would take as long as the rest.
     run(
         sys.executable, "-m", "venv", "--without-pip", directory / "venv",
         cwd=directory, env=environment,
     )
-    run(*pip_of(directory / "venv"), "install", "--no-compile", ".", cwd=checkout, env=environment)
-    shutil.rmtree(checkout)  # nothing may depend on it any longer
+    (wheel,) = released.glob("*.whl")
+    run(*pip_of(directory / "venv"), "install", "--no-compile", wheel,
+        cwd=directory, env=environment)
     return directory / "venv"
+
+
+def test_a_package_index_would_take_the_release(released):
+    """An sdist and a wheel for any machine; their README is shown, the wheel has no strays."""
+    files = sorted(released.iterdir())
+    name = f"greenroof_ros-{greenroof_ros.__version__}"
+    assert [file.name for file in files] == [f"{name}-py3-none-any.whl", f"{name}.tar.gz"]
+    environment = dict(os.environ)
+    run(sys.executable, "-m", "twine", "check", "--strict", *files, cwd=released, env=environment)
+    run(sys.executable, "-m", "check_wheel_contents", files[0], cwd=released, env=environment)
 
 
 @pytest.fixture

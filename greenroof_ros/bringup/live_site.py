@@ -22,6 +22,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
+from greenroof_ros.forecast.service import INTERFACES, OPEN_METEO
 from greenroof_ros.graph.supervision import PUMP, RECORDER
 from greenroof_ros.model.site import read_site
 
@@ -56,7 +57,10 @@ class LiveSite:
         parameters: its parameters, all of them.
         sensors: sensor file; None where the levels come from somebody else's nodes.
         weather: whether the weather node is bringup's, and not somebody else's.
-        forecast: forecast file; None where there is none, or the weather is somebody else's.
+        forecast: forecast file, or ``open-meteo`` where it is fetched from there; None where there
+            is none, or the weather is somebody else's.
+        fetch_model: weather model that is fetched; empty for the service's choice.
+        fetch_url: of the server that it is fetched from; empty for Open-Meteo's.
         dressed: file of what fell after past forecasts, which is added to; None for none.
         drive: of the pump; None where it is somebody else's.
         bag_limit: size of the bag beyond which the oldest of it is removed (MB); None for no bag.
@@ -67,7 +71,9 @@ class LiveSite:
     parameters: dict[str, float]
     sensors: Path | None
     weather: bool
-    forecast: Path | None
+    forecast: Path | str | None
+    fetch_model: str
+    fetch_url: str
     dressed: Path | None
     drive: DriveChoice | None
     bag_limit: float | None
@@ -79,6 +85,17 @@ class LiveSite:
             "drive": self.drive.file if self.drive is not None else None,
         }
         return {name: file for name, file in files.items() if file is not None}
+
+    def fetched(self, state: Path) -> dict[str, str]:
+        """Return the weather node's parameters of the forecast, given the directory of all kept."""
+        if self.forecast != OPEN_METEO:
+            return {"forecast": str(self.forecast or "")}
+        return {
+            "forecast": str(state / "forecast.csv"),
+            "fetch": INTERFACES[self.controller.ensemble],
+            "fetch_model": self.fetch_model,
+            "fetch_url": self.fetch_url,
+        }
 
     def nodes(self, state: Path, place: Path) -> Iterator[LiveNode]:
         """Return its nodes.
@@ -100,7 +117,7 @@ class LiveSite:
                 "weather", "greenroof_ros.nodes.weather", (),
                 {
                     **common,
-                    "forecast": str(self.forecast or ""),
+                    **self.fetched(state),
                     "dressed": str(self.dressed or ""),
                     "horizon": self.parameters.get("horizon", 0.0),
                     "all_members": self.controller.ensemble,
@@ -155,9 +172,17 @@ def make_parser() -> argparse.ArgumentParser:
         "else's nodes publish the levels",
     )
     group.add_argument(
-        "--forecast", metavar="FILE.csv",
-        help="forecasts, read again when the file is replaced; onoff needs none beside a "
-        "thermometer",
+        "--forecast", metavar="{FILE.csv,open-meteo}",
+        help="forecasts, read again when the file is replaced; open-meteo: fetched from there for "
+        "the site's place, and kept in the state directory (as 'greenroof fetch-forecast' does); "
+        "onoff needs none beside a thermometer",
+    )
+    group.add_argument(
+        "--fetch-model", default="", metavar="NAME",
+        help="weather model of open-meteo, such as icon_seamless (default: its own choice)",
+    )
+    group.add_argument(
+        "--fetch-url", default="", metavar="URL", help="of a server like open-meteo's, for that"
     )
     group.add_argument(
         "--dressed", metavar="FILE.csv",
@@ -231,11 +256,30 @@ def live_site(arguments: argparse.Namespace) -> LiveSite:
         parameters=parameters,
         sensors=sensors,
         weather=not others_weather,
-        forecast=_readable(arguments.forecast, "--forecast") if has_forecast else None,
+        forecast=_forecast(arguments),
+        fetch_model=arguments.fetch_model,
+        fetch_url=arguments.fetch_url,
         dressed=_readable(arguments.dressed, "--dressed") if arguments.dressed else None,
         drive=drive,
         bag_limit=None if arguments.no_record else arguments.bag_limit,
     )
+
+
+def _forecast(arguments: argparse.Namespace) -> Path | str | None:
+    """Return the file of forecasts, or by which name they are fetched; None for neither.
+
+    Raises:
+        ConfigurationError: there is no such file, or an option is for what is not fetched.
+    """
+    for option in ("fetch_model", "fetch_url"):
+        value = getattr(arguments, option)
+        refuse((
+            bool(value) and arguments.forecast != OPEN_METEO, f"--{option.replace('_', '-')}",
+            value, f"is for --forecast {OPEN_METEO}",
+        ))
+    if arguments.forecast in (None, OPEN_METEO):
+        return arguments.forecast
+    return _readable(arguments.forecast, "--forecast")
 
 
 def _refuse_shared_line(drive: DriveChoice, sensors: Path) -> None:

@@ -77,15 +77,14 @@ from greenroof_ros.model.site import Site
 _OFFSET = "utc_offset_seconds"
 _SAVED_TIMES = ("time", "datetime", "date")
 _WHOSE = "Open-Meteo's hourly files"
-# Their variable for each quantity of ours.
-_VARIABLES = {
+VARIABLES = {
     PRECIPITATION: PRECIPITATION, "temperature": "temperature_2m", "dew point": "dew_point_2m",
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
     RADIATION: "shortwave_radiation",
 }
+"""Their variable for each quantity of ours."""
 _DEGREES = (Unit("°C"), Unit("°F", 1.8, 32.0))
-# The units that they may have; the first is that of what is saved without one.
-_UNITS = {
+UNITS = {
     PRECIPITATION: (Unit("mm"), Unit("inch", 1 / 25.4)),
     "temperature": _DEGREES,
     "dew point": _DEGREES,
@@ -95,6 +94,7 @@ _UNITS = {
     "station pressure": (Unit("hPa", 10.0),),
     RADIATION: (Unit("W/m²"),),
 }
+"""The units that they may have; the first is what the service answers unless asked otherwise."""
 # How far the place of a file may be from the site, and the end of its range: a cell of the coarsest
 # model is half a degree wide; air is 2 degC colder 300 m further up.
 _PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
@@ -146,7 +146,7 @@ def _read(
             raise table.refuse(str(error), cell) from None
         if quantity is None:
             continue
-        known = {unit.name: unit for unit in _UNITS[quantity]}
+        known = {unit.name: unit for unit in UNITS[quantity]}
         unit = known.get(text.strip("()") or next(iter(known)))
         table.require([cell], _WHOSE)
         if unit is None or name in units:
@@ -281,11 +281,11 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: see :func:`_read`; or a column is missing.
     """
-    quantities = {variable: quantity for quantity, variable in _VARIABLES.items()}
+    quantities = {variable: quantity for quantity, variable in VARIABLES.items()}
     table, records = _read(file, site, quantities.get)
     for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        if _VARIABLES[quantity] not in records.values:
-            table.require([f"{_VARIABLES[quantity]} ({_UNITS[quantity][0].name})"], _WHOSE)
+        if VARIABLES[quantity] not in records.values:
+            table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
     values = {quantities[variable]: series for variable, series in records.values.items()}
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One hour more: that before the first time has rain and radiation only, the last has none.
@@ -313,7 +313,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     parts = [_forecast(file, site) for file in files]
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
     if not any(previous):
-        runs = [_run(part) for part in parts]
+        runs = [_run(part, _named_run(part.files[0])) for part in parts]
         return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
     if not all(previous):
         raise ConfigurationError(
@@ -353,11 +353,25 @@ def _rain(name: str) -> str | None:
     return PRECIPITATION
 
 
-def _run(hours: Records) -> Issue:
+def read_run(file: Path, site: Site, issued: datetime) -> Issue:
+    """Read an answer as the forecast of which it is known that it was issued at a time.
+
+    Args:
+        file: of one place.
+        site: must be near it.
+        issued: start of the first hour; what the file has of earlier ones is left out.
+
+    Raises:
+        ConfigurationError: see :func:`_read`; or it has no precipitation from then on, or an hour
+            of it is missing.
+    """
+    return _run(_forecast(file, site), issued)
+
+
+def _run(hours: Records, run: datetime) -> Issue:
     """Return the run of a file."""
     (file,) = hours.files
     rain = np.stack(_members(hours))
-    run = _named_run(file)
     start, rest = divmod(run - hours.first, HOUR)
     if rest or not 0 <= start < rain.shape[1]:
         raise ConfigurationError(

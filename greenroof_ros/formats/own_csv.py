@@ -208,22 +208,22 @@ def _issue(
 def write_forecasts(issues: Sequence[Issue]) -> str:
     """Return issues as a file of this form, which :func:`read_forecasts` reads bit for bit.
 
-    The temperature, of which nothing that reads such a file makes use, is left out.
-
     Args:
-        issues: an archive's, in the order of time.
+        issues: an archive's, in the order of time, all with the quantities of the first.
     """
-    columns = ["issued", "time", "member", _FORECAST[PRECIPITATION]]
-    dry = issues[0].evapotranspiration is not None
-    lines = [",".join([*columns, _FORECAST[EVAPOTRANSPIRATION]] if dry else columns)]
-    for issue in issues:
+    also = {
+        quantity: [getattr(issue, quantity) for issue in issues]
+        for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
+        if getattr(issues[0], quantity) is not None
+    }
+    columns = ["issued", "time", "member", *(_FORECAST[name] for name in (PRECIPITATION, *also))]
+    lines = [",".join(columns)]
+    for number, issue in enumerate(issues):
         times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
-        further = [""] * issue.hours
-        if issue.evapotranspiration is not None:
-            further = [f",{value!r}" for value in issue.evapotranspiration.tolist()]
+        further = list(zip(*(series[number].tolist() for series in also.values()), strict=True))
         lines += [
-            f"{times[0]},{time},{member},{rain!r}{more}"
+            ",".join([times[0], time, str(member), *map(repr, (rain, *more))])
             for member, series in enumerate(issue.rain.tolist())
-            for time, rain, more in zip(times, series, further, strict=True)
+            for time, rain, more in zip(times, series, further or [()] * len(times), strict=True)
         ]
     return "\n".join([*lines, ""])

@@ -38,6 +38,15 @@ from greenroof_ros.forecast.live_forecast import (
     NoForecastError,
 )
 from greenroof_ros.forecast.resampling import Outlook, look_ahead_ends, make_forecast
+from greenroof_ros.forecast.service import (
+    ATTRIBUTION,
+    ENSEMBLE,
+    INTERFACES,
+    MOST_DAYS,
+    Fetcher,
+    Service,
+    ServiceRequest,
+)
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command
@@ -59,6 +68,8 @@ _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspirat
 _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
     "/forecast/precipitation", "/forecast/evapotranspiration",
 )
+# How often a live site fetches its forecast (s).
+_FETCH_S = 1800.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -93,6 +104,16 @@ def parameters(site: Site) -> list[Parameter]:
             meaning=f"{', '.join(MODELS)}, or a file or directory of archived "
             "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
         ),
+        Parameter(
+            "fetch", "", meaning="live: every half hour Open-Meteo's forecast is fetched as the "
+            "FILE.csv of forecast, and kept beside it where it is new: of its interface forecast "
+            "or ensemble; empty: somebody else writes the file",
+            among=("", *INTERFACES),
+        ),
+        Parameter(
+            "fetch_model", "", meaning="weather model by Open-Meteo's name; empty: its own choice",
+        ),
+        Parameter("fetch_url", "", meaning="of a server like Open-Meteo's; empty: theirs"),
         Parameter(
             "forecast_skill", forecast.skill,
             meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
@@ -204,12 +225,14 @@ class WeatherNode(LinkedNode):
             # A file of many members takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
             self._live_forecast: LiveForecast | None = None
+            self._fetcher: Fetcher | None = None
             if values["forecast"] and (file := _forecast(values).file) is not None:
                 self._live_forecast = LiveForecast(
                     ForecastFile(file), site, values["horizon"], values["issue_limit"],
                     values["all_members"], self._dressing,
                 )
                 self._live_forecast.file.look()
+                self._fetcher = self._fetch(values, file) if values["fetch"] else None
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
             )
@@ -248,6 +271,10 @@ class WeatherNode(LinkedNode):
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._dressing is not None:
             self._learn(self._dressing, now, rain)
+        if self._fetcher is not None:
+            self.say(
+                "forecast service", self._fetcher.problem, ATTRIBUTION, "forecast_not_fetched", WARN
+            )
         forecast = self._live_forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -283,6 +310,17 @@ class WeatherNode(LinkedNode):
             self.diagnose("record of forecasts", WARN, why, "record_not_kept")
             return None
 
+    def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
+        """Begin to fetch the forecast, on a thread of its own."""
+        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC, used for an issue_limit
+        service = Service(self._site, ServiceRequest(
+            values["fetch"] == ENSEMBLE, values["fetch_model"], min(days, MOST_DAYS),
+            values["fetch_url"],
+        ))
+        fetcher = Fetcher(service, file, file.with_suffix(""), _FETCH_S)
+        fetcher.start()
+        return fetcher
+
     def _month(self, now: datetime) -> int:
         """Return the month at the site, of which it says what is usual."""
         return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
@@ -302,6 +340,8 @@ class WeatherNode(LinkedNode):
 
     def on_stop(self) -> None:
         """Let what was learned be written."""
+        if self.live and self._fetcher is not None:
+            self._fetcher.end()
         if self.live and self._dressing is not None:
             self._dressing.close()
 

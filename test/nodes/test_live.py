@@ -44,6 +44,10 @@ from test_diagnostics import check
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.site import read_site
+from greenroof_ros.simulators.forecast_service import ForecastService
+from greenroof_ros.weather.filling import FILL
+from greenroof_ros.weather.reading import default_weather, read_weather
 
 
 def test_a_bad_input_stops_the_pump(site: Site) -> None:
@@ -431,6 +435,36 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
         site.until(site.says(*by_record, "is older than"), LATE, "the record in its place")
         site.during(2 * TAU)
         assert len(np.unique(newest(forecast))) > 5 and len(newest(forecast)) == 10 * steps
+
+
+def test_live_weather_that_is_fetched(site: Site) -> None:
+    """The forecast comes from a service; when that is gone, what it said before counts."""
+    paper = read_site(CONFIG / "site.yaml")
+    records = read_weather([default_weather()], paper, gaps=FILL).records
+    service = ForecastService(paper, records, records.first, 0)
+    service.fault = "error"
+    service.start()
+    file = site.cwd / "kept" / "forecast.csv"
+    frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
+    part = "/weather: forecast service"
+    options = {
+        "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
+        "horizon": 24.0, "all_members": "true",
+    }
+    with site.live("weather", **options):
+        site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
+        site.until(site.says("/weather: forecast", ERROR, "cannot be read"), LATE, "no forecast")
+    service.fault = "none"
+    with site.live("weather", **options):
+        site.until(site.says(part, OK, "Open-Meteo"), LATE, "whose forecast it is")
+        site.until(lambda: forecast and newest(frost) == 0.0, LATE, "a forecast in July")
+        assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
+    service.close()
+    assert [one.parent.name for one in file.parent.rglob("*.csv")].count("forecast") == 1
+    before = len(forecast)
+    with site.live("weather", **options):
+        site.until(site.says(part, WARN, "Cannot connect"), LATE, "that it is gone")
+        site.until(lambda: len(forecast) > before + 1, LATE, "the forecast of before")
 
 
 def test_live_weather_that_lacks_something(site: Site) -> None:

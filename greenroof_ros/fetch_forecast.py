@@ -1,0 +1,106 @@
+"""Keep a file of the newest forecast of the internet: ``greenroof fetch-forecast``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import to_people
+from greenroof_ros.forecast.service import (
+    ATTRIBUTION,
+    MOST_DAYS,
+    Fetcher,
+    Service,
+    ServiceRequest,
+)
+from greenroof_ros.model.site import read_site
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof fetch-forecast",
+        usage="%(prog)s [options]",
+        description="Ask Open-Meteo for the forecast at the site, and write the file that a live "
+        "site reads.\nThe data are under the licence CC BY 4.0; the service is free where it is "
+        "not for money.",
+        epilog="examples:\n"
+        "  greenroof fetch-forecast --site site.yaml --ensemble\n"
+        "  greenroof fetch-forecast --site site.yaml --every 60 --keep forecasts/\n"
+        "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
+        "'greenroof live --forecast open-meteo' does the same by itself.\n"
+        "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration,\n"
+        "130 ended by Ctrl-C",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file: where it is, and what its plants evaporate (default: the paper's)",
+    )
+    parser.add_argument(
+        "--ensemble", action="store_true",
+        help="all members of an ensemble, as lookahead uses them; otherwise one forecast",
+    )
+    parser.add_argument(
+        "--model", default="", metavar="NAME",
+        help="weather model by the service's name, such as icon_seamless (default: the service's "
+        "choice for the place)",
+    )
+    parser.add_argument(
+        "--days", type=within(1, MOST_DAYS, int), default=7, metavar="N",
+        help="from today on that it reaches (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--url", default="", help="of another server with the same interface (default: Open-Meteo)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",
+        help="replaced by each newer forecast (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR",
+        help="directory in which each forecast that says something new is kept; verify, and "
+        "--forecast of simulate, read it",
+    )
+    parser.add_argument(
+        "--every", type=within(10, 1440), metavar="MINUTES",
+        help="go on, and fetch again so often, until Ctrl-C; after a failure after 1, 2, 4, ... "
+        "min, or when the service says",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Fetch once, or again and again."""
+    arguments = make_parser().parse_args()
+    if arguments.output.suffix != ".csv":
+        raise ConfigurationError(
+            "must end in .csv", key="--output", value=str(arguments.output)
+        )
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    service = Service(site, ServiceRequest(
+        arguments.ensemble, arguments.model, arguments.days, arguments.url
+    ))
+    fetcher = Fetcher(service, arguments.output, arguments.keep, 60 * (arguments.every or 60))
+    while True:
+        wait = fetcher.fetch()
+        if fetcher.problem:
+            print(f"no forecast: {fetcher.problem}", flush=True)
+        else:
+            assert fetcher.newest is not None
+            print(
+                f"{arguments.output}: issued {to_people(fetcher.newest.issued)}, "
+                f"{fetcher.newest.hours} h, {len(fetcher.newest.rain)} members; {ATTRIBUTION}",
+                flush=True,
+            )
+        if arguments.every is None:
+            return EXIT_FAILED if fetcher.problem else EXIT_DONE
+        fetcher.wait(wait)
+
+
+if __name__ == "__main__":
+    main()

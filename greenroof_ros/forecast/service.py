@@ -1,0 +1,326 @@
+"""Forecasts of Open-Meteo over the internet, each asked for, checked and kept as a file.
+
+The service has two interfaces for the same variables: *forecast*, one series of each, and
+*ensemble*, one of each member (``precipitation``, ``precipitation_member01``, ...). Their answers
+are read as files of the service are (:mod:`greenroof_ros.formats.open_meteo`). Which run of a model
+an answer is of, it does not say; here it counts as issued in the hour in which it came, so that
+nothing is known before it was. Data of Open-Meteo are under the licence CC BY 4.0.
+
+The service allows 600 requests in a minute and 10,000 in a day, and one at a time; an ensemble of
+many variables counts as several. Once an hour is far below that. An answer 429 says how long to
+wait (``Retry-After``); without it, and after any other failure, the wait doubles.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+import threading
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from email.utils import parsedate_to_datetime
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.times import to_people
+from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
+from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.records import HOUR, TEMPERATURE, Issue
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.evapotranspiration import fao56
+
+OPEN_METEO = "open-meteo"
+"""How the service is named where a file of forecasts could be."""
+ENSEMBLE = "ensemble"
+INTERFACES = ("forecast", ENSEMBLE)
+MOST_DAYS = 16
+"""that the interface "forecast" reaches"""
+ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
+
+_FORECAST = "https://api.open-meteo.com/v1/forecast"
+_ENSEMBLE = "https://ensemble-api.open-meteo.com/v1/ensemble"
+# How long the service may take to be reached, and to answer in all (s); how much it may send
+# (bytes): 64 members of 36 days are 3 MB.
+_PAUSE_S, _WHOLE_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
+# The clock of the service and ours may differ by so much (s).
+_CLOCKS_S = 600.0
+# How long to wait after a failure (s): from the first to the last.
+_FIRST_WAIT_S, _LAST_WAIT_S = 60.0, 3600.0
+
+
+class ServiceError(Exception):
+    """The service gave no forecast; the message says why.
+
+    Attributes:
+        wait: how long it asks to be left alone (s); None where it does not say.
+    """
+
+    def __init__(self, why: str, wait: float | None = None) -> None:
+        super().__init__(why)
+        self.wait = wait
+
+
+@dataclass(frozen=True)
+class ServiceRequest:
+    """What is asked of the service.
+
+    Attributes:
+        ensemble: all members of an ensemble; otherwise one series.
+        model: weather model by the service's name, such as ``icon_seamless``; empty for the one
+            that the service finds best.
+        days: from today's first hour in UTC on, that the answer reaches.
+        url: of the interface; empty for the service's own.
+    """
+
+    ensemble: bool = False
+    model: str = ""
+    days: int = 7
+    url: str = ""
+
+    def address(self) -> str:
+        """Return the interface's address."""
+        return self.url or (_ENSEMBLE if self.ensemble else _FORECAST)
+
+    def parameters(self, site: Site) -> dict[str, str | float]:
+        """Return what the address is asked with.
+
+        Raises:
+            ConfigurationError: the site does not say where it is.
+        """
+        for name in ("latitude", "longitude", "elevation", "utc_offset"):
+            if getattr(site, name) is None:
+                raise ConfigurationError(
+                    f"must be in the site file: {OPEN_METEO} is asked for the place, and "
+                    "evapotranspiration computed there", key=name,
+                )
+        given: dict[str, str | float] = {
+            "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
+            "hourly": ",".join(VARIABLES.values()), "forecast_days": self.days, "timezone": "GMT",
+        }
+        return given | ({"models": self.model} if self.model else {})
+
+
+class Service:
+    """Asks for forecasts, one after the other."""
+
+    def __init__(self, site: Site, request: ServiceRequest) -> None:
+        """Ask nothing yet.
+
+        Raises:
+            ConfigurationError: the site does not say where it is, or aiohttp is not installed.
+        """
+        with in_extra("fetch"):
+            import aiohttp  # noqa: F401 - to be found missing at once
+        self._site, self._request = site, request
+        self._parameters = request.parameters(site)
+        self._tag = ""
+        self._answer = b""
+
+    def fetch(self, now: datetime) -> Issue:
+        """Return the newest forecast, issued in the present hour, with evapotranspiration.
+
+        Args:
+            now: the time, with its offset from UTC.
+
+        Raises:
+            ServiceError: there is none that can be used.
+        """
+        from aiohttp import ClientError
+
+        where = self._request.address()
+        hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
+        try:
+            return _issue(asyncio.run(self._ask(now)), self._site, hour)
+        except asyncio.TimeoutError as error:
+            raise ServiceError(f"{where}: gave no whole answer within {_WHOLE_S:g} s") from error
+        except (ClientError, OSError) as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ServiceError(f"{where}: {why}") from error
+        except ConfigurationError as error:
+            raise ServiceError(f"{where}: its answer {error.wrong}") from error
+
+    async def _ask(self, now: datetime) -> bytes:
+        """Return an answer, which is the last one where the service says that it still holds.
+
+        Raises:
+            ServiceError: it refuses, sends too much, or a clock is wrong.
+            OSError, aiohttp.ClientError, TimeoutError: it is not reached, or breaks off.
+        """
+        import aiohttp
+
+        where = self._request.address()
+        time_limit = aiohttp.ClientTimeout(total=_WHOLE_S, sock_connect=_PAUSE_S)
+        headers = {"If-None-Match": self._tag} if self._tag else {}
+        async with (
+            aiohttp.ClientSession(timeout=time_limit, trust_env=True) as session,
+            session.get(where, params=self._parameters, headers=headers) as response,
+        ):
+            answer = b""
+            async for part in response.content.iter_any():
+                answer += part
+                if len(answer) > _MOST_BYTES:
+                    raise ServiceError(f"{where}: sent more than {_MOST_BYTES} bytes")
+            _check_clock(response.headers.get("Date", ""), now)
+            if response.status == 304 and self._answer:
+                return self._answer
+            if response.status != 200:
+                raise ServiceError(
+                    f"{where}: {response.status} {response.reason}: {_reason(answer)}",
+                    _wait(response.headers.get("Retry-After", ""), now),
+                )
+            self._tag, self._answer = response.headers.get("ETag", ""), answer
+            return answer
+
+
+def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
+    """Return an answer as a forecast that was issued in an hour.
+
+    It ends before the first hour of which anything is missing.
+
+    Raises:
+        ConfigurationError: it is no forecast of the hour at the site.
+    """
+    if not answer.lstrip().startswith(b"{"):
+        raise ConfigurationError(f"is no forecast in JSON: {_reason(answer)}")
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / "answer.json"
+        file.write_bytes(answer)
+        issue, records = read_run(file, site, hour), read_records(file, site)
+        start = (hour - records.first) // HOUR
+        evapotranspiration = fao56(records, site)[start:]
+        temperature = records.values[TEMPERATURE][start:]
+    hours = min(issue.hours, len(temperature))
+    missing = np.isnan(evapotranspiration[:hours]) | np.isnan(temperature[:hours])
+    if missing.any():
+        hours = int(missing.argmax())
+    if not hours:
+        raise ConfigurationError(
+            f"has no evapotranspiration or temperature at {to_people(hour)}; of an ensemble these "
+            "are of its control run"
+        )
+    return replace(
+        issue, rain=issue.rain[:, :hours], evapotranspiration=evapotranspiration[:hours],
+        temperature=temperature[:hours],
+    )
+
+
+def _check_clock(date: str, now: datetime) -> None:
+    """Refuse an answer whose time is another one than ours.
+
+    Raises:
+        ServiceError: it is.
+    """
+    try:
+        theirs = parsedate_to_datetime(date)
+    except ValueError:
+        return  # it says none
+    if theirs.tzinfo is None:  # its zone is written "-0000": UTC
+        theirs = theirs.replace(tzinfo=timezone.utc)
+    apart = abs((theirs - now).total_seconds())
+    if apart > _CLOCKS_S:
+        raise ServiceError(
+            f"it is {to_people(theirs)} at the service and {to_people(now)} here: see whether this "
+            "machine's clock is right"
+        )
+
+
+def _reason(answer: bytes) -> str:
+    """Return what an answer that is a refusal says, a line at most."""
+    return " ".join(answer.decode("utf-8", "replace").split())[:200]
+
+
+def _wait(text: str, now: datetime) -> float | None:
+    """Return the wait (s) that a header asks for, by seconds or a date; None where by neither."""
+    if text.isascii() and text.isdecimal():
+        return float(text)
+    try:
+        return max(0.0, (parsedate_to_datetime(text) - now).total_seconds())
+    except (ValueError, TypeError):
+        return None
+
+
+class Fetcher:
+    """Keeps a file of the newest forecast.
+
+    Attributes:
+        problem: why the last try failed; empty where it did not.
+        newest: the last forecast that came; None before the first.
+    """
+
+    def __init__(self, service: Service, file: Path, archive: Path | None, every: float) -> None:
+        """Fetch nothing yet.
+
+        Args:
+            service: that is asked.
+            file: of the newest forecast, which is replaced; any live site reads it.
+            archive: directory for each forecast that says something new; None for none.
+            every: time between two forecasts (s).
+        """
+        self.problem = ""
+        self.newest: Issue | None = None
+        self._service, self._file, self._archive = service, file, archive
+        self._every = every
+        self._wait = _FIRST_WAIT_S
+        self._kept: Issue | None = None
+        self._ended = threading.Event()
+
+    def fetch(self) -> float:
+        """Fetch once and write what came; return after how long to fetch again (s)."""
+        try:
+            issue = self._service.fetch(datetime.now(timezone.utc))
+            _replace(self._file, write_forecasts([issue]))
+            if self._archive is not None and not _says_the_same(self._kept, issue):
+                _replace(
+                    self._archive / f"{issue.issued:%Y%m%d%H}.csv", write_forecasts([issue])
+                )
+                self._kept = issue
+        except (ServiceError, OSError) as error:
+            self.problem = str(error)
+            asked = error.wait if isinstance(error, ServiceError) else None
+            wait = max(self._wait, asked or 0.0)
+            self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
+            return wait
+        self.problem, self.newest, self._wait = "", issue, _FIRST_WAIT_S
+        return self._every
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long, or until the end; return whether it is the end."""
+        return self._ended.wait(seconds)
+
+    def start(self) -> None:
+        """Fetch again and again in a thread, which ends with the process."""
+        threading.Thread(target=self._run, name="forecast service", daemon=True).start()
+
+    def _run(self) -> None:
+        while not self.wait(self.fetch()):
+            pass
+
+    def end(self) -> None:
+        """Fetch no more."""
+        self._ended.set()
+
+
+def _says_the_same(before: Issue | None, issue: Issue) -> bool:
+    """Whether a forecast says nothing of the hours of an earlier one that this did not say."""
+    if before is None or len(before.rain) != len(issue.rain):
+        return False
+    rain = before.rain[:, (issue.issued - before.issued) // HOUR :]
+    return rain.size > 0 and np.array_equal(rain, issue.rain[:, : rain.shape[1]])
+
+
+def _replace(file: Path, text: str) -> None:
+    """Write a file as a whole, with whose data it is: after a power cut it is the old or the new.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.name}.part")
+    with part.open("w", encoding="utf-8") as stream:
+        stream.write(f"# {ATTRIBUTION}\n{text}")
+        stream.flush()
+        os.fsync(stream.fileno())
+    part.replace(file)

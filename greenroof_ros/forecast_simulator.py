@@ -1,0 +1,78 @@
+"""A forecast service for trying things out: ``greenroof simulators forecast``."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.model.site import read_site
+from greenroof_ros.simulators.forecast_service import FAULTS, NONE, ForecastService
+from greenroof_ros.weather.filling import FILL
+from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+
+_PORT = 8099
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    faults = "\n".join(f"  {name:10} {meaning}" for name, meaning in FAULTS.items())
+    parser = argparse.ArgumentParser(
+        prog="greenroof simulators forecast",
+        usage="%(prog)s [options]",
+        description="Answer as Open-Meteo's forecast and ensemble interfaces do: what a weather "
+        "file has from --start on is\nforecast from now on.",
+        epilog="faults; while it runs by 'curl -X POST "
+        f"http://127.0.0.1:{_PORT}/fault/NAME':\n{faults}\n\n"
+        "examples:\n"
+        "  greenroof simulators forecast\n"
+        f"  greenroof fetch-forecast --url http://127.0.0.1:{_PORT}/v1/ensemble --ensemble\n\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--site", type=Path, metavar="FILE", help="site file: where it is")
+    parser.add_argument(
+        "--weather", action="append", metavar="FILE",
+        help="hourly records with temperature, dew point, wind and pressure (default: the paper's)",
+    )
+    parser.add_argument(
+        "--start", default=DEFAULT_START, metavar="TIME",
+        help="time in the records that is now (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--port", type=within(0, 65535, int), default=_PORT, help="on 127.0.0.1, 0 for a free one "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--fault", choices=list(FAULTS), default=NONE, metavar="NAME",
+        help="from the start on; see below",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Be the service that the command line asks for."""
+    arguments = make_parser().parse_args()
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    files = find_files(arguments.weather or [str(default_weather())], "--weather")
+    records = read_weather(files, site, gaps=FILL).records
+    service = ForecastService(
+        site, records, read_start(arguments.start, records.first.tzinfo), arguments.port
+    )
+    service.fault = arguments.fault
+    service.start()
+    print(f"ready: {service.address}/v1/forecast and {service.address}/v1/ensemble", flush=True)
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        service.close()
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+"""A forecast service that is not there: Open-Meteo's two interfaces, from records moved to now.
+
+What it forecasts is what the records have, again from their start where they end. That is perfect
+for a site simulator with the same records; a member beside the first has the rain an hour earlier
+or later and scaled, which is made up. Where the records have no radiation it is made up, too: 0.6
+of the solar constant times the sine of the sun's height.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import math
+import threading
+import time
+from datetime import datetime, timedelta, timezone
+from email.utils import format_datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.formats.open_meteo import UNITS, VARIABLES
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, RADIATION, Records
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.evapotranspiration import sun_height
+
+NONE = "none"
+FAULTS = {
+    NONE: "no fault",
+    "refused": "connections are accepted and closed",
+    "silent": "requests are never answered",
+    "slow": "answers come a few bytes in a second",
+    "truncated": "answers break off in the middle",
+    "broken": "answers are no JSON",
+    "limit": "429 Too Many Requests, with Retry-After: 120",
+    "error": "503 Service Unavailable",
+    "unit": "precipitation is in a unit that the service does not have",
+    "length": "the series of temperature is an hour short",
+    "missing": "every value is null",
+    "old": "answers are of last month",
+    "clock": "the service's clock is a day late",
+}
+_MEMBERS = 11
+_SUN_W_PER_M2 = 0.6 * 1367
+_SILENT_S = 3600.0
+# A made-up share of the rain for each member in turn.
+_SHARES = (0.4, 0.6, 1.3, 0.8, 1.6)
+
+
+class ForecastService:
+    """Answers as the service does, on a port of this machine, in a thread.
+
+    Attributes:
+        fault: one of :data:`FAULTS` that stands; may be changed at any time, also by
+            ``POST /fault/NAME``.
+        asked: how many requests for a forecast came.
+        unchanged: how many of them were answered 304 Not Modified.
+    """
+
+    def __init__(self, site: Site, records: Records, start: datetime, port: int) -> None:
+        """Open the port.
+
+        Args:
+            site: where it is.
+            records: hourly, in the quantities of Open-Meteo's files.
+            start: time in the records that is now.
+            port: TCP port on 127.0.0.1; 0 takes a free one.
+
+        Raises:
+            OSError: the port cannot be opened.
+        """
+        self.fault = NONE
+        self.asked = self.unchanged = 0
+        self._site, self._records = site, records
+        self._moved = start - datetime.now(timezone.utc)
+        service = self
+
+        class Handler(_Handler):
+            of = service
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        self._server.daemon_threads = True
+        self.address = f"http://127.0.0.1:{self._server.server_port}"
+
+    def start(self) -> None:
+        """Answer, until :meth:`close`."""
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._server.shutdown()
+        self._server.server_close()
+
+    def answer(self, query: dict[str, list[str]], members: int) -> bytes:
+        """Return the answer to a query, as JSON."""
+        days = int(query.get("forecast_days", ["7"])[0])
+        first = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
+        if self.fault == "old":
+            first -= timedelta(days=30)
+        begins = [first + hour * HOUR for hour in range(24 * days)]
+        hourly: dict[str, Any] = {"time": [f"{time:%Y-%m-%dT%H:%M}" for time in begins]}
+        units = {"time": "iso8601"}
+        wanted = query.get("hourly", [""])[0].split(",")
+        for quantity, variable in VARIABLES.items():
+            if variable not in wanted:
+                continue
+            # Rain and radiation are of the hour before their time.
+            before = int(quantity in (PRECIPITATION, RADIATION))
+            for member in range(members if quantity == PRECIPITATION else 1):
+                name = variable + (f"_member{member:02}" if member else "")
+                late = member % 3 - 1 if member else 0
+                series = self._series(quantity, first - (before + late) * HOUR, len(begins))
+                if member:
+                    series = series * _SHARES[member % len(_SHARES)]
+                hourly[name] = [
+                    None if math.isnan(value) or self.fault == "missing" else round(value, 2)
+                    for value in series.tolist()
+                ]
+                units[name] = UNITS[quantity][0].name
+        if self.fault == "unit":
+            units[PRECIPITATION] = "cubit"
+        if self.fault == "length":
+            hourly[VARIABLES["temperature"]].pop()
+        site = self._site
+        return json.dumps({
+            "latitude": site.latitude, "longitude": site.longitude, "elevation": site.elevation,
+            "generationtime_ms": 0.1, "utc_offset_seconds": 0, "timezone": "GMT",
+            "timezone_abbreviation": "GMT", "hourly_units": units, "hourly": hourly,
+        }).encode()
+
+    def _series(self, quantity: str, first: datetime, hours: int) -> NDArray[np.float64]:
+        """Return values of the records moved to now, in the service's unit."""
+        start = round((first + self._moved - self._records.first) / HOUR)
+        if quantity in self._records.values:
+            series = self._records.values[quantity] * UNITS[quantity][0].per_ours
+            index = np.arange(start, start + hours) % len(series)
+            return np.asarray(series[index], dtype=np.float64)
+        assert quantity == RADIATION
+        seconds = 3600 * (hours_since_1970(first) + np.arange(hours)) + 1800
+        height = sun_height(
+            float(self._site.latitude or 0), seconds, float(self._site.longitude or 0)
+        )
+        return _SUN_W_PER_M2 * height
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One connection."""
+
+    of: ForecastService
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        """Answer a request for a forecast."""
+        place = urlsplit(self.path)
+        if place.path not in ("/v1/forecast", "/v1/ensemble"):
+            self._send(404, b'{"error":true,"reason":"Not Found"}')
+            return
+        service = self.of
+        service.asked += 1
+        fault = service.fault
+        if fault == "refused":
+            self.close_connection = True
+            return
+        if fault == "silent":
+            time.sleep(_SILENT_S)
+        if fault == "limit":
+            reason = b'{"error":true,"reason":"Minutely API request limit exceeded."}'
+            self._send(429, reason, {"Retry-After": "120"})
+            return
+        if fault == "error":
+            self._send(503, b"upstream is down")
+            return
+        members = _MEMBERS if place.path.endswith("ensemble") else 1
+        answer = service.answer(parse_qs(place.query), members)
+        if fault == "broken":
+            answer = b"<html>please log in to the hotel's network</html>"
+        tag = f'"{hashlib.sha256(answer).hexdigest()[:16]}"'
+        if fault == NONE and self.headers.get("If-None-Match") == tag:
+            service.unchanged += 1
+            self._send(304, b"", {"ETag": tag})
+            return
+        self._send(200, answer, {"ETag": tag})
+
+    def do_POST(self) -> None:
+        """Let a fault stand."""
+        _, _, name = self.path.partition("/fault/")
+        if name not in FAULTS:
+            self._send(404, f"faults are {', '.join(FAULTS)}".encode())
+            return
+        self.of.fault = name
+        self._send(200, FAULTS[name].encode())
+
+    def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
+        """Send an answer, compressed where that is wanted, and as bad as the fault has it."""
+        fault = self.of.fault if code == 200 and self.command == "GET" else NONE
+        self.send_response_only(code)
+        late = timedelta(days=1 if fault == "clock" else 0)
+        self.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))
+        if body and "gzip" in self.headers.get("Accept-Encoding", ""):
+            body = gzip.compress(body)
+            self.send_header("Content-Encoding", "gzip")
+        self.send_header("Content-Type", "application/json; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        for name, value in (headers or {}).items():
+            self.send_header(name, value)
+        self.end_headers()
+        if fault == "truncated":
+            body = body[: len(body) // 2]
+            self.close_connection = True
+        step = 8 if fault == "slow" else len(body) or 1
+        for at in range(0, len(body), step):
+            self.wfile.write(body[at : at + step])
+            if fault == "slow":
+                time.sleep(1)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing of each request."""

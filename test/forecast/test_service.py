@@ -1,0 +1,171 @@
+"""Forecasts of the internet: what a service answers, in each way in which it can be bad."""
+
+import math
+import subprocess
+import sys
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast import service as module
+from greenroof_ros.forecast.service import (
+    ATTRIBUTION,
+    Fetcher,
+    Service,
+    ServiceError,
+    ServiceRequest,
+)
+from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE
+from greenroof_ros.model.site import read_site
+from greenroof_ros.simulators.forecast_service import ForecastService
+from greenroof_ros.weather.filling import FILL
+from greenroof_ros.weather.reading import default_weather, read_weather
+
+SITE = read_site(shared_directory() / "config" / "site.yaml")
+RECORDS = read_weather([default_weather()], SITE, gaps=FILL).records
+START = datetime.fromisoformat("2021-07-07T02:00-05:00")
+
+
+@pytest.fixture
+def server():
+    served = ForecastService(SITE, RECORDS, START, 0)
+    served.start()
+    yield served
+    served.close()
+
+
+def _service(server, **wanted):
+    kind = "ensemble" if wanted.get("ensemble") else "forecast"
+    return Service(SITE, ServiceRequest(url=f"{server.address}/v1/{kind}", **wanted))
+
+
+def _now():
+    return datetime.now(timezone.utc)
+
+
+def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server):
+    now = _now()
+    issue = _service(server).fetch(now)
+    assert issue.issued == now.replace(minute=0, second=0, microsecond=0)
+    # The records at the time that is now, hour by hour; the file has them again after its end.
+    begin = round((START - RECORDS.first + (issue.issued - now)) / HOUR)
+    index = (begin + np.arange(issue.hours)) % RECORDS.hours
+    assert issue.rain.shape == (1, issue.hours)
+    assert issue.rain[0].tolist() == RECORDS.values[PRECIPITATION][index].round(2).tolist()
+    assert issue.temperature.tolist() == RECORDS.values[TEMPERATURE][index].round(2).tolist()
+    assert 6 * 24 <= issue.hours <= 7 * 24
+    # July in Toronto: the noons are dry enough for some mm in a day, the nights for next to none.
+    assert 3 < issue.evapotranspiration.max() < 20
+    assert 0 <= issue.evapotranspiration.min() < 0.5
+
+
+def test_all_members_of_an_ensemble(server):
+    single, ensemble = _service(server).fetch(_now()), _service(server, ensemble=True).fetch(_now())
+    assert len(ensemble.rain) == 11
+    assert np.array_equal(ensemble.rain[0], single.rain[0])
+    assert len({tuple(member) for member in ensemble.rain.tolist()}) == 11
+
+
+def test_an_answer_that_still_holds_is_not_sent_again(server):
+    service = _service(server)
+    first, second = service.fetch(_now()), service.fetch(_now())
+    assert (server.asked, server.unchanged) == (2, 1)
+    assert np.array_equal(first.rain, second.rain)
+
+
+@pytest.mark.parametrize(("fault", "said"), [
+    ("refused", "Server disconnected"),
+    ("silent", "gave no whole answer within 0.5 s"),
+    ("slow", "gave no whole answer within 0.5 s"),
+    ("truncated", "payload is not completed"),
+    ("broken", "is no forecast in JSON: <html>"),
+    ("limit", "429 Too Many Requests: .*Minutely API request limit"),
+    ("error", "503 Service Unavailable: upstream is down"),
+    ("unit", "cubit.*must be in mm or inch"),
+    ("length", "temperature_2m: must be a list of values, one for each time"),
+    ("missing", "has no precipitation after its run"),
+    ("old", "must have the hour after its run"),
+    ("clock", "see whether this machine's clock is right"),
+])
+def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, said):
+    file = tmp_path / "forecast.csv"
+    fetcher = Fetcher(_service(server), file, tmp_path / "kept", 1800)
+    assert fetcher.fetch() == 1800
+    assert fetcher.problem == ""
+    before = file.read_text()
+    server.fault = fault
+    if fault in ("silent", "slow"):
+        monkeypatch.setattr(module, "_WHOLE_S", 0.5)
+    waits = [fetcher.fetch() for _ in range(2)]
+    with pytest.raises(ServiceError, match=said):
+        raise ServiceError(fetcher.problem)
+    assert waits == ([120, 120] if fault == "limit" else [60, 120])
+    assert file.read_text() == before
+    server.fault = "none"
+    assert fetcher.fetch() == 1800
+    assert fetcher.problem == ""
+
+
+def test_a_server_that_is_not_there(server):
+    service = _service(server)
+    server.close()
+    with pytest.raises(ServiceError, match="Cannot connect"):
+        service.fetch(_now())
+
+
+def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
+    kept = tmp_path / "kept"
+    fetcher = Fetcher(_service(server, ensemble=True), tmp_path / "forecast.csv", kept, 1800)
+    for _ in range(2):
+        fetcher.fetch()
+    (file,) = kept.iterdir()
+    assert ATTRIBUTION in file.read_text().splitlines()[0]
+    archive = read_archive(kept, SITE)
+    (issue,) = read_forecasts(tmp_path / "forecast.csv")
+    assert (archive.delay, archive.members) == (0.0, 11)
+    for one in (archive.issues[0], issue):
+        assert np.array_equal(one.rain, fetcher.newest.rain)
+        assert np.array_equal(one.temperature, fetcher.newest.temperature)
+        assert np.array_equal(one.evapotranspiration, fetcher.newest.evapotranspiration)
+    assert not math.isnan(issue.evapotranspiration.sum())
+
+
+def test_a_place_that_is_not_known(tmp_path):
+    text = (shared_directory() / "config" / "site.yaml").read_text()
+    file = tmp_path / "site.yaml"
+    file.write_text("".join(
+        line for line in text.splitlines(keepends=True) if not line.startswith("longitude")
+    ))
+    ended = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros", "fetch-forecast", "--site", str(file)],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120,
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "longitude: must be in the site file" in ended.stderr
+
+
+def test_the_command_and_the_simulator_of_a_service(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros", "simulators", "forecast", "--port", "0"],
+        stdout=subprocess.PIPE, text=True,
+    ) as simulator:
+        try:
+            url = simulator.stdout.readline().split()[-1]
+            command = [
+                sys.executable, "-m", "greenroof_ros", "fetch-forecast", "--url", url, "--ensemble",
+            ]
+            ended = subprocess.run(
+                command, cwd=tmp_path, capture_output=True, text=True, timeout=120
+            )
+            assert ended.returncode == 0, ended.stderr
+            assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
+            assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
+        finally:
+            simulator.terminate()
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 1
+    assert ended.stdout.startswith("no forecast: ")
