@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,31 +30,58 @@ TOPICS = (_ROOF, _CISTERN, _RAIN, _EVAPORATED, _FLOW, *_OF_PLANT)
 # So many values are counted although nobody asks.
 _MOST_WAITING = 200_000
 
-# Each entry of the account that is a metric, and which.
-_METRICS = {
-    "stress": "stress_hours",
-    "evapotranspiration_ratio": "evapotranspiration_ratio",
-    "kept": "rain_kept_share",
-    "kept_hour": "rain_kept_share_hour",
-    "kept_day": "rain_kept_share_day",
-    "deviation": "mean_deviation_mm",
-    "rain": "rain_roof_m3",
-    "pumped": "pumped_m3",
-    "drained": "drainage_m3",
-    "evapotranspired": "evapotranspiration_m3",
-    "inflow": "rain_cistern_m3",
-    "overflow": "outflow_m3",
-    "mains": "mains_m3",
-    "energy": "electric_energy_kwh",
+_OF_RAIN = _RAIN, _FLOW, _DRAINAGE
+
+
+class Entry(NamedTuple):
+    """A row of the account, and how it is shown.
+
+    Attributes:
+        label: in words.
+        metric: that gives it; empty where it follows from others.
+        needs: topics that must be known for that.
+        unit: as it is shown.
+        decimals: of the number that is shown.
+        factor: from the metric's unit to the one that is shown.
+    """
+
+    label: str
+    metric: str = ""
+    needs: tuple[str, ...] = ()
+    unit: str = "m3"
+    decimals: int = 3
+    factor: float = 1.0
+
+
+ENTRIES = {
+    "stress": Entry("Water stress of the plants", "stress_hours", (_ROOF,), "h", 1),
+    "evapotranspiration_ratio": Entry(
+        "Evapotranspired, of what plants ask for", "evapotranspiration_ratio",
+        (_EVAPORATED, _ROOF), "%", 0, 100.0,
+    ),
+    "kept": Entry("Rain kept on the roof", "rain_kept_share", _OF_RAIN, "%", 0, 100.0),
+    "kept_hour": Entry(
+        "Rain kept of storms above 20 mm/h", "rain_kept_share_hour", _OF_RAIN, "%", 0, 100.0
+    ),
+    "kept_day": Entry(
+        "Rain kept of storms above 10 mm in 24 h", "rain_kept_share_day", _OF_RAIN, "%", 0, 100.0
+    ),
+    "deviation": Entry("Mean deviation from the target", "mean_deviation_mm", (_ROOF,), "mm", 1),
+    "rain": Entry("Rain on the roof", "rain_roof_m3", (_RAIN,)),
+    "pumped": Entry("Pumped onto the roof", "pumped_m3", (_FLOW,)),
+    "drained": Entry("Drained off the roof", "drainage_m3", (_DRAINAGE,)),
+    "evapotranspired": Entry("Evapotranspired", "evapotranspiration_m3", (_EVAPORATED,)),
+    "stored": Entry("Change of the water on the roof"),
+    "unexplained": Entry("Unexplained"),
+    "inflow": Entry("Rain into the cistern", "rain_cistern_m3", (_RAIN,)),
+    "overflow": Entry("Outflow to the sewer", "outflow_m3", (_OUTFLOW,)),
+    "mains": Entry(
+        "Mains water into the cistern, computed from the level", "mains_m3", (_CISTERN,)
+    ),
+    "saved": Entry("Potable water saved"),
+    "energy": Entry("Energy of the pump", "electric_energy_kwh", (_FLOW, _CISTERN), "kWh"),
 }
-# What must be known for each of them.
-_NEEDED = {
-    "stress": (_ROOF,), "evapotranspiration_ratio": (_EVAPORATED, _ROOF), "deviation": (_ROOF,),
-    **dict.fromkeys(("kept", "kept_hour", "kept_day"), (_RAIN, _FLOW, _DRAINAGE)),
-    "rain": (_RAIN,), "pumped": (_FLOW,), "drained": (_DRAINAGE,),
-    "evapotranspired": (_EVAPORATED,), "inflow": (_RAIN,), "overflow": (_OUTFLOW,),
-    "mains": (_CISTERN,), "energy": (_FLOW, _CISTERN),
-}
+"""Rows of the account, in order."""
 _BY_NAME = {metric.name: metric for metric in METRICS}
 
 
@@ -77,9 +104,8 @@ class _Pending:
     def all(self) -> tuple[Stamps, Values]:
         """Return all that is here, in one piece."""
         if len(self._times) != 1:
-            self._times, self._values = [np.concatenate(self._times)], [
-                np.concatenate(self._values)
-            ]
+            self._times = [np.concatenate(self._times)]
+            self._values = [np.concatenate(self._values)]
         return self._times[0], self._values[0]
 
     def drop_before(self, time: int) -> None:
@@ -165,7 +191,7 @@ class Account:
         self._count()
         totals = {}
         for key, combined in self._combined.items():
-            value = _BY_NAME[_METRICS[key]].finish(self._site, combined)
+            value = _BY_NAME[ENTRIES[key].metric].finish(self._site, combined)
             if value is not None:
                 totals[key] = value
         if self._roofs is not None:
@@ -176,6 +202,8 @@ class Account:
             if None not in flows:
                 rain, pumped, drained, evaporated = (flow or 0.0 for flow in flows)
                 totals["unexplained"] = totals["stored"] - (rain + pumped - drained - evaporated)
+        if "pumped" in totals:
+            totals["saved"] = totals["pumped"] - totals.get("mains", 0.0)
         return totals
 
     def _complete(self) -> int | None:
@@ -283,9 +311,11 @@ class Account:
             potential=np.nan_to_num(known[_EVAPORATED]),
             time=(times - since) / 1e9,
         )
-        for key, name in _METRICS.items():
-            there = np.all([np.isfinite(known[topic]) for topic in _NEEDED[key]], axis=0)
-            metric = _BY_NAME[name]
+        for key, entry in ENTRIES.items():
+            if not entry.metric:
+                continue
+            there = np.all([np.isfinite(known[topic]) for topic in entry.needs], axis=0)
+            metric = _BY_NAME[entry.metric]
             values = metric.function(site, samples)
             if values is not None and there.any():
                 values = np.where(there, values, 0.0)

@@ -11,17 +11,15 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
-from functools import cache
 from typing import Any
 
 from greenroof_ros.common.conditions import read_conditions
-from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import plain, time_of_day
 
 # An alarm that comes back within this time (s) was not over for an operator.
 _AGAIN_S = 10.0
@@ -51,6 +49,11 @@ _PARTS_OF_REASON = {
          "drive_speed_unknown", "drive_timeout", "drive_guards_later"),
         ("drive timeout", "drive"),
     ),
+}
+# Of other parts, those of the same node that say more.
+_SAYS_MORE = {
+    "delivery": ("levels",), "frost": ("forecast",),
+    "refused": ("command", "levels", "frost", "inputs"),
 }
 # What each part of a node takes in, and from which roles: it says that nothing good comes.
 _SENSORS = ("cistern_sensor", "roof_sensor", "plant")
@@ -127,6 +130,11 @@ class _Alarm:
         return self.gist in self.acknowledged
 
 
+def _clock(at: float) -> str:
+    """Return the time of day, UTC."""
+    return time_of_day(at, 0.0, at)
+
+
 class Alarms:
     """The alarms and events of one graph; see the module.
 
@@ -177,21 +185,21 @@ class Alarms:
 
     # --- telling --------------------------------------------------------------------------------
 
-    def rows(self, say_time: Callable[[float], str] | None = None) -> list[dict[str, Any]]:
+    def rows(self, say_time: Callable[[float], str] = _clock) -> list[dict[str, Any]]:
         """Return the alarms: causes, then what follows from them, and what is over last.
 
         Of both kinds the pump's state comes first, then the worst. The newest of a severity comes
         first: what has stood for long is known. So is what was acknowledged, which comes later.
 
         Args:
-            say_time: says a time of the graph; without it, in UTC.
+            say_time: says a time of the graph.
         """
         causes = self._causes()
         names = [*self._present(causes), *self._past()]
         return [
             row(
                 name, (one := self._alarms[name]).trouble, since=one.since, over=one.over,
-                say_time=say_time or _clock, at_least=one.since_at_least,
+                say_time=say_time, at_least=one.since_at_least,
                 acknowledged=one.is_acknowledged, follows=causes.get(name),
             )
             for name in names[:_ROWS]
@@ -225,11 +233,11 @@ class Alarms:
         over = [one for one in self._alarms if self._alarms[one].over is not None]
         return sorted(over, key=lambda one: -self._alarms[one].over_wall)
 
-    def events(self, say_time: Callable[[float], str] | None = None) -> list[dict[str, Any]]:
+    def events(self, say_time: Callable[[float], str] = _clock) -> list[dict[str, Any]]:
         """Return the events, the newest first."""
-        say = say_time or _clock
         return [
-            {"at": at, "at_text": say(at), "what": what} for at, what in reversed(self._events)
+            {"at": at, "at_text": say_time(at), "what": what}
+            for at, what in reversed(self._events)
         ]
 
     def _note(self, text: str) -> None:
@@ -265,13 +273,6 @@ class Alarms:
         alarm.acknowledged.add(alarm.gist)
         return True
 
-    def worst(self) -> str:
-        """Return how it is: ``ok``, ``warn`` or ``error``; other devices warn at most."""
-        present = [one for one in self._alarms.values() if one.over is None]
-        if any(one.is_serious for one in present):
-            return "error"
-        return "warn" if present else "ok"
-
     def counts(self) -> tuple[int, int, int]:
         """Return how many causes are alarms and how many warnings, and how many follow from these.
 
@@ -282,17 +283,11 @@ class Alarms:
         serious = {causes.get(one, one) for one in present if self._alarms[one].is_serious}
         return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
-    def advice(self) -> str:
+    def advice(self) -> Any:
         """Return what to do now: about the cause of what is first and was not acknowledged."""
-        causes = self._causes()
-        present = self._present(causes)
-        if not present:
-            return "Nothing to do."
-        new = (name for name in present if not self._alarms[name].is_acknowledged)
-        first = next(new, present[0])
-        first = causes.get(first, first)
-        trouble = self._alarms[first].trouble
-        return advise(trouble.code, trouble.role, first.partition(": ")[0])[0]
+        present = {row["id"]: row for row in self.rows() if row["over"] is None}
+        rows = sorted(present.values(), key=lambda row: row["acknowledged"])
+        return present.get(rows[0]["follows"], rows[0])["do"] if rows else "Nothing to do."
 
 
 # --- what follows from what -----------------------------------------------------------------------
@@ -327,34 +322,24 @@ def _candidates(
 ) -> Iterator[str]:
     """Return the alarms from which one may follow, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
-    if trouble.code in _NEEDS_A_HAND and part == PUMP:
+    state = (trouble.role, part) == (PUMP, PUMP)
+    if code in _NEEDS_A_HAND and part == PUMP:
         return
     if part and node in troubles:  # of a node that is not heard, what it said last
         yield node
-
-    def own(*parts: str) -> Iterator[str]:
-        return (found for one in parts if (found := f"{node}: {one}") in troubles)
-
-    if (trouble.role, part) == (PUMP, PUMP):
-        yield from own(*_PARTS_OF_REASON.get(code, ()))
-    elif part == "delivery":
-        yield from own("levels")
-    elif (trouble.role, part) == ("weather", "frost"):
-        yield from own("forecast")
-    elif part == "supervisor" or not part:
+    if part == "supervisor" or not part:
         yield from _other_nodes(node, trouble, troubles)
-    elif part in _TAKES_IN:
-        if code in _ABSENT:
-            yield from _publishers(trouble, troubles)
-        if part == "refused":
-            yield from own("command", "levels", "frost", "inputs")
-        if part == "inputs":
-            # What the pump has against that input, which stops it, says more.
-            yield from (
-                other for other, one in troubles.items()
-                if one.role == PUMP and one.part in ("levels", "command", "frost")
-                and (one.code == code or trouble.role == PUMP)
-            )
+    if part in _TAKES_IN and code in _ABSENT:
+        yield from _publishers(trouble, troubles)
+    more = _PARTS_OF_REASON.get(code, ()) if state else _SAYS_MORE.get(part, ())
+    yield from (found for one in more if (found := f"{node}: {one}") in troubles)
+    if part == "inputs":
+        # What the pump has against that input, which stops it, says more.
+        yield from (
+            other for other, one in troubles.items()
+            if one.role == PUMP and one.part in ("levels", "command", "frost")
+            and (one.code == code or trouble.role == PUMP)
+        )
 
 
 def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
@@ -369,9 +354,10 @@ def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -
 
 def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
     """Return the alarms of those who publish what an alarm lacks."""
-    roles = {*_TAKES_IN[trouble.part], *(
-        role for name in trouble.names for role in _publishers_of().get(name, ())
-    )} - {trouble.role}
+    interface, roles = read_topics(), {*_TAKES_IN[trouble.part]}
+    for name in interface.keys() & set(trouble.names):
+        roles.update(interface[name].publishers, interface[name].live_publishers)
+    roles.discard(trouble.role)
     for whole in (True, False):  # a node that is not there, before what it says
         for other, one in troubles.items():
             if (
@@ -379,24 +365,3 @@ def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[s
                 and one.part not in ("inputs", "refused")
             ):
                 yield other
-
-
-@cache
-def _publishers_of() -> dict[str, set[str]]:
-    """Return the roles that publish each topic, in a simulation or live."""
-    simulated, live = read_topics(), read_live_topics()  # each reads a file: once
-    return {
-        name: {
-            role for topics in (simulated, live) if name in topics
-            for role in topics[name].publishers
-        }
-        for name in simulated
-    }
-
-
-def _clock(time: float) -> str:
-    """Return the time of day, UTC."""
-    try:
-        return datetime.fromtimestamp(time, timezone.utc).strftime("%H:%M:%S")
-    except (ValueError, OverflowError, OSError):
-        return "unknown"

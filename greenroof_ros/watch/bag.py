@@ -20,13 +20,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -42,12 +41,11 @@ from greenroof_ros.common.processes import asked_to_end_with_this, end_with_pare
 from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.supervision import PUMP
-from greenroof_ros.recording.bag_writer import DAMAGED, bag_files, read_index
-from greenroof_ros.watch import wire
+from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
 from greenroof_ros.watch.words import plain
 
-# How far back the past of a bag in many files is read, from its newest message (ns).
-_PAST_NS = 7 * 86_400 * 10**9
+# How far back the past of a bag in many files is read, from the newest (s).
+_PAST_S = 7 * 86_400
 # How much of a file is read for one batch (bytes), of which there is ten times as much unpacked.
 _BATCH = 1 << 20
 # A record or a chunk's content that says it is longer is not believed (bytes).
@@ -68,34 +66,35 @@ _NUMBER = np.dtype([
 ])
 _NUMBER_LENGTH = _NUMBER.itemsize - _HEAD.size
 
-_FLOAT, _ARRAY, _TEXT = (
-    "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String",
-)
-_PLAN = "/controller/plan"
+_FLOAT = "std_msgs/msg/Float64"
+_TYPES = (_FLOAT, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String")
 
 Times = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-_NONE = np.empty(0, np.int64), np.empty(0)
-
 
 @dataclass
 class Batch:
-    """What was read at a time; times are nanoseconds since 1970, names those of the interface.
+    """What was read at a time, and how far that is; names are those of the interface.
 
     Attributes:
-        numbers: times and values of each topic of numbers, in the order of the bag.
-        forecasts: the time and message of each forecast, the newest alone.
-        plans: the time and rows of each new plan.
-        texts: the time and text of each topic of texts.
-        newest_ns: the newest time of all of these.
+        numbers: topics of numbers with times (ns since 1970) and values, in the order of the bag.
+        messages: of other topics, by topic and time (ns since 1970), as they were recorded; of
+            forecasts the newest alone, by their topic and 0.
+        newest_ns: the newest time of any number so far (ns since 1970); 0 before there was one.
+        problem: why not all of the bag can be read; empty where it can.
+        progress: how far it has been read, where that takes long; otherwise empty.
+        more: whether there is more to be read at once.
+        replaced: whether it is another bag than the one that was read; it has to be begun anew.
     """
 
-    numbers: dict[str, tuple[Times, Values]] = field(default_factory=dict)
-    forecasts: dict[str, tuple[int, bytes]] = field(default_factory=dict)
-    plans: list[tuple[int, Values]] = field(default_factory=list)
-    texts: list[tuple[str, int, str]] = field(default_factory=list)
+    numbers: list[tuple[str, Times, Values]] = field(default_factory=list)
+    messages: dict[tuple[str, int], tuple[int, bytes]] = field(default_factory=dict)
     newest_ns: int = 0
+    problem: str = ""
+    progress: str = ""
+    more: bool = False
+    replaced: bool = False
 
 
 @dataclass
@@ -107,30 +106,17 @@ class _File:
     size: int = 0
     offset: int = 0  # behind its last whole record
     channels: dict[int, str] = field(default_factory=dict)  # topics on the wire
-    names: dict[int, str] = field(default_factory=dict)  # what each is in the interface
     over: bool = False  # it has its end, or nothing more of it can be read
     problem: str = ""
 
-
-class _DamagedError(Exception):
-    """A file does not go on as an mcap file does."""
-
-
-# What is raised for what is no record, or no content of one.
-_DAMAGED = (_DamagedError, *DAMAGED)
+    def note(self, damage: Exception) -> None:
+        """Note that a part of it is damaged."""
+        why = str(damage) or type(damage).__name__
+        self.problem = f"A part of the recording {self.path} is damaged, and left out ({why})."
 
 
 class Recorded:
-    """A bag that is being read.
-
-    Attributes:
-        bag: its directory.
-        newest_ns: the newest time that was read (ns since 1970); 0 before any was.
-        problem: why not all of it can be read; empty where it can.
-        progress: how far it has been read, where that takes long; otherwise empty.
-        more: whether there is more to be read at once.
-        replaced: whether it is another bag than the one that was read; it has to be begun anew.
-    """
+    """A bag that is being read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
         """Begin before its first message.
@@ -139,41 +125,39 @@ class Recorded:
             bag: a directory with ``.mcap`` files, which need not exist yet.
             namespace: of its topics, such as ``/site1``; None for that of the first level.
         """
-        self.bag = bag
-        self.newest_ns = 0
-        self.problem = self.progress = ""
-        self.more = self.replaced = False
+        self._bag = bag
         self._namespace = namespace
         self._types = {
-            name: topic.type for name, topic in read_topics().items()
-            if topic.type in (_FLOAT, _ARRAY, _TEXT)
+            name: topic.type for name, topic in read_topics().items() if topic.type in _TYPES
         }
         self._files: dict[Path, _File] = {}
-        self._begun = False
+        self._begun = self._replaced = False
+        self._newest_ns = 0
 
     def read(self) -> Batch:
-        """Read on for some megabytes at most; what there is to know then is in the attributes."""
+        """Read on for some megabytes at most."""
         batch = Batch()
-        self.more = False
         try:
-            self.problem = self._look()
+            batch.problem = self._look()
             self._read_files(batch)
         except OSError as error:
-            self.problem = f"The recording {self.bag} cannot be read: {error.strerror or error}."
+            batch.problem = f"The recording {self._bag} cannot be read: {error.strerror or error}."
         damages = [file.problem for file in self._files.values() if file.problem]
-        self.problem = self.problem or " ".join(damages[-1:])
-        self.progress = self._progress()
-        batch.newest_ns = max(
-            [self.newest_ns, *(int(times.max()) for times, _ in batch.numbers.values())]
-        )
-        self.newest_ns = batch.newest_ns
+        batch.problem = batch.problem or " ".join(damages[-1:])
+        sizes = sum(file.size for file in self._files.values())
+        read = sum(file.size if file.over else file.offset for file in self._files.values())
+        if batch.more and sizes - read >= _MUCH:
+            batch.progress = f"The recording is being read: {100 * read // sizes} %."
+        newest = (int(times.max()) for _, times, _ in batch.numbers)
+        self._newest_ns = batch.newest_ns = max([self._newest_ns, *newest])
+        batch.replaced = self._replaced
         return batch
 
     def _look(self) -> str:
         """See which files there are, and how long each is by now; return what is wrong there."""
-        paths = bag_files(self.bag)
+        paths = bag_files(self._bag)
         if not paths:
-            return f"There is no recording at {self.bag}."
+            return f"There is no recording at {self._bag}."
         if not self._begun:
             paths = _recent(paths)
             self._begun = True
@@ -186,8 +170,7 @@ class Recorded:
             except FileNotFoundError:
                 continue
             file = self._files.setdefault(path, _File(path, status.st_ino))
-            if file.inode != status.st_ino or status.st_size < file.offset:
-                self.replaced = True
+            self._replaced |= file.inode != status.st_ino or status.st_size < file.offset
             file.size = status.st_size
         return ""
 
@@ -196,46 +179,45 @@ class Recorded:
         files = [file for file in self._files.values() if not file.over]
         for file in files:
             try:
-                self.more = self._read_on(file, batch)
+                batch.more = self._read_on(file, batch)
             except FileNotFoundError:
                 file.over = True
-            except _DAMAGED as error:
+            except DAMAGED as error:
                 file.over = True
-                file.problem = _say_damage(file.path, error)
-            if self.more:
+                file.note(error)
+            if batch.more:
                 return
             if file is not files[-1]:
                 file.over = True  # its writer was killed: another file was begun behind it
 
     def _read_on(self, file: _File, batch: Batch) -> bool:
         """Read the next whole records of a file; False where there is none."""
-        if file.size <= file.offset:
-            return False
+        start = len(_MAGIC) if file.offset == 0 else 0
         with file.path.open("rb") as stream:
             stream.seek(file.offset)
             data = stream.read(min(_BATCH, file.size - file.offset))
-            start = 0
-            if file.offset == 0:
-                if len(data) < len(_MAGIC):
-                    return False
-                if not data.startswith(_MAGIC):
-                    raise _DamagedError("it is no mcap file")
-                start = len(_MAGIC)
-            needed = _needed(data, start)
-            if needed > len(data):
-                if file.offset + needed > file.size:
-                    return False  # its writer is not that far
-                data += stream.read(needed - len(data))
-        pieces: list[NDArray[np.void]] = []
+            if not data.startswith(_MAGIC[:min(start, len(data))]):
+                raise ValueError("it is no mcap file")
+            if len(data) < start + _HEAD.size:
+                return False
+            _, length = _HEAD.unpack_from(data, start)
+            if length > _LONGEST:
+                raise ValueError(f"a record says that it has {length} bytes")
+            needed = start + _HEAD.size + int(length)
+            if file.offset + needed > file.size:
+                return False  # its writer is not that far
+            data += stream.read(max(0, needed - len(data)))
+        numbers: list[NDArray[np.void]] = []
         try:
-            end = self._take(file, data, start, batch, pieces)
+            end = self._take(file, data, start, batch, numbers)
         finally:
-            self._group(file, pieces, batch)
+            if numbers:
+                self._group(file, np.concatenate(numbers), batch)
         file.offset += end
-        return end > start
+        return True
 
     def _take(
-        self, file: _File, data: bytes, at: int, batch: Batch, pieces: list[NDArray[np.void]]
+        self, file: _File, data: bytes, at: int, batch: Batch, numbers: list[NDArray[np.void]]
     ) -> int:
         """Take the whole records of some bytes of a file, and return where the last one ends."""
         small: list[int] = []
@@ -243,140 +225,80 @@ class Recorded:
         try:
             while at <= last and not file.over:
                 opcode, length = head(data, at)
-                end = at + size + length
+                begin, end = at + size, at + size + length
                 if end > len(data):
                     break
-                if opcode == Opcode.MESSAGE:
-                    if length == _NUMBER_LENGTH:
-                        small.append(at)
-                    elif self._name(file, data[at + size] | data[at + size + 1] << 8):
-                        self._take_message(file, data[at + size : end], batch)
+                if opcode == Opcode.MESSAGE and length == _NUMBER_LENGTH:
+                    small.append(at)
+                elif opcode == Opcode.MESSAGE:
+                    channel, _, time_ns, _ = _MESSAGE.unpack_from(data, begin)
+                    self._keep(file, channel, time_ns, data[begin + _MESSAGE.size : end], batch)
                 elif opcode == Opcode.CHUNK:
                     try:
-                        self._take_chunk(file, data[at + size : end], batch, pieces)
-                    except _DAMAGED as error:
-                        file.problem = _say_damage(file.path, error)
+                        self._take_chunk(file, data[begin:end], batch, numbers)
+                    except DAMAGED as error:
+                        file.note(error)
                 elif opcode == Opcode.CHANNEL:
-                    self._take_channel(file, data[at + size : end])
+                    named = Channel.read(ReadDataStream(BytesIO(data[begin:end])))
+                    file.channels[named.id] = named.topic
+                    if self._namespace is None and named.topic.endswith("/roof/level"):
+                        self._namespace = named.topic.removesuffix("/roof/level")
                 elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
                     file.over = True
                 elif not 0 < opcode < 0x80:
-                    raise _DamagedError(f"there is no record {opcode:#x}")
+                    raise ValueError(f"there is no record {opcode:#x}")
                 at = end
         finally:
             if small:
-                whole = np.frombuffer(data, np.uint8)
                 places = np.array(small)[:, None] + np.arange(_NUMBER.itemsize)
-                pieces.append(whole[places].view(_NUMBER)[:, 0])
+                numbers.append(np.frombuffer(data, np.uint8)[places].view(_NUMBER)[:, 0])
         return at
 
     def _take_chunk(
-        self, file: _File, content: bytes, batch: Batch, pieces: list[NDArray[np.void]]
+        self, file: _File, content: bytes, batch: Batch, numbers: list[NDArray[np.void]]
     ) -> None:
         chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         if chunk.uncompressed_size > _LONGEST:
-            raise _DamagedError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
+            raise ValueError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        data = stream.read(length)
-        if self._take(file, data, 0, batch, pieces) < len(data):
-            raise _DamagedError("a chunk ends in a record")
-
-    def _take_channel(self, file: _File, content: bytes) -> None:
-        channel = Channel.read(ReadDataStream(BytesIO(content)))
-        if self._namespace is None and channel.topic.endswith("/roof/level"):
-            self._namespace = channel.topic.removesuffix("/roof/level")
-        if file.channels.get(channel.id) != channel.topic:
-            file.channels[channel.id] = channel.topic
-            file.names.clear()
+        if self._take(file, stream.read(length), 0, batch, numbers) < length:
+            raise ValueError("a chunk ends in a record")
 
     def _name(self, file: _File, channel: int) -> str:
-        """Return the name of a channel's topic, if it is one of values; empty where it is not."""
-        name = file.names.get(channel)
-        if name is None:
-            name, namespace = file.channels.get(channel, ""), self._namespace or ""
-            name = name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
-            file.names[channel] = name = name if name in self._types else ""
-        return name
+        """Return the name of a channel's topic in the interface; empty for one of another graph."""
+        name, namespace = file.channels.get(channel, ""), self._namespace or ""
+        return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
 
-    def _group(self, file: _File, pieces: list[NDArray[np.void]], batch: Batch) -> None:
+    def _group(self, file: _File, found: NDArray[np.void], batch: Batch) -> None:
         """Part records of numbers, or as long as one, by their topics."""
-        if not pieces:
-            return
-        found = np.concatenate(pieces)
         values = found["value"].copy()
         other = found["header"][:, 1] == 0  # of a machine with the other byte order
         values[other] = values[other].byteswap()
         times = found["time"].astype(np.int64)
-        channels = found["channel"]
-        for channel in np.unique(channels):
-            name = self._name(file, int(channel))
-            mine = channels == channel
+        for channel in np.unique(found["channel"]).tolist():
+            mine = found["channel"] == channel
+            name = self._name(file, channel)
             if self._types.get(name) == _FLOAT:
-                before = batch.numbers.get(name, _NONE)  # of a file that ended in damage
-                batch.numbers[name] = (
-                    np.concatenate((before[0], times[mine])),
-                    np.concatenate((before[1], values[mine])),
-                )
-            elif self._types.get(name) == _TEXT:  # a short one, such as "off"
+                batch.numbers.append((name, times[mine], values[mine]))
+            else:  # a short text, such as "off"
                 for one in found[mine]:
                     message = one["header"].tobytes() + one["value"].tobytes()
-                    self._take_text(name, int(one["time"]), message, batch)
+                    self._keep(file, channel, int(one["time"]), message, batch)
 
-    def _take_message(self, file: _File, content: bytes, batch: Batch) -> None:
-        channel, _, time_ns, _ = _MESSAGE.unpack_from(content)
+    def _keep(
+        self, file: _File, channel: int, time_ns: int, message: bytes, batch: Batch
+    ) -> None:
+        """Keep a message of a topic that is no number's, if it is shown at all."""
         name = self._name(file, channel)
-        kind = self._types.get(name)
-        message = content[_MESSAGE.size :]
-        if kind == _TEXT:
-            self._take_text(name, time_ns, message, batch)
-        elif kind == _ARRAY and name != _PLAN:
-            batch.forecasts[name] = time_ns, message
-        elif kind == _ARRAY:
-            plan = wire.rows(message)
-            if plan is not None and len(plan[0]):
-                batch.plans.append((time_ns, plan[0]))
-
-    def _take_text(self, name: str, time_ns: int, message: bytes, batch: Batch) -> None:
-        text = wire.text(message)
-        if text is not None:
-            batch.texts.append((name, time_ns, text))
-
-    def _progress(self) -> str:
-        sizes = sum(file.size for file in self._files.values())
-        read = sum(file.size if file.over else file.offset for file in self._files.values())
-        if not self.more or sizes - read < _MUCH:
-            return ""
-        return f"The recording is being read: {100 * read // sizes} %."
+        if self._types.get(name, _FLOAT) != _FLOAT:
+            each = 0 if name.startswith("/forecast/") else time_ns
+            batch.messages[name, each] = time_ns, message
 
 
 def _recent(paths: list[Path]) -> list[Path]:
-    """Return the files of a bag in which the last week is, the oldest first."""
-    newest: int | None = None
-    for place in range(len(paths) - 1, 0, -1):
-        index = read_index(paths[place])
-        if index is None:
-            continue  # it is being written, or its writer was killed
-        last = index.statistics.message_end_time
-        if newest is None:
-            newest = last
-        elif last < newest - _PAST_NS:
-            return paths[place + 1 :]
-    return paths
-
-
-def _say_damage(path: Path, error: Exception) -> str:
-    why = str(error) or type(error).__name__
-    return f"A part of the recording {path} is damaged, and left out ({why})."
-
-
-def _needed(data: bytes, start: int) -> int:
-    """Return how many bytes the first record at least needs."""
-    if len(data) < start + _HEAD.size:
-        return start + _HEAD.size
-    _, length = _HEAD.unpack_from(data, start)
-    if length > _LONGEST:
-        raise _DamagedError(f"a record says that it has {length} bytes")
-    return start + _HEAD.size + int(length)
+    """Return the files of a bag that were written in its last week, the oldest first."""
+    written = [path.stat().st_mtime for path in paths]
+    return [path for path, at in zip(paths, written, strict=True) if at > max(written) - _PAST_S]
 
 
 # --- a process that reads -------------------------------------------------------------------------
@@ -387,12 +309,8 @@ class FollowedBag:
 
     Attributes:
         bag: its directory.
-        until_ns: all up to then was handed on (ns since 1970).
-        grew: when that last changed (steady clock, s).
-        problem: why not all of it can be read; empty where it can.
-        progress: how far it has been read, where that takes long; otherwise empty.
-        more: whether there is more to be read.
-        replaced: whether it is another bag by now.
+        read: how far that is: the last batch, without what was handed on.
+        grew: when that last had a newer time (steady clock, s).
     """
 
     def __init__(
@@ -406,9 +324,7 @@ class FollowedBag:
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag
-        self.until_ns, self.grew = 0, time.monotonic()
-        self.problem = self.progress = ""
-        self.more, self.replaced = True, False
+        self.read, self.grew = Batch(more=True), time.monotonic()
         self._on_batch = on_batch
         self._closed = False
         arguments = [str(bag)] if namespace is None else [str(bag), namespace]
@@ -417,8 +333,7 @@ class FollowedBag:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             env=asked_to_end_with_this(),
         )
-        self._thread = threading.Thread(target=self._receive, name="bag", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._receive, name="bag", daemon=True).start()
 
     def close(self) -> None:
         """End the process; nothing is handed on afterwards."""
@@ -430,18 +345,17 @@ class FollowedBag:
         with self._process.stdout as stream:
             while not self._closed:
                 try:
-                    batch, *state = pickle.load(stream)  # noqa: S301 - from main below alone
+                    batch = pickle.load(stream)  # noqa: S301 - from main below alone
                     self._on_batch(self, batch)
                 except Exception as error:  # whatever ended it, it is shown
-                    self.problem = (
+                    self.read = replace(self.read, more=False, problem=(
                         "The recording is not read any more, and what it has of later is missing "
                         f"({type(error).__name__}{f': {error}' if str(error) else ''})."
-                    )
-                    self.more = False
+                    ))
                     break
-                if batch.newest_ns > self.until_ns:
-                    self.until_ns, self.grew = batch.newest_ns, time.monotonic()
-                self.problem, self.progress, self.more, self.replaced = state
+                if batch.newest_ns > self.read.newest_ns:
+                    self.grew = time.monotonic()
+                self.read = replace(batch, numbers=[], messages={})
         self._process.kill()
         self._process.wait()
 
@@ -453,16 +367,12 @@ def main() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     bag, *namespace = sys.argv[1:]
     recorded = Recorded(Path(bag), *namespace)
-    last: tuple[object, ...] = ()
     with suppress(BrokenPipeError, KeyboardInterrupt):
         while True:
             batch = recorded.read()
-            state = (recorded.problem, recorded.progress, recorded.more, recorded.replaced)
-            if (state, recorded.newest_ns) != last or batch.texts:
-                last = (state, recorded.newest_ns)
-                pickle.dump((batch, *state), sys.stdout.buffer)
-                sys.stdout.buffer.flush()
-            if not recorded.more:
+            pickle.dump(batch, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+            if not batch.more:
                 time.sleep(_LOOK_S)
 
 
@@ -507,7 +417,8 @@ class Dated:
 def read_incidents_of(bag: Path) -> list[Dated]:
     """Return the incidents of a run whose bag is read, in the order in which they began.
 
-    They stand in a file of their own, and in the summary where that could not be written.
+    They stand in a file of their own, and in the summary where that could not be written. Their
+    times are those of ticks where the site is simulated, otherwise those of the wall.
 
     Raises:
         ValueError: they cannot be read, or not when they were.
@@ -515,40 +426,31 @@ def read_incidents_of(bag: Path) -> list[Dated]:
     directory = bag.parent
     try:
         found = read_incidents(directory)
-        if not (directory / SUMMARY).exists():
-            return _all_dated(found, {})
-        summary = json.loads(read_text(directory / SUMMARY))
+        path = directory / SUMMARY
+        summary = json.loads(read_text(path)) if path.exists() else {}
         found = found or [Incident(**one) for one in summary.get("incidents", ())]
-        return _all_dated(found, summary)
+        start, tau = 0.0, 0.0
+        if any(one.began_tick is not None for one in found):
+            start = datetime.fromisoformat(summary["start"]).timestamp()
+            tau = float(summary["tau_s"])
+        return sorted((_dated(one, start, tau) for one in found), key=lambda one: one.began)
     except (OSError, ConfigurationError, KeyError, TypeError, AttributeError) as error:
         why = getattr(error, "strerror", None) or error
         raise ValueError(f"{directory / INCIDENTS} cannot be shown ({why})") from error
 
 
-def _all_dated(incidents: Sequence[Incident], summary: Mapping[str, Any]) -> list[Dated]:
-    """Return incidents with their times: by ticks where the site is simulated, else by the wall."""
-    start, tau = 0.0, 0.0
-    if any(one.began_tick is not None for one in incidents):
-        start = datetime.fromisoformat(summary["start"]).timestamp()
-        tau = float(summary["tau_s"])
+def _dated(one: Incident, start: float, tau: float) -> Dated:
+    """Return an incident of a run that began at a time (s since 1970), by ticks of so long (s)."""
+    def at(tick: int | None, wall: str) -> float:
+        return datetime.fromisoformat(wall).timestamp() if tick is None else start + tick * tau
 
-    def at(tick: int | None, wall: str | None) -> float | None:
-        if tick is not None:
-            return start + tick * tau
-        return None if wall is None else datetime.fromisoformat(wall).timestamp()
-
-    dated = []
-    for one in incidents:
-        began = at(one.began_tick, one.began)
-        assert began is not None
-        whole = one.part == PROCESS
-        dated.append(Dated(
-            one.node, "" if whole else one.part, plain(one.cause, _MOST_TEXT),
-            # A node that stays away ends the run; of another one the incident is its return.
-            "started_again" if whole and one.ended else one.code,
-            began, at(one.ended_tick, one.ended),
-        ))
-    return sorted(dated, key=lambda one: one.began)
+    whole = one.part == PROCESS
+    return Dated(
+        one.node, "" if whole else one.part, plain(one.cause, _MOST_TEXT),
+        # A node that stays away ends the run; of another one the incident is its return.
+        "started_again" if whole and one.ended else one.code,
+        at(one.began_tick, one.began), at(one.ended_tick, one.ended) if one.ended else None,
+    )
 
 
 def controller_of(bag: Path) -> str:
@@ -557,4 +459,4 @@ def controller_of(bag: Path) -> str:
         name = json.loads(read_text(bag.parent / SUMMARY))["controller"]
     except (ConfigurationError, ValueError, KeyError, TypeError):
         return ""
-    return name if isinstance(name, str) else ""
+    return plain(name, _MOST_TEXT) if isinstance(name, str) else ""

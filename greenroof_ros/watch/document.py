@@ -18,7 +18,7 @@ import numpy as np
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
-from greenroof_ros.watch.account import HOLDS_NS
+from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
 from greenroof_ros.watch.alarms import row
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
@@ -43,33 +43,6 @@ _INTERVALS = 3
 # Characters of all alarms, and of all events, so that the document stays below 100 kB.
 _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
-# Entries of the account, in order, with their labels.
-_ENTRIES = {
-    "stress": "Water stress of the plants",
-    "evapotranspiration_ratio": "Evapotranspired, of what plants ask for",
-    "kept": "Rain kept on the roof",
-    "kept_hour": "Rain kept of storms above 20 mm/h",
-    "kept_day": "Rain kept of storms above 10 mm in 24 h",
-    "deviation": "Mean deviation from the target",
-    "rain": "Rain on the roof",
-    "pumped": "Pumped onto the roof",
-    "drained": "Drained off the roof",
-    "evapotranspired": "Evapotranspired",
-    "stored": "Change of the water on the roof",
-    "unexplained": "Unexplained",
-    "inflow": "Rain into the cistern",
-    "overflow": "Outflow to the sewer",
-    "mains": "Mains water into the cistern, computed from the level",
-    "saved": "Potable water saved",
-    "energy": "Energy of the pump",
-}
-# Without rain, or such storms, there is nothing to say of these.
-_OF_RAIN = ("kept", "kept_hour", "kept_day")
-# Unit, decimals and factor of those that are no volume.
-_UNITS = {
-    "stress": ("h", 1, 1.0), "deviation": ("mm", 1, 1.0), "energy": ("kWh", 3, 1.0),
-    **dict.fromkeys(("evapotranspiration_ratio", *_OF_RAIN), ("%", 0, 100.0)),
-}
 _HEADINGS = {
     "none": "Nothing is heard yet", "ended": "Ended run", "live": "Live site",
     "simulated": "Simulated run", "loop": "Simulated site with a drive",
@@ -114,7 +87,7 @@ def _document(store: Store, wall: float) -> dict[str, Any]:
     stop, waits = _stop(look), tiles.waiting(look, shown["pump"]["idle"])
     serious, warnings, following = alarms.counts()
     over = len(incidents) - standing
-    worst = "error" if stop["warning"] or standing else alarms.worst()
+    worst = "error" if stop["warning"] or standing + serious else "warn" if warnings else "ok"
     shown["summary"] = {
         "word": "Nothing is heard yet:" if store.mode == "none" else _word(
             serious + standing, warnings, following, over, known
@@ -165,7 +138,7 @@ def _notes(store: Store, wall: float, known: bool, incidents: bool, hidden: int)
         notes.append(f"{hidden} more alarms are not shown.")
     newest = store.newest.values()
     silent = min((one.silent_for(wall) for one in newest), default=None)
-    if store.mode not in ("none", "ended") and silent and all(one.stale for one in newest):
+    if store.mode != "none" and silent and all(one.stale for one in newest):
         notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
     return [note for note in notes if note]
 
@@ -285,10 +258,6 @@ def _stop(look: Look) -> dict[str, Any]:
     nothing.
     """
     node, two = look.store.graph.pump(look.wall), look.store.graph.two_pumps(look.wall)
-    two = two and words.plain(
-        f"Two nodes say that they are the pump's, {two}: which one has it is not known. Stop the "
-        "pump at its drive's panel, and end the node that should not run.", 500,
-    )
     if node is None or two:
         sentence = two or "There is no pump node that could be stopped from here."
         return {
@@ -347,14 +316,16 @@ def _release(node: Node | None, stands: bool | None) -> dict[str, Any]:
 
 def _account(store: Store) -> dict[str, Any]:
     account = store.account
-    totals = {} if account is None else dict(account.totals())
-    if "pumped" in totals:
-        totals["saved"] = totals["pumped"] - totals.get("mains", 0.0)
-    labels = {key: label for key, label in _ENTRIES.items() if key in totals or key not in _OF_RAIN}
-    if store.site is None or store.site.mains_level is None:
+    totals = account.totals()
+    # Without rain, or such storms, there is nothing to say of what was kept of it.
+    labels = {
+        key: entry.label for key, entry in ENTRIES.items()
+        if key in totals or not key.startswith("kept")
+    }
+    if store.site.mains_level is None:
         del labels["mains"]
     since, sentence = "", "not known yet"
-    if account is not None and account.since is not None:
+    if account.since is not None:
         since = f"since {words.date_and_time(account.since / 1e9, store.utc_offset)}"
         if not account.measured:
             for key in ("drained", "overflow"):
@@ -370,7 +341,7 @@ def _account(store: Store) -> dict[str, Any]:
             {
                 "key": key, "label": label, "number": totals.get(key),
                 "value": words.UNKNOWN if key not in totals
-                else words.quantity(totals[key], *_UNITS.get(key, ("m3", 3, 1.0))),
+                else words.quantity(totals[key], *ENTRIES[key][3:]),
             }
             for key, label in labels.items()
         ],
@@ -438,10 +409,8 @@ def series(store: Store, hours: float, points: int = 400) -> dict[str, Any]:
         }
 
 
-def _marks(site: Site | None) -> dict[str, Any]:
+def _marks(site: Site) -> dict[str, Any]:
     """Return the references of the charts (m); None where there is none."""
-    if site is None:
-        return dict.fromkeys(("target", "band", "suction", "low_outlet", "outlet"))
     return {
         "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
         "low_outlet": site.low_outlet_level, "outlet": site.z_o,

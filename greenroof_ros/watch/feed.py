@@ -20,21 +20,18 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment.incidents import INCIDENTS
-from greenroof_ros.experiment.summary import SUMMARY, site_file_of
+from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.graph.supervision import RECORDER
+from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.bag import Batch, FollowedBag, controller_of, read_incidents_of
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # Up to how many times real time the numbers of a run are heard: 60 and its jitter.
 FASTEST = 66.0
@@ -43,20 +40,18 @@ _LOOK_S, _SAY_S = 0.05, 0.25
 # For how long what is heard waits for a bag that does not grow (s), and for the recorder to say
 # where its bag is; the recorder of a live site writes every 10 s.
 _WAIT_S, _FOUND_S = 30.0, 3.0
-# Of one topic, how many messages wait at most.
-_MOST_WAITING = 20_000
+# How many messages wait at most.
+_MOST_WAITING = 200_000
 # A pause of this process after which those that were not heard meanwhile may have spoken (s).
 _OWN_PAUSE_S = 0.5
 # For how long an error of the watcher's own is shown (s), and how long it rests after it.
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
-# Of one message of /diagnostics, how many statuses go on.
-_STATUSES = 200
 # A tick of which a message is further away is of a publisher that was started again: the plant runs
 # 32 ticks ahead of the recorder at most, and what is heard at one time is of fewer.
 _FAR = 64
 
-_CLOCK, _PLAN = "/clock", "/controller/plan"
+_CLOCK = "/clock"
 
 
 class Ticks:
@@ -74,7 +69,6 @@ class Ticks:
         self.newest_ns = 0
         self._clock = 0  # the number of that message
         self._period = 0  # ns
-        self._strangers: dict[str, int] = {}
 
     def clock(self, number: int | None, time_ns: int) -> None:
         """Hear the clock."""
@@ -83,24 +77,15 @@ class Ticks:
             self._period = (time_ns - self.newest_ns) // (number - self._clock)
         self._clock, self.newest_ns = number, time_ns
 
-    def time(self, topic: str, number: int | None, *, from_tick_0: bool) -> int | None:
+    def time(self, number: int | None) -> int | None:
         """Return the time of a message (ns since 1970); None where it cannot be known.
 
         Args:
-            topic: its name.
-            number: of the message.
-            from_tick_0: whether its publisher's first message is that of tick 0, which a pump
-                driver of somebody else's does not say.
+            number: of the message; None where that is not of the run's ticks.
         """
         if not self._period:
             return None  # less than two clocks were heard
-        if number is None:
-            return self.newest_ns
-        ahead = number - self._clock
-        if not from_tick_0:
-            # One that was there from the beginning has numbered as the plant has.
-            first = 0 if abs(ahead) <= 1 else -ahead
-            ahead += self._strangers.setdefault(topic, first)
+        ahead = 0 if number is None else number - self._clock
         return None if abs(ahead) > _FAR else self.newest_ns + ahead * self._period
 
 
@@ -133,8 +118,6 @@ class Feed:
         self._mode = "none"
         self._live: bool | None = None  # the graph that is shown, or was shown last
         self._site: Path | None = None
-        self._judged_by: Site | None = None
-        self._tau = 1.0
         self._awake = time.monotonic()
         self._said = 0.0
         self._problem, self._problem_until = "", 0.0
@@ -143,15 +126,14 @@ class Feed:
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
         self._no_ros = ""
-        self._incidents_read: list[tuple[int, int] | None] = []
         self._no_incidents = ""
         self._judge_by(site_file or self._site_of_graph())
 
     def _begin_hearing(self) -> None:
         """Forget what was heard and is not yet of the past."""
         self._ticks = Ticks()
-        self._numbers: defaultdict[str, deque[tuple[int, float]]] = defaultdict(deque)
-        self._plans: deque[tuple[int, NDArray[np.float64]]] = deque()
+        # Numbers and plans, each with its time (ns since 1970) and topic, as they came.
+        self._heard: deque[tuple[int, str, float | bytes]] = deque()
         self._waits_since = time.monotonic()
 
     def __enter__(self) -> Feed:
@@ -214,16 +196,9 @@ class Feed:
 
     def _look(self) -> None:
         """Take all that came, and show it; what fails of it keeps nothing else from being done."""
-        failed = self._fails(self._hear)
-        self._forgive_own_pause()
-        now = time.monotonic()
-        failed |= self._fails(lambda: self._see_graph(now))
-        if self._looker is not None:
-            failed |= self._fails(self._prepare_stop)
-            self._answer_stops()
-        failed |= self._fails(lambda: self._hand_on(now))
-        if now - self._said > _SAY_S:
-            failed |= self._fails(lambda: self._say(now))
+        failed = [act for act in (
+            self._hear, self._see_graph, self._answer, self._hand_on, self._say,
+        ) if self._fails(act)]
         # An error may come again at once; a stop waits for none.
         until = time.monotonic() + (_REST_S if failed else 0.0)
         while time.monotonic() < until and self._asked.empty() and not self._closing.is_set():
@@ -246,16 +221,17 @@ class Feed:
             self._closing.wait(_SAY_S)
         else:
             self._looker.look(_LOOK_S)
+        self._forgive_own_pause()
 
-    def _see_graph(self, now: float) -> None:
+    def _see_graph(self) -> None:
         """Take in which graph is there, and hear and read what is to be shown of it."""
-        mode = self._shown_mode(now)
+        now = time.monotonic()
+        mode = self._graph.mode(now)
+        if self._bag is not None and (mode == "none" or not self._shows_graph()):
+            mode = "ended"
         live = {"simulated": False, "loop": False, "live": True}.get(mode, self._live)
-        recorded = self._recorded
-        if (
-            self._graph.runs != self._run or (recorded is not None and recorded.replaced)
-            or self._live not in (None, live)
-        ):
+        replaced = self._recorded is not None and self._recorded.read.replaced
+        if self._graph.runs != self._run or replaced or self._live not in (None, live):
             self._run, self._site = self._graph.runs, None
             self._forget()
             self._store.add_event(time.time(), "Another run began.")
@@ -268,8 +244,9 @@ class Feed:
             self._mode = mode
             if mode == "ended" and self._recorded is not None:
                 # A bag may be followed before anything says who commands.
-                self._store.set_recording(controller_of(self._recorded.bag))
-            self._say(now)  # before what comes: an account has other rules on a live site
+                self._read_beside(self._recorded.bag)
+            self._said = 0.0
+            self._say()  # before what comes: an account has other rules on a live site
         self._judge_by(self._site_file or self._site_of_graph())
         bag = self._bag or self._graph.bag()
         if bag is not None and (self._recorded is None or self._recorded.bag != bag):
@@ -281,13 +258,7 @@ class Feed:
         """Whether the graph that is there is shown: not where another one's bag was asked for."""
         if self._bag is None:
             return True
-        return self._graph.records and self._graph.bag() in (None, self._bag)
-
-    def _shown_mode(self, now: float) -> str:
-        mode = self._graph.mode(now)
-        if self._bag is not None and (mode == "none" or not self._shows_graph()):
-            return "ended"
-        return mode
+        return self._graph.node(RECORDER) is not None and self._graph.bag() in (None, self._bag)
 
     def _forget(self) -> None:
         """Forget all that is shown; it is read again where it is recorded."""
@@ -302,25 +273,29 @@ class Feed:
             before, self._recorded = self._recorded, None
         if before is not None:
             before.close()
-        self._incidents_read = []
         if bag is not None:
-            self._store.set_recording(controller_of(bag))
+            self._read_beside(bag)
             namespace = self._store.namespace if self._bag is None else None
             with self._lock:
                 self._recorded = FollowedBag(bag, namespace, self._on_batch)
+
+    def _read_beside(self, bag: Path) -> None:
+        """Read who commanded in a recorded run, and what was lost in it."""
+        self._store.recorded_controller = controller_of(bag)
+        self._store.recorded_incidents, self._no_incidents = (), ""
+        try:
+            self._store.recorded_incidents = read_incidents_of(bag)
+        except ValueError as error:
+            self._no_incidents = f"{error}."
 
     def _on_batch(self, recorded: FollowedBag, batch: Batch) -> None:
         """Take a batch; numbers last: they move now on, and its plans are there by then."""
         with self._lock:
             if recorded is not self._recorded:
                 return
-            for topic, (time_ns, message) in batch.forecasts.items():
-                self._add_forecast(topic, time_ns, message)
-            for time_ns, plan in batch.plans:
-                self._store.add_plan(time_ns, plan)
-            for topic, time_ns, text in batch.texts:
-                self._store.add_text(topic, time_ns, text)
-            for topic, (times, values) in batch.numbers.items():
+            for (topic, _), (time_ns, message) in batch.messages.items():
+                self._store.take(topic, time_ns, message, past=True)
+            for topic, times, values in batch.numbers:
                 self._store.add(topic, times, values)
 
     def _site_of_graph(self) -> Path | None:
@@ -333,8 +308,7 @@ class Feed:
 
     def _judge_by(self, path: Path | None) -> None:
         """Judge levels by a site file, or by the paper's where there is none."""
-        papers = shared_directory() / "config" / "site.yaml"
-        file = path or papers
+        file = path or papers_site()
         if file == self._site:
             return
         self._site = file
@@ -345,8 +319,8 @@ class Feed:
             if path is None or path == self._site_file:
                 raise
             note = f"The site file cannot be read, and levels are judged by the paper's: {error}"
-            site = read_site(papers)
-        another, self._judged_by, self._tau = site != self._judged_by, site, site.tau
+            site = read_site(papers_site())
+        another = site != self._store.site
         self._store.set_site(site, note)
         if another and self._recorded is not None:
             self._forget()  # what was counted of it was judged by another site
@@ -357,7 +331,7 @@ class Feed:
         listens, live = self._listens_since > 0, self._mode == "live"
         wanted = live
         if self._running:
-            factor = self._graph.factor(self._tau)
+            factor = self._factor
             # A run that has not begun, or that stands, says nothing of its speed.
             wanted = listens if not factor else factor <= FASTEST
         if wanted == listens:
@@ -368,8 +342,13 @@ class Feed:
         ] if wanted else ())
         self._listens_since = now if wanted else 0.0
         if not wanted:
-            self._hand_on(now)
+            self._hand_on()
             self._begin_hearing()
+
+    @property
+    def _factor(self) -> float | None:
+        """Simulated time per wall time; None where unknown."""
+        return self._graph.factor(self._store.site.tau)
 
     @property
     def _running(self) -> bool:
@@ -391,11 +370,13 @@ class Feed:
     def _take(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         self._forgive_own_pause()
         if name == DIAGNOSTICS:
-            self._on_diagnostics(message, arrived_ns)
+            if (said := wire.statuses(message)) is not None:
+                stamp_ns, statuses = said
+                now = time.monotonic()
+                self._store.add_statuses(now, statuses, stamp_ns, arrived_ns / 1e9)
             return
         if name == _CLOCK:
-            time_ns = wire.clock(message)
-            if time_ns is not None:
+            if (time_ns := wire.clock(message)) is not None:
                 self._ticks.clock(number, time_ns)
             return
         topic = self._topics[name]
@@ -403,86 +384,66 @@ class Feed:
         if self._mode != "live":
             stamp = self._ticks.newest_ns
             if topic.per_tick:
-                from_tick_0 = self._graph.begins_with_run(topic)
-                stamp = self._ticks.time(name, number, from_tick_0=from_tick_0)
+                # A pump driver of somebody else's may have begun at any tick.
+                own = any(self._graph.node(role) for role in topic.publishers)
+                stamp = self._ticks.time(number if own else None)
         if not stamp:
             return
-        if name == _PLAN:
-            plan = wire.rows(message)
-            if plan is not None and len(plan[0]):
-                self._plans.append((stamp, plan[0]))
-                self._store.add_plan(stamp, plan[0], past=False)
-        elif topic.type.endswith("MultiArray"):
-            self._add_forecast(name, stamp, message)
-        elif topic.type.endswith("String"):
-            text = wire.text(message)
-            if text is not None:
-                self._store.add_text(name, stamp, text)
-        else:
-            value = wire.number(message)
-            if value is not None:
-                self._numbers[name].append((stamp, value))
+        if not self._store.is_number(name):
+            self._store.take(name, stamp, message, past=False)
+            if name == PLAN:
+                self._heard.append((stamp, name, message))
+        elif (value := wire.number(message)) is not None:
+            self._store.add_now(name, stamp, value)
+            self._heard.append((stamp, name, value))
 
-    def _add_forecast(self, topic: str, time_ns: int, message: bytes) -> None:
-        found = wire.rows(message)
-        if found is not None:
-            self._store.add_forecast(topic, time_ns, *found)
-
-    def _on_diagnostics(self, message: bytes, arrived_ns: int) -> None:
-        found = wire.statuses(message)
-        if found is None:
-            return
-        stamp, statuses = found
-        statuses.sort(key=lambda status: not self._graph.is_own(status))
-        self._store.add_statuses(
-            time.monotonic(), statuses[:_STATUSES], stamp, arrived_ns / 1e9
-        )
-
-    def _hand_on(self, now: float) -> None:
-        """Show what was heard; it becomes the past where no bag brings that."""
-        for topic, waiting in self._numbers.items():
-            if waiting:
-                self._store.add_now(topic, *waiting[-1])
+    def _hand_on(self) -> None:
+        """Make the past of what was heard, where no bag brings that."""
+        now = time.monotonic()
         if self._source(now) == "samples" and self._graph.samples is not None:
             time_ns, values = self._graph.samples
             for topic, value in values.items():
                 self._store.add(topic, np.array([time_ns]), np.array([value]))
         recorded = self._recorded
-        queues: list[deque[Any]] = [*self._numbers.values(), self._plans]
-        if any(len(one) > _MOST_WAITING for one in queues) or not self._past_is_read(now):
-            for time_ns, plan in self._plans:
-                self._store.add_plan(time_ns, plan)
-            self._plans.clear()
-            for topic, waiting in self._numbers.items():
-                if waiting:
-                    times, numbers = zip(*waiting, strict=True)
-                    self._store.add(topic, np.array(times, np.int64), np.array(numbers))
-                    waiting.clear()
+        if len(self._heard) > _MOST_WAITING or not self._past_is_read(now):
+            numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
+            for time_ns, topic, said in self._heard:
+                if isinstance(said, bytes):
+                    self._store.take(topic, time_ns, said, past=True)
+                else:
+                    numbers[topic].append((time_ns, said))
+            self._heard.clear()
+            for topic, pairs in numbers.items():
+                times, said_then = zip(*pairs, strict=True)
+                self._store.add(topic, np.array(times, np.int64), np.array(said_then))
         elif recorded is not None:
-            for one in queues:
-                while one and one[0][0] <= recorded.until_ns:
-                    one.popleft()
+            while self._heard and self._heard[0][0] <= recorded.read.newest_ns:
+                self._heard.popleft()
 
     def _past_is_read(self, now: float) -> bool:
         """Whether a bag brings the past, or may soon."""
         recorded = self._recorded
         if recorded is None:
             return now - max(self._listens_since, self._waits_since) < _FOUND_S
-        return not recorded.problem and (recorded.more or now - recorded.grew < _WAIT_S)
+        read = recorded.read
+        return not read.problem and (read.more or now - recorded.grew < _WAIT_S)
 
     def _source(self, now: float) -> str:
         """Return where what is shown is from: ``heard``, ``bag`` or ``samples``."""
         recorded, listens = self._recorded, self._listens_since > 0
-        if recorded is not None and not recorded.problem and not listens:
+        if recorded is not None and not recorded.read.problem and not listens:
             return "bag"
-        too_fast = not listens and (self._graph.factor(self._tau) or 0.0) > FASTEST
+        too_fast = not listens and (self._factor or 0.0) > FASTEST
         if too_fast and self._running and now - self._waits_since > _FOUND_S:
             return "samples"
         return "heard"
 
     # --- what is said of it ---------------------------------------------------------------------
 
-    def _say(self, now: float) -> None:
+    def _say(self) -> None:
+        now = time.monotonic()
+        if now - self._said < _SAY_S:
+            return
         self._said = now
         recorded, source = self._recorded, self._source(now)
         notes = [self._problem] if now < self._problem_until else []
@@ -490,8 +451,8 @@ class Feed:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
         if recorded is not None:
             if self._mode in ("live", "ended"):
-                notes.append(self._show_incidents(recorded.bag))
-            notes += [recorded.problem, recorded.progress]
+                notes.append(self._no_incidents)
+            notes += [recorded.read.problem, recorded.read.progress]
         shown = self._shows_graph()
         if not shown and self._graph.mode(now) not in ("none", "ended"):
             notes.append(f"Another graph runs here; {self._bag} is shown.")
@@ -501,73 +462,39 @@ class Feed:
                 "of it here."
             )
         self._store.set_present(
-            mode=self._mode, factor=self._graph.factor(self._tau) if self._running else None,
+            mode=self._mode, factor=self._factor if self._running else None,
             source=source, note=" ".join(filter(None, notes)), graph_shown=shown,
         )
         self._store.look(now, time.time())
 
-    def _show_incidents(self, bag: Path) -> str:
-        """Show what was lost in a recorded run, read again when it has changed.
-
-        Returns:
-            What is wrong with that.
-        """
-        versions = [_version(bag.parent / name) for name in (INCIDENTS, SUMMARY)]
-        if versions != self._incidents_read:
-            self._incidents_read, self._no_incidents = versions, ""
-            try:
-                self._store.set_incidents(read_incidents_of(bag))
-            except ValueError as error:
-                self._store.set_incidents(())
-                self._no_incidents = f"{error}."
-        return self._no_incidents
-
     # --- stopping -------------------------------------------------------------------------------
 
-    def _pump(self) -> str | None:
-        """Return the pump node that a stop is for; None where there is none.
+    def _prepare_stop(self) -> None:
+        """Look for the services of the pump node, so that a call finds them at once.
 
         Raises:
-            StopFailedError: there are two.
+            StopFailedError: two nodes say that they are the pump's.
         """
-        now = time.monotonic()
-        if not self._shows_graph():
-            return None
-        if two := self._graph.two_pumps(now):
-            raise StopFailedError(
-                f"Two nodes say that they are the pump's, {two}: which one has it is not known. "
-                "Stop the pump at its drive's panel, and end the node that should not run."
-            )
-        node = self._graph.pump(now)
-        return None if node is None else node.name
-
-    def _prepare_stop(self) -> None:
         assert self._looker is not None
-        with suppress(StopFailedError):
-            self._looker.prepare_stop(self._pump())
+        now, graph = time.monotonic(), self._store.graph
+        node, two = graph.pump(now), graph.two_pumps(now)
+        self._looker.prepare_stop(None if two or node is None else node.name)
+        if two:
+            raise StopFailedError(two)
 
-    def _answer_stops(self) -> None:
-        assert self._looker is not None
-        with suppress(queue.Empty):
-            while True:
-                action, asked = self._asked.get_nowait()
-                if not asked.set_running_or_notify_cancel():
-                    continue
+    def _answer(self) -> None:
+        if (looker := self._looker) is None:
+            return
+        acts = {
+            "stop": looker.stop_pump, "release": looker.release_pump, "clear": looker.clear_fault,
+        }
+        while not self._asked.empty():
+            action, asked = self._asked.get()
+            if asked.set_running_or_notify_cancel():
                 try:
-                    self._looker.prepare_stop(self._pump())
-                    act = {
-                        "stop": self._looker.stop_pump, "release": self._looker.release_pump,
-                        "clear": self._looker.clear_fault,
-                    }[action]
-                    asked.set_result(act(_STOP_S))
+                    self._prepare_stop()
+                    asked.set_result(acts[action](_STOP_S))
                 except Exception as error:  # it is the asker's
                     asked.set_exception(error)
-
-
-def _version(path: Path) -> tuple[int, int] | None:
-    """Return what changes when a file is written; None where there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
+        with suppress(StopFailedError):
+            self._prepare_stop()

@@ -33,26 +33,43 @@ class Amount(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Forecast:
-    """The newest forecast of rain.
+class _Steps:
+    """What is to come, in steps.
 
     Attributes:
-        at: when its first step begins (s since 1970).
-        issued: when it was issued (s since 1970); None where that is not known.
+        at: when the first step begins (s since 1970).
         ends: of its steps (s since 1970), shape (steps,).
-        rain: mean of each step (m/s), shape (members, steps).
     """
 
     at: float
-    issued: float | None
     ends: Values
+
+    @property
+    def begins(self) -> Values:
+        """Begins of the steps (s since 1970), shape (steps,)."""
+        return np.append(self.at, self.ends[:-1])
+
+    def lengths(self, now: float) -> Values:
+        """Return how much of each step is from now on to 12 h ahead (s), shape (steps,)."""
+        until = now + AHEAD_S
+        return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
+
+
+@dataclass(frozen=True)
+class Forecast(_Steps):
+    """The newest forecast of rain.
+
+    Attributes:
+        rain: mean of each step (m/s), shape (members, steps).
+        issued: when it was issued (s since 1970); None where that is not known.
+    """
+
     rain: Values
+    issued: float | None
 
     def amount(self, now: float) -> Amount | None:
         """Return the rain from now on to 12 h ahead; None where it does not reach so far as now."""
-        begins = np.append(self.at, self.ends[:-1])
-        until = now + AHEAD_S
-        lengths = np.clip(self.ends, now, until) - np.clip(begins, now, until)
+        until, lengths = now + AHEAD_S, self.lengths(now)
         reach = min(float(self.ends[-1]), until) - now
         if reach <= 0:
             return None
@@ -60,14 +77,13 @@ class Forecast:
         fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
-        return Amount(float(amounts.mean()), *_range(amounts), reach, fallen_at, len(amounts))
+        low, high = (float(one[0]) for one in _ranges(amounts[:, None]))
+        return Amount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
         """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
-        begins = np.append(self.at, self.ends[:-1])
-        low, high = _ranges(self.rain)
-        columns = (begins, self.ends, self.rain.mean(axis=0), low, high)
-        return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        columns = (self.begins, self.ends, self.rain.mean(axis=0), *_ranges(self.rain))
+        return np.column_stack(columns).tolist()
 
 
 def _ranges(values: Values) -> tuple[Values, Values]:
@@ -78,24 +94,15 @@ def _ranges(values: Values) -> tuple[Values, Values]:
     return low, high
 
 
-def _range(values: Values) -> tuple[float, float]:
-    low, high = _ranges(values[:, None])
-    return float(low[0]), float(high[0])
-
-
 @dataclass(frozen=True)
-class Plan:
+class Plan(_Steps):
     """What the controller means to pump.
 
     Attributes:
-        at: when it was made (s since 1970).
-        ends: of its steps (s since 1970), shape (steps,).
         flow: mean of each step (m3/s).
         level: of the roof at the end of each step, as expected (m).
     """
 
-    at: float
-    ends: Values
     flow: Values
     level: Values
 
@@ -104,11 +111,9 @@ class Plan:
 
         The begin is s since 1970, None where nothing is to be pumped.
         """
-        begins = np.append(self.at, self.ends[:-1])
-        until = now + AHEAD_S
-        lengths = np.clip(self.ends, now, until) - np.clip(begins, now, until)
+        lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
-        first = max(now, float(begins[pumps[0]])) if len(pumps) else None
+        first = max(now, float(self.begins[pumps[0]])) if len(pumps) else None
         return float(self.flow @ lengths), first
 
     def above(self, level: float, now: float) -> tuple[float, float] | None:
@@ -122,8 +127,5 @@ class Plan:
 
     def rows(self, now: float) -> list[list[float]]:
         """Return begin and end (s since 1970), flow and level at the end of each step to come."""
-        begins = np.append(self.at, self.ends[:-1])
-        ahead = self.ends > now
-        columns = (begins, self.ends, self.flow, self.level)
-        chosen = (column[ahead].tolist() for column in columns)
-        return [list(row) for row in zip(*chosen, strict=True)]
+        columns = (self.begins, self.ends, self.flow, self.level)
+        return np.column_stack(columns)[self.ends > now].tolist()

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
@@ -193,6 +192,11 @@ class Registry:
             arrived: when it came (s); now where that is not known.
             tau: duration of a tick (s).
         """
+        if len(self._foreign) >= _FOREIGN:
+            self._foreign = {
+                name: part for name, part in self._foreign.items()
+                if wall - part.heard <= _FOREIGN_SILENT_S
+            }
         rest: list[tuple[str, Status]] = []
         for status in statuses:
             name = plain(status.name, _NAME)
@@ -203,14 +207,16 @@ class Registry:
                 self._holders.get(_PLANT) is node
             ):
                 self._hear_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
-        crowded = False
         for name, status in rest:
             node_name, _, part = name.partition(": ")
-            node = self._latest.get(node_name)
-            if node is None or not part:
-                crowded = self._hear_foreign(wall, name, status, crowded)
-            elif part in node.parts or len(node.parts) < _PARTS:
-                node.parts[part] = _Part(_fit(status), wall, node.first)
+            node = self._latest.get(node_name) if part else None
+            known, key, most = (
+                (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
+            )
+            if key in known or len(known) < most:
+                times = known[key].times + 1 if key in known else 1
+                first = times == 1 if node is None else node.first
+                known[key] = _Part(_fit(status), wall, first, times)
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
         """Return what a node of this graph says of itself; None for any other status."""
@@ -224,7 +230,7 @@ class Registry:
                 values[key] = _read_value(text)
             except (ValueError, RecursionError):
                 return None
-        named = all(isinstance(values.get(key), str) for key in ("role", "process"))
+        named = isinstance(values.get("role"), str) and isinstance(values.get("process"), str)
         return values if named else None
 
     def _hear_node(
@@ -306,41 +312,15 @@ class Registry:
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:
             node.refused_at, node.refused = wall, tuple(grown[:10])
-        was, now = (bool(one.get("stop")) for one in (before, values))
-        if was != now:
+        stop, fault = bool(values.get("stop")), node.text("fault")
+        if bool(before.get("stop")) != stop:
             self._say(
-                "stop was asked for: the pump is held off" if now else "the stop was released"
+                "stop was asked for: the pump is held off" if stop else "the stop was released"
             )
-        fault = node.text("fault")
         if before.get("fault", "") != values.get("fault", ""):
             self._say(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
-
-    def _hear_foreign(self, wall: float, name: str, status: Status, crowded: bool) -> bool:
-        """Take the status of another device; return whether there is no room for a new one.
-
-        One that is all right gives way to one that is not.
-        """
-        known, status = self._foreign.get(name), _fit(status)
-        if known is None and len(self._foreign) >= _FOREIGN:
-            if crowded:
-                return True
-
-            def worth(one: str) -> tuple[bool, float]:
-                part = self._foreign[one]
-                fresh = wall - part.heard <= _FOREIGN_SILENT_S
-                return fresh and part.status.level != OK, part.heard
-
-            least = min(self._foreign, key=worth)
-            if worth(least)[0] or (
-                status.level == OK and wall - self._foreign[least].heard <= _FOREIGN_SILENT_S
-            ):
-                return status.level != OK
-            del self._foreign[least]
-        times = 1 if known is None else known.times + 1
-        self._foreign[name] = _Part(status, wall, times == 1, times)
-        return False
 
     def _hear_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
         tick = node.values.get("tick")
@@ -408,12 +388,16 @@ class Registry:
         return node if node is not None and node.is_here(wall) else None
 
     def two_pumps(self, wall: float) -> str:
-        """Return which two present nodes say that they are the pump's; empty where no two do."""
+        """Return that two present nodes say that they are the pump's; empty where no two do."""
         node = self._holders.get(PUMP)
         rival = None if node is None else self._rival(node, wall, lambda one: one.role == PUMP)
         if node is None or rival is None:
             return ""
-        return " and ".join(f"{one.name} ({one.process})" for one in (node, rival))
+        two = " and ".join(f"{one.name} ({one.process})" for one in (node, rival))
+        return plain(
+            f"Two nodes say that they are the pump's, {two}: which one has it is not known. Stop "
+            "the pump at its drive's panel, and end the node that should not run.", _TEXT,
+        )
 
     def _rival(self, node: Node, wall: float, alike: Callable[[Node], bool]) -> Node | None:
         """Return another process that is heard in turn with one; None where none is.
@@ -427,15 +411,6 @@ class Registry:
                 if older.heard > newer.began:
                     return one
         return None
-
-    def begins_with_run(self, topic: Topic) -> bool:
-        """Whether a topic's publisher is a node of this package: its first message is tick 0's."""
-        return any(role in self._holders for role in topic.publishers)
-
-    @property
-    def records(self) -> bool:
-        """Whether there is a recorder, be it on another machine."""
-        return RECORDER in self._holders
 
     def bag(self) -> Path | None:
         """Return the bag that the recorder writes, if it is on this machine."""
@@ -462,15 +437,11 @@ class Registry:
 
     def troubles(self, wall: float) -> dict[str, Trouble]:
         """Return all that is wrong now, each by the name of its status."""
-        self._foreign = {
-            name: part for name, part in self._foreign.items()
-            if wall - part.heard <= _FOREIGN_SILENT_S or not self._has_ended(name, part)
-        }
         found: dict[str, Trouble] = {}
         for name, part in self._foreign.items():
             silent, status = wall - part.heard > _FOREIGN_SILENT_S, part.status
             # One that was heard once perhaps never meant to report again and again.
-            if silent and part.times > 1:
+            if silent and part.times > 1 and not self._has_ended(name, part):
                 found[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
             elif status.level != OK and not silent:
                 found[name] = Trouble(status.level, status.message, at_least=part.first)

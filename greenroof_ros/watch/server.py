@@ -60,18 +60,6 @@ _HOURS = "12"
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-class _Refused(Exception):
-    """A request is not answered; the message says why.
-
-    Attributes:
-        status: of HTTP.
-    """
-
-    def __init__(self, status: int, why: str) -> None:
-        super().__init__(why)
-        self.status = status
-
-
 class _Connections:
     """The connections of a server: where there is no room, the one idle for longest goes."""
 
@@ -161,11 +149,9 @@ class _Site:
         try:
             return await self.connections.answer(request, handler(request))
         except web.HTTPException as error:
-            answer = _said(False, f"there is nothing here ({error.reason})", error.status)
-        except _Refused as refusal:
-            answer = _said(False, str(refusal), refusal.status)
-        answer.force_close()
-        return answer
+            answer = _said(False, error.reason, error.status)
+            answer.force_close()
+            return answer
 
     @web.middleware
     async def _this_host_alone(
@@ -177,16 +163,18 @@ class _Site:
         in a browser that shows it (DNS rebinding).
         """
         if self._names is not None and _host_of(request) not in self._names:
-            raise _Refused(403, "this host is not known here; ask for localhost")
+            raise web.HTTPForbidden(reason="this host is not known here; ask for localhost")
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
                 given.encode(errors="replace"), f"Bearer {self._token}".encode()
             ):
-                raise _Refused(401, "the address needs its token: open it as it was printed")
+                raise web.HTTPUnauthorized(
+                    reason="the address needs its token: open it as it was printed"
+                )
             own = request.method == "GET" or request.headers.get("X-Greenroof") == "1"
             if not own or _of_another_page(request):
-                raise _Refused(403, "only the page itself may ask for this")
+                raise web.HTTPForbidden(reason="only the page itself may ask for this")
         return await handler(request)
 
     # --- what is answered -----------------------------------------------------------------------
@@ -195,7 +183,7 @@ class _Site:
         """Push to one browser until it goes, or does not read."""
         hours = _hours(request.query.get("hours", _HOURS))
         if self.news.readers >= _MOST_STREAMS:
-            raise _Refused(503, "too many pages look on; close one")
+            raise web.HTTPServiceUnavailable(reason="too many pages look on; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
         answer = web.StreamResponse(headers={
             **_HEADERS,
@@ -221,7 +209,7 @@ class _Site:
     async def _acknowledge(self, request: web.Request) -> web.Response:
         identity = (await _body(request)).get("id")
         if not isinstance(identity, str):
-            raise _Refused(400, "id must be a text")
+            raise web.HTTPBadRequest(reason="id must be a text")
         known = await asyncio.to_thread(self._store.acknowledge, identity)
         return _said(known, "" if known else "This alarm is not listed any more.")
 
@@ -230,7 +218,9 @@ class _Site:
         await _body(request)
         action = request.path[1:]
         if action != "stop" and not (self._store.allow_release and self._token):
-            raise _Refused(403, "nothing is released here: see greenroof watch --allow-release")
+            raise web.HTTPForbidden(
+                reason="nothing is released here: see greenroof watch --allow-release"
+            )
         task = self._acting.get(action)
         if task is None or task.done():
             task = asyncio.create_task(self._ask(action, request.remote or ""))
@@ -298,24 +288,23 @@ def _hours(text: str) -> float:
         hours = float(text)
         if hours == 0 or LEAST_HOURS <= hours <= MOST_HOURS:
             return hours
-    raise _Refused(400, f"hours must be from {LEAST_HOURS:g} to {MOST_HOURS:g}, or 0")
+    raise web.HTTPBadRequest(
+        reason=f"hours must be from {LEAST_HOURS:g} to {MOST_HOURS:g}, or 0"
+    )
 
 
 async def _body(request: web.Request) -> dict[str, Any]:
     """Read the JSON that a request carries."""
-    too_large = _Refused(413, f"at most {_MOST_BODY} bytes are taken")
     if (request.content_length or 0) > _MOST_BODY:
-        raise too_large
+        raise web.HTTPRequestEntityTooLarge(_MOST_BODY)
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
     except asyncio.TimeoutError:
-        raise _Refused(408, "the request did not come to its end") from None
-    except web.HTTPRequestEntityTooLarge:
-        raise too_large from None
+        raise web.HTTPRequestTimeout(reason="the request did not come to its end") from None
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None
     if not isinstance(content, dict):
-        raise _Refused(400, "must be a JSON object")
+        raise web.HTTPBadRequest(reason="must be a JSON object")
     return content
 
 

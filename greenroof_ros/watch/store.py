@@ -2,7 +2,7 @@
 
 *Now* is the newest value of each topic, by whichever way it came. The *past* is what charts and
 account have; it comes in the order of time, from the recording where there is one, and may be some
-seconds behind. What people see of it is made by :mod:`.document` and :mod:`.series`.
+seconds behind. What people see of it is made by :mod:`.document`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
-from greenroof_ros.model.site import Site
-from greenroof_ros.watch import words
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.watch import wire, words
 from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
 from greenroof_ros.watch.alarms import Alarms
@@ -36,7 +38,8 @@ Values = NDArray[np.float64]
 _Outlook = TypeVar("_Outlook", Forecast, Plan)
 
 MODES = ("none", "simulated", "loop", "live", "ended")
-FLOW, RAIN_FORECAST, _PUMP_STATE = "/pump/flow", "/forecast/precipitation", "/pump/state"
+FLOW, RAIN_FORECAST = "/pump/flow", "/forecast/precipitation"
+PLAN, PUMP_STATE = "/controller/plan", "/pump/state"
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is beyond this, in any unit, although a topic may have no limit.
 _LARGEST = 1e9
@@ -60,6 +63,11 @@ _MOST_TEXT = 500
 _MOST_STEPS = 1000
 
 
+def papers_site() -> Path:
+    """Return the paper's site file."""
+    return shared_directory() / "config" / "site.yaml"
+
+
 class Newest:
     """The newest value of a topic, and how often values come, by the looks at it.
 
@@ -79,20 +87,20 @@ class Newest:
         self._heard: float | None = None  # wall time (s)
         self._intervals: deque[float] = deque(maxlen=9)
 
-    def take(self, time_ns: int, value: float | None) -> None:
-        """Take a value, unless a newer one is there."""
+    def take(self, time_ns: int, value: float) -> None:
+        """Take a value, NaN where it is not plausible, unless a newer one is there."""
         self._came = True
         if time_ns >= self.time_ns:
-            self.time_ns, self.value = time_ns, value
+            self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
-    def look(self, wall: float) -> None:
-        """Note whether something came since the last look, or is overdue."""
+    def look(self, wall: float, *, ended: bool) -> None:
+        """Note whether something came since the last look, or is overdue: not of an ended run."""
         if self._came or self._heard is None:
             if self._heard is not None:
                 self._intervals.append(min(wall - self._heard, _LONGEST_S))
             self._came, self._heard = False, wall
         usual = float(np.median(self._intervals)) if self._intervals else 0.0
-        self.stale = wall - self._heard > max(_STALE_S, INTERVALS * usual)
+        self.stale = not ended and wall - self._heard > max(_STALE_S, INTERVALS * usual)
 
     def silent_for(self, wall: float) -> float:
         """Return how long ago something came (s of wall time)."""
@@ -108,7 +116,7 @@ class Store:
     Attributes:
         lock: held by whoever reads several attributes.
         namespace: of the graph; empty where it has none.
-        site: by which levels are judged; None before that is known.
+        site: by which levels are judged: the paper's, until another one is known.
         notes: what an operator should know of the site file, and of what is watched.
         mode: one of ``MODES``: nothing was heard yet, a simulation, one with the drive of a real
             pump, a live site, or a run that has ended.
@@ -119,9 +127,10 @@ class Store:
         newest: the newest value of each topic.
         past: of each topic.
         expected: of the roof's level, an hour before.
-        account: of the water; None before the site is known.
+        account: of the water.
         pump_state: of a recording: when it was said (ns) and the words.
         recorded_controller: who commanded in the run whose recording is shown; empty: unknown.
+        recorded_incidents: which that run had.
     """
 
     def __init__(self, namespace: str = "") -> None:
@@ -133,13 +142,13 @@ class Store:
         self.lock = threading.RLock()
         self.namespace = namespace
         self.allow_release = False
-        self.site: Site | None = None
+        self.site = read_site(papers_site())
         self.notes = ["", ""]
         self.recorded_controller = ""
+        self.recorded_incidents: Sequence[Dated] = ()
         self.alarms = Alarms(namespace)
         self._nobody = Registry()
         self._interface = read_topics()
-        self._incidents: Sequence[Dated] = ()
         self._began = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
@@ -158,7 +167,7 @@ class Store:
         self.past: dict[str, History] = {}
         self.expected = History()
         self._expected_until = -math.inf  # s since 1970
-        self.account = None if self.site is None else Account(self.site)
+        self._begin_account()
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
         # The plan of now and the newest of the past, each with when it, or that there is none, was
@@ -172,6 +181,10 @@ class Store:
         self._clock_began: float | None = None  # of a simulation, as far as known (s since 1970)
         self._came = False
         self._quiet_since: float | None = None  # wall time (s)
+
+    def _begin_account(self) -> None:
+        self.account = Account(self.site)
+        self.account.live = self.mode == "live"
 
     # --- what is watched ------------------------------------------------------------------------
 
@@ -193,10 +206,9 @@ class Store:
             note: what an operator should know of that; empty where it is plain.
         """
         with self.lock:
-            if site != self.site:
-                self.account = Account(site)
-                self.account.live = self.mode == "live"
-            self.site = site
+            before, self.site = self.site, site
+            if site != before:
+                self._begin_account()
             self.notes[0] = words.plain(note, _MOST_TEXT)
 
     def set_present(
@@ -220,18 +232,7 @@ class Store:
             self.mode, self.source, self.alarms.shown = mode, source, graph_shown
             self.factor = factor if factor is not None and math.isfinite(factor) else None
             self.notes[1] = words.plain(note, _MOST_TEXT)
-            if self.account is not None:
-                self.account.live = mode == "live"
-
-    def set_recording(self, controller: str) -> None:
-        """Say which controller commanded in the run whose recording is shown; empty: unknown."""
-        with self.lock:
-            self.recorded_controller = words.plain(controller, _MOST_TEXT)
-
-    def set_incidents(self, incidents: Sequence[Dated]) -> None:
-        """Say which incidents the run had whose recording is shown."""
-        with self.lock:
-            self._incidents = incidents
+            self.account.live = mode == "live"
 
     def begin_anew(self) -> None:
         """Forget all of a graph but who is there: another one began."""
@@ -252,8 +253,6 @@ class Store:
             before, self._system = self._system, system
             if self.mode == "live" and before is not None and system < before - _SET_BACK_S:
                 self._forget_values()
-                if self.account is not None:
-                    self.account.live = True
                 back = words.length_of_time(before - system)
                 self.alarms.add_event(
                     system, f"The system's clock was set back by {back}: charts and account begin "
@@ -264,13 +263,13 @@ class Store:
     def note(self, wall: float) -> None:
         """Note what came since the last look; the system's time is as it was then."""
         for newest in self.newest.values():
-            newest.look(wall)
+            newest.look(wall, ended=self.mode == "ended")
         self._date_anew()
         self.alarms.look(wall, self._now_or(time.time()))
         if self._came or self._quiet_since is None:
             self._came, self._quiet_since = False, wall
         quiet = wall - self._quiet_since > _QUIET_S
-        if self.account is not None and self.mode == "ended" and quiet:
+        if self.mode == "ended" and quiet:
             self.account.end()
 
     # --- values ---------------------------------------------------------------------------------
@@ -286,8 +285,7 @@ class Store:
             times_ns: since 1970, shape (n,), in their order.
             values: in the topic's unit, shape (n,).
         """
-        entry = self._interface.get(topic)
-        if entry is None or entry.type != _NUMBER or not len(times_ns):
+        if not self.is_number(topic) or not len(times_ns):
             return
         # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
         times = np.array(times_ns, dtype=np.int64)
@@ -295,26 +293,22 @@ class Store:
         with self.lock:
             newest = self.newest.get(topic) or Newest()
             possible = np.where(times < _LATEST_NS, times, 0)
-            before = np.empty_like(times)
-            before[0] = newest.past_ns
-            before[1:] = possible[:-1]
-            newer = possible > np.maximum.accumulate(before)
-            newer &= possible <= self._latest_ns()
-            if not newer.all():
-                times, numbers = times[newer], numbers[newer]
+            before = np.append(newest.past_ns, possible[:-1])
+            newer = (possible > np.maximum.accumulate(before)) & (possible <= self._latest_ns())
+            times, numbers = times[newer], numbers[newer]
             if not len(times):
                 return
+            low, high = self._limits(topic)
+            numbers = np.where((numbers >= low) & (numbers <= high), numbers, np.nan)
             self.newest[topic] = newest
-            fine = _plausible(entry, numbers)
-            newest.take(int(times[-1]), float(numbers[-1]) if fine[-1] else None)
+            newest.take(int(times[-1]), float(numbers[-1]))
             newest.past_ns = int(times[-1])
             self._came = True
-            numbers = np.where(fine, numbers, np.nan)
             if topic == FLOW:
                 numbers[self.unknown_flow.at(times / 1e9)] = np.nan
             known = np.isfinite(numbers)
             self.past.setdefault(topic, History()).add(times[known], numbers[known])
-            if self.account is not None and topic in ACCOUNTED:
+            if topic in ACCOUNTED:
                 self.account.add(topic, times, numbers)
 
     def add_now(self, topic: str, time_ns: int, value: float) -> None:
@@ -325,15 +319,23 @@ class Store:
             time_ns: since 1970; where something newer is there, this is left out.
             value: in the topic's unit.
         """
-        entry = self._interface.get(topic)
-        if entry is None or entry.type != _NUMBER:
+        if not self.is_number(topic):
             return
         with self.lock:
             newest = self.newest.get(topic) or Newest()
             if newest.time_ns < time_ns <= self._latest_ns():
                 self.newest[topic] = newest
-                fine = _plausible(entry, np.array([value]))[0]
-                newest.take(time_ns, value + 0.0 if fine else None)
+                low, high = self._limits(topic)
+                newest.take(time_ns, value + 0.0 if low <= value <= high else math.nan)
+
+    def is_number(self, topic: str) -> bool:
+        """Whether the interface has such a topic, and it is of single numbers."""
+        return topic in self._interface and self._interface[topic].type == _NUMBER
+
+    def _limits(self, topic: str) -> tuple[float, float]:
+        """Return between which values one of a topic is plausible, in its unit."""
+        entry = self._interface[topic]
+        return max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
 
     def _latest_ns(self) -> float:
         """Return the latest time that a value may have (ns since 1970)."""
@@ -341,12 +343,26 @@ class Store:
             return (self._system + _SET_BACK_S) * 1e9
         return _LATEST_NS
 
-    def add_text(self, topic: str, time_ns: int, text: str) -> None:
-        """Take a text: the pump's state, such as ``off: nothing is commanded``."""
-        if topic != _PUMP_STATE:
-            return
+    def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
+        """Take a message of another topic than of single numbers, as it came or was recorded.
+
+        Args:
+            topic: its name in the interface, without a namespace.
+            time_ns: since 1970.
+            message: in CDR; what is not whole is left out.
+            past: of a plan, as in :meth:`add_plan`.
+        """
+        if topic == PUMP_STATE:
+            self.add_pump_state(time_ns, wire.text(message) or "")
+        elif topic == PLAN and (found := wire.rows(message)) is not None:
+            self.add_plan(time_ns, found[0], past=past)
+        elif topic.startswith("/forecast/") and (found := wire.rows(message)) is not None:
+            self.add_forecast(topic, time_ns, *found)
+
+    def add_pump_state(self, time_ns: int, text: str) -> None:
+        """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
-            if self.pump_state is None or time_ns > self.pump_state[0]:
+            if text and (self.pump_state is None or time_ns > self.pump_state[0]):
                 self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
 
     # --- what is to come ------------------------------------------------------------------------
@@ -377,7 +393,7 @@ class Store:
                 self._forecast = None
             elif self._forecast is None or at > self._forecast.at:
                 issued = float(front[0]) if 0 < front[0] <= at else None
-                self._forecast = Forecast(at, issued, at + ends, rain)
+                self._forecast = Forecast(at, at + ends, rain, issued)
                 self._announce(at)
 
     def _announce(self, now: float) -> None:
@@ -492,9 +508,8 @@ class Store:
             if self._heard_since is None:
                 self._heard_since = time.time()
             self._date_anew()
-            tau = 1.0 if self.site is None else self.site.tau
             self.alarms.hear(
-                wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=tau
+                wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=self.site.tau
             )
             self._note_controller(now)
             pump = self.pump
@@ -545,12 +560,12 @@ class Store:
         """
         if self.mode == "live" and self._heard_since is not None:
             return [
-                one for one in self._incidents
+                one for one in self.recorded_incidents
                 if one.ended is not None and one.ended < self._heard_since
             ]
         if self.graph.anybody or self.mode != "ended" or now is None:
             return []
-        return [one for one in self._incidents if one.began <= now]
+        return [one for one in self.recorded_incidents if one.began <= now]
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -568,8 +583,7 @@ class Store:
     @property
     def utc_offset(self) -> float:
         """Of the times that are shown (h): the site's, UTC where it has none."""
-        offset = None if self.site is None else self.site.utc_offset
-        return 0.0 if offset is None else offset
+        return 0.0 if self.site.utc_offset is None else self.site.utc_offset
 
     def _date_anew(self) -> None:
         """Date what was noted before the clock of a simulation was known by that clock's begin."""
@@ -603,9 +617,3 @@ def _plan_of(at: float, rows: Values) -> Plan | None:
     if not np.all((plan >= 0) & (plan <= _LARGEST)) or np.any(np.diff(ends, prepend=0.0) <= 0):
         return None
     return Plan(at, at + ends, flow, level)
-
-
-def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:
-    """Return of which values of a topic, in its unit, each is in its range; a NaN is not."""
-    low, high = max(topic.low, -_LARGEST), min(topic.high, _LARGEST)
-    return (numbers >= low) & (numbers <= high)

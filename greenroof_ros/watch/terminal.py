@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 import os
 import select
-import signal
 import sys
 import termios
-import textwrap
 import time
 import tty
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, ClassVar
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.padding import Padding
+from rich.segment import Segment, SegmentLines
+from rich.style import Style
+from rich.table import Table
 from rich.text import Text
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
@@ -35,228 +37,130 @@ _PRINT_S = 10.0
 # For how long the values of a graph that is there may take to be heard (s).
 _FOUND_S = 3.0
 _HOURS = 12.0
-# The least that is drawn for; what is smaller shows the upper left of it.
-_LEAST_WIDTH, _LEAST_HEIGHT = 40, 10
-# More lines than any sentence or list has.
-_WHOLE = 100
+# The least that is drawn for; what is smaller shows the left of it.
+_LEAST_WIDTH = 40
 _LABEL, _VALUE, _RANGE = 13, 15, 18
 _BARS, _ASCII_BARS = "▁▂▃▄▅▆▇█", "_.:-=+*#"
 _WORDS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 _CHARTS = {"roof": "Roof", "cistern": "Cistern", "rain": "Rain", "flow": "Pump"}
 # Words say everything; colours repeat it, and are told apart by who sees no red or green.
+_ALARM, _HEAD, _DIM = "bold bright_red", "bold", "dim"
 _STYLES = {
-    "error": "bold bright_red", "stale": "bold bright_magenta", "warn": "bold yellow",
-    "ok": "bold bright_blue", "alarm": "bold bright_red", "fault": "bold bright_red",
+    "error": _ALARM, "stale": "bold bright_magenta", "warn": "bold yellow",
+    "ok": "bold bright_blue", "alarm": _ALARM, "fault": _ALARM,
     "held": "bold yellow", "low": "yellow", "high": "yellow", "unknown": "bright_magenta",
-    "head": "bold", "dim": "dim",
 }
 
 
 def pages(
-    document: Mapping[str, Any], series: Mapping[str, Any], width: int, height: int | None,
-    color: bool, *, ascii_only: bool = False,
-) -> list[Group]:
-    """Return the document as pages of a terminal, at most so wide and of so many lines.
-
-    What must be seen is on the first page: the summary, what to do, the five tiles and the alarms;
-    charts, account and events where there is room left. The pages behind it have all of it whole.
+    document: Mapping[str, Any], series: Mapping[str, Any], console: Console, height: int | None
+) -> list[SegmentLines]:
+    """Return the document as pages of a terminal, in the order in which it must be seen.
 
     Args:
         document: of :func:`greenroof_ros.watch.document.document`.
         series: of :func:`greenroof_ros.watch.document.series`.
-        width: of the terminal, columns.
+        console: says how wide they are, and in which characters.
         height: of the terminal, lines; None for one page of all, where none can be turned.
-        color: whether there may be colour.
-        ascii_only: whether the terminal has no other characters.
     """
-    page = _Page(max(width, _LEAST_WIDTH), color=color, ascii_only=ascii_only)
-    whole = _whole(page, document, series)
+    options = console.options.update(width=max(console.width, _LEAST_WIDTH), height=None)
+    parts = _parts(document, series, options.max_width, ascii_only=options.ascii_only)
+    lines = console.render_lines(Group(*parts), options, pad=False)
+    if options.ascii_only:
+        lines = [
+            [Segment(one.text.encode("ascii", "replace").decode(), one.style) for one in line]
+            for line in lines
+        ]
     if height is None:
-        return [Group(*whole)]
-    each = max(height, _LEAST_HEIGHT) - 1
-    parts = [
-        _first(page, document, series, each),
-        *(whole[begin:begin + each] for begin in range(0, len(whole), each)),
-    ]
-    found = []
-    for number, lines in enumerate(parts, 1):
-        keys = page.line((f"page {number} of {len(parts)}; space turns it, q ends", "dim"))
-        filled = [*lines, *[Text()] * (each - len(lines)), keys]
-        found.append(Group(*filled[:max(height, 1)]))
+        return [SegmentLines(lines, new_lines=True)]
+    each = max(1, height - 1)
+    begins, found = range(0, len(lines), each), []
+    for number, begin in enumerate(begins, 1):
+        part = lines[begin:begin + each]
+        keys = f"page {number} of {len(begins)}; space turns it, q ends"
+        filled = [*part, *[[]] * (each - len(part)), [Segment(keys, Style.parse(_DIM))]]
+        found.append(SegmentLines(filled, new_lines=True))
     return found
 
 
-def _first(
-    page: _Page, document: Mapping[str, Any], series: Mapping[str, Any], height: int
-) -> list[Text]:
-    """Return the first page, in so many lines."""
-    lines = [*_head(page, document), *_tiles(page, document["tiles"], 2)]
-    notes = " ".join(document["notes"])
-    foot = [*(page.wrapped(notes, 1, style="dim") if notes else []), *_stop(page, document)]
-    room = height - len(lines) - len(foot)
-    alarms = _alarms(page, document["alarms"], document["advice"], room - 1)
-    charts = _charts(page, series)
-    if len(charts) > room - len(alarms) - 2:
-        charts = []  # a part of them would not be told from the whole
-    for part in (alarms, charts):
-        if part:
-            lines += [Text(), *part]
-            room -= len(part) + 1
-    for make in (_account, _events):
-        if room > 2 and (part := make(page, document, room - 1)):
-            lines += [Text(), *part]
-            room -= len(part) + 1
-    return [*lines, *[Text()] * room, *foot][:height]
-
-
-def _whole(
-    page: _Page, document: Mapping[str, Any], series: Mapping[str, Any]
-) -> list[Text]:
-    """Return all there is, nothing of it cut off."""
-    lines = [*_head(page, document), *_tiles(page, document["tiles"], _WHOLE)]
+def _parts(
+    document: Mapping[str, Any], series: Mapping[str, Any], width: int, *, ascii_only: bool
+) -> Iterator[RenderableType]:
+    """Yield what the document says, that which matters most first."""
+    summary = document["tiles"]["summary"]
+    top = Table.grid(expand=True)
+    top.add_column()
+    top.add_column(justify="right")
+    where = f"{document['heading']} {document['namespace']}".strip()
+    top.add_row(Text(where, _HEAD), Text(document["time"]["text"]))
+    yield top
+    yield Text(f"{summary['word']} {summary['sentence']}", _STYLES[summary["level"]])
+    yield Text(f"What to do: {document['advice']}")
+    yield from _stop(document, width)
+    yield Text()
+    yield _tiles(document["tiles"])
+    yield from (Text(note, _DIM) for note in document["notes"])
     for part in (
-        _alarms(page, document["alarms"], document["advice"], _WHOLE * _WHOLE, most=_WHOLE),
-        _charts(page, series),
-        _account(page, document, _WHOLE),
-        _events(page, document, _WHOLE, most=_WHOLE),
-        [one for note in document["notes"] for one in page.wrapped(note, _WHOLE)],
-        _stop(page, document),
+        _alarms(document), _charts(series, width, _ASCII_BARS if ascii_only else _BARS),
+        _account(document["account"]), _events(document["events"]),
     ):
         if part:
-            lines += [Text(), *part]
-    return lines
+            yield Text()
+            yield from part
 
 
-class _Page:
-    """How wide lines are, and what they may consist of."""
-
-    def __init__(self, width: int, *, color: bool, ascii_only: bool) -> None:
-        self.width = width
-        self._color = color
-        self._ascii = ascii_only
-        self.bars = _ASCII_BARS if ascii_only else _BARS
-
-    def line(self, *parts: tuple[str, str]) -> Text:
-        """Return a line of (text, style), cut where it is too long."""
-        line = Text(no_wrap=True)
-        for text, style in parts:
-            line.append(self._printable(text), _STYLES.get(style, "") if self._color else "")
-        line.truncate(self.width, overflow="crop" if self._ascii else "ellipsis")
-        return line
-
-    def wrapped(self, text: str, most: int, *, indent: str = "", style: str = "") -> list[Text]:
-        """Return a text as so many lines at most, the last one cut where there is more."""
-        if most < 1:
-            return []
-        lines = textwrap.wrap(
-            self._printable(text), self.width - len(indent), break_on_hyphens=False
-        ) or [""]
-        if len(lines) > most:
-            lines = [*lines[:most - 1], " ".join(lines[most - 1:])]
-        return [self.line((indent + one, style)) for one in lines]
-
-    def _printable(self, text: str) -> str:
-        """Return a text without what a terminal would act on, or does not have."""
-        if not text.isprintable():
-            text = "".join(one if one.isprintable() else "?" for one in text)
-        return text.encode("ascii", "replace").decode() if self._ascii else text
-
-
-def _head(page: _Page, document: Mapping[str, Any]) -> list[Text]:
-    summary = document["tiles"]["summary"]
-    where = f"{document['heading']} {document['namespace']}".strip()
-    now = document["time"]["text"]
-    gap = " " * max(2, page.width - len(where) - len(now))
-    return [
-        page.line((where, "head"), (gap, ""), (now, "")),
-        *page.wrapped(f"{summary['word']} {summary['sentence']}", 2, style=summary["level"]),
-        *page.wrapped(f"What to do: {document['advice']}", _WHOLE),
-        Text(),
-    ]
-
-
-def _tiles(page: _Page, tiles: Mapping[str, Mapping[str, Any]], most: int) -> list[Text]:
-    """Return the five tiles, each sentence in so many lines at most."""
-    lines, indent = [], " " * (_LABEL + 1)
+def _tiles(tiles: Mapping[str, Mapping[str, Any]]) -> Table:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(width=_LABEL)
     for name in ("roof", "cistern", "pump", "rain", "controller"):
         tile = tiles[name]
-        label, value = f"{tile['label']:{_LABEL}} ", f"{tile['value']:{_VALUE}} "
         # The numbers that the page has beside its gauges.
         marks = ", ".join(mark["label"] for mark in tile.get("marks", ()))
-        sentence = f"{tile['sentence']} ({marks})" if marks else tile["sentence"]
-        first, *rest = textwrap.wrap(
-            sentence, page.width, initial_indent="_" * len(label + value),
-            subsequent_indent=indent, break_on_hyphens=False,
-        ) or [""]
-        style = "alarm" if tile.get("alarm") else tile.get("state", "") or "head"
-        lines.append(page.line((label, ""), (value, style), (first[len(label + value):], "")))
-        if rest:
-            lines += page.wrapped(" ".join(map(str.strip, rest)), most - 1, indent=indent)
         why = tile.get("why", "")
-        if why and why not in tile["sentence"]:
-            lines += page.wrapped(why, most - 1, indent=indent)
-    return lines
+        table.add_row(tile["label"], Text.assemble(
+            (f"{tile['value']:{_VALUE}} ", _ALARM if tile.get("alarm") else
+             _STYLES.get(tile["state"], _HEAD)),
+            tile["sentence"], f" ({marks})" if marks else "",
+            f"\n{why}" if why and why not in tile["sentence"] else "",
+        ))
+    return table
 
 
-def _alarms(
-    page: _Page, rows: Sequence[Mapping[str, Any]], advice: str, room: int, *, most: int = 2
-) -> list[Text]:
-    """Return the alarms in so many lines: causes first, then what follows from them.
-
-    Args:
-        page: for the lines.
-        rows: the alarms.
-        advice: what stands above already.
-        room: how many lines there are.
-        most: in how many lines at most each sentence of an alarm is.
-    """
+def _alarms(document: Mapping[str, Any]) -> list[RenderableType]:
+    """Return the alarms: causes first, then what follows from them, and what is over."""
+    rows = document["alarms"]
     present = [row for row in rows if row["over"] is None]
-    over = [row for row in rows if row["over"] is not None]
-    if not rows or room < 2:
+    if not rows:
         return []
-    lines = [page.line((f"Alarms: {len(present)} now, {len(over)} over", "head"))]
-    parts = [_alarm(page, row, advice, most) for row in present]
-    parts += [[page.line(
-        (f"over   {row['id']}  {row['since_text']} to {row['over_text']}: {row['what']}", "dim")
-    )] for row in over]
-    for number, part in enumerate(parts):
-        left = room - len(lines)
-        if len(part) > left - (number < len(parts) - 1):
-            hidden = len(parts) - number
-            if left > 1 and number < len(present):
-                lines += part[:left - 1]
-                hidden -= 1
-            if hidden:
-                lines.append(page.line((f"and {hidden} more", "dim")))
-            break
-        lines += part
-    return lines
-
-
-def _alarm(page: _Page, row: Mapping[str, Any], said_already: str, most: int) -> list[Text]:
-    since = f"{'at least ' if row['since_at_least'] else ''}since {row['since_text']}"
-    seen = ", acknowledged" if row["acknowledged"] else ""
-    head = [
-        (f"{_WORDS[row['level']]}  ", row["level"]), (f"{row['id']}  ", "head"),
-        (f"{since}{seen}", ""),
+    return [
+        Text(f"Alarms: {len(present)} now, {len(rows) - len(present)} over", _HEAD),
+        *(part for row in present for part in _alarm(row, document["advice"])),
+        *(Text(
+            f"over   {row['id']}  {row['since_text']} to {row['over_text']}: {row['what']}", _DIM
+        ) for row in rows if row["over"] is not None),
     ]
-    if row.get("follows"):
-        head.append((f"; follows from {row['follows']}", "dim"))
-        if most < _WHOLE:
-            return [page.line(*head)]
-    lines = [page.line(*head)]
-    if row["do"] != said_already:
-        lines += page.wrapped(row["do"], most, indent=" " * 7)
-    return [*lines, *page.wrapped(row["what"], most, indent=" " * 7, style="dim")]
 
 
-def _charts(page: _Page, series: Mapping[str, Any]) -> list[Text]:
+def _alarm(row: Mapping[str, Any], said_already: str) -> Iterator[RenderableType]:
+    since = f"{'at least ' if row['since_at_least'] else ''}since {row['since_text']}"
+    yield Text.assemble(
+        (f"{_WORDS[row['level']]}  ", _STYLES[row["level"]]), (f"{row['id']}  ", _HEAD),
+        since, ", acknowledged" if row["acknowledged"] else "",
+        (f"; follows from {row['follows']}" if row["follows"] else "", _DIM),
+    )
+    # What to do about it stands at its cause.
+    if row["do"] != said_already and not row["follows"]:
+        yield Padding(Text(row["do"]), (0, 0, 0, 7))
+    yield Padding(Text(row["what"], _DIM), (0, 0, 0, 7))
+
+
+def _charts(series: Mapping[str, Any], width: int, bars: str) -> list[RenderableType]:
     """Return the last hours and the next as rows of bars, of what there is anything of."""
     if series.get("now") is None:
         return []
     now, end = series["now"], series["to"]
-    columns = (page.width - 9 - _RANGE - 1) // 2
-    lines = []
+    columns = (width - 9 - _RANGE - 1) // 2
+    lines: list[RenderableType] = []
     for name, label in _CHARTS.items():
         rows = [row for row in series["lines"].get(name, []) if row[1] is not None]
         line = ((at, at, greatest) for at, _, greatest, _ in rows)
@@ -272,28 +176,23 @@ def _charts(page: _Page, series: Mapping[str, Any]) -> list[Text]:
         shown = "-".join(
             f"{value * display['factor'] + 0.0:.{decimals}f}" for value in sorted({low, high})
         )
-        bars = [_bars(part, low, high, page.bars) for part in (past, ahead)]
-        lines.append(page.line(
-            (f"{label:8} ", ""), (f"{shown + ' ' + display['unit']:{_RANGE}}", ""),
-            (bars[0], ""), ("|", "dim"), (bars[1], "dim"),
+        lines.append(Text.assemble(
+            f"{label:8} {shown + ' ' + display['unit']:{_RANGE}}", _bars(past, low, high, bars),
+            (f"|{_bars(ahead, low, high, bars)}", _DIM), no_wrap=True,
         ))
     if not lines:
         return []
     hours = round((now - series["from"]) / 3600)
-    title = f"{f'Last {hours} h':{9 + _RANGE}}"
-    ahead_text = f"next {round((end - now) / 3600)} h, as expected"
-    return [page.line((f"{title:{9 + _RANGE + columns}}|", "head"), (ahead_text, "head")), *lines]
+    title = f"{f'Last {hours} h':{9 + _RANGE + columns}}|next {round((end - now) / 3600)} h"
+    return [Text(f"{title}, as expected", _HEAD, no_wrap=True), *lines]
 
 
 def _ahead(name: str, series: Mapping[str, Any]) -> list[tuple[float, float, float]]:
     """Return what is expected of a line: begin, end and value of each step."""
-    if name == "rain":
-        return [(begin, end, mean) for begin, end, mean, *_ in series["forecast"]]
-    if name == "flow":
-        return [(begin, end, flow) for begin, end, flow, _ in series["plan"]]
-    if name == "roof":
-        return [(begin, end, level) for begin, end, _, level in series["plan"]]
-    return []
+    steps, place = {
+        "rain": ("forecast", 2), "flow": ("plan", 2), "roof": ("plan", 3),
+    }.get(name, ("", 0))
+    return [(row[0], row[1], row[place]) for row in series.get(steps, ())]
 
 
 def _columns(
@@ -324,50 +223,35 @@ def _bars(values: Sequence[float | None], low: float, high: float, bars: str) ->
     )
 
 
-def _account(page: _Page, document: Mapping[str, Any], room: int) -> list[Text]:
-    account = document["account"]
-    rows = [row for row in account["rows"] if row["number"] is not None]
-    if not rows:
-        return []
-    entries = "; ".join(f"{row['label'].lower()} {row['value']}" for row in rows)
+def _account(account: Mapping[str, Any]) -> list[RenderableType]:
+    entries = "; ".join(
+        f"{row['label'].lower()} {row['value']}" for row in account["rows"]
+        if row["number"] is not None
+    )
     title = f"Water {account['since_text']}, {account['sentence']}"
-    return [page.line((title, "head")), *page.wrapped(entries, room - 1, indent="  ")]
+    return [Text(title, _HEAD), Padding(Text(entries), (0, 0, 0, 2))] if entries else []
 
 
-def _events(
-    page: _Page, document: Mapping[str, Any], room: int, *, most: int = 1
-) -> list[Text]:
-    events = document["events"][:room - 1]
-    if not events:
-        return []
-    return [
-        page.line(("Events", "head")),
-        *(
-            line for one in events
-            for line in page.wrapped(f"{one['at_text']}  {one['what']}", most, indent="  ")
-        ),
-    ]
+def _events(events: Sequence[Mapping[str, Any]]) -> list[RenderableType]:
+    lines = (Text(f"{one['at_text']}  {one['what']}") for one in events)
+    return [Text("Events", _HEAD), Padding(Group(*lines), (0, 0, 0, 2))] if events else []
 
 
-def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
-    """Return how the pump is stopped and released, and what is wrong with that."""
+def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
+    """Yield how the pump is stopped and released, and what is wrong with that."""
     stop = document["stop"]
-    lines = page.wrapped(stop["warning"], 3, style="error") if stop["warning"] else []
+    yield from (Text(one, _ALARM) for one in (stop["warning"],) if one)
     for what, call in (("stop", stop["call"]), ("release", stop["release"])):
         if call:
             # On a line of its own and whole: the first part of a stop alone would release the pump.
-            known = next((
+            yield Text(next((
                 text for text in (f"{what} the pump: {call}", f"{what}: {call}", call)
-                if len(text) <= page.width
-            ), f"{what} the pump: see the page or the documentation")
-            lines.append(page.line((known, "dim")))
+                if len(text) <= width
+            ), f"{what} the pump: see the page or the documentation"), _DIM)
     keys = [name for here, name in (
         ("release_here", "r releases the pump"), ("clear_here", "c clears its fault"),
-    ) if stop.get(here)]
-    if keys:
-        lines.append(page.line(("; ".join(keys), "head")))
-    asked = document.get("asked", "")
-    return [*lines, *page.wrapped(asked, 8, style="head")] if asked else lines
+    ) if stop[here]]
+    yield from (Text(one, _HEAD) for one in ("; ".join(keys), document.get("asked", "")) if one)
 
 
 def run(store: Store, feed: Feed) -> None:
@@ -384,8 +268,8 @@ def run(store: Store, feed: Feed) -> None:
         feed: asks the pump node.
     """
     signals, console = Signals(), Console(highlight=False)
-    ascii_only = not console.encoding.lower().startswith("utf")
-    color = console.color_system is not None and not console.no_color
+    if console.no_color:  # not even bold
+        console = Console(highlight=False, color_system=None)
     drawn = console.is_terminal and not console.is_dumb_terminal
     document: dict[str, Any] = {"stop": {}}
     charts: dict[str, Any] = {}
@@ -393,9 +277,6 @@ def run(store: Store, feed: Feed) -> None:
     before: object = None
     number, begun = 0, time.monotonic()
     release = _Release(feed)
-
-    def parts(width: int, height: int | None) -> list[Group]:
-        return pages(document, charts, width, height, color, ascii_only=ascii_only)
 
     with suppress(InterruptedRun, OSError), _keys() as pressed, (
         Live(console=console, screen=True, auto_refresh=False) if drawn else nullcontext()
@@ -416,10 +297,10 @@ def run(store: Store, feed: Feed) -> None:
             size = console.size
             if live is None:
                 if now - shown_at >= _PRINT_S:
-                    console.print(*parts(size.width, None), end="\n\n")
+                    console.print(*pages(document, charts, console, None), "")
                     shown_at = now
             elif turned or before != (document, charts, size):
-                found = parts(size.width, size.height)
+                found = pages(document, charts, console, size.height)
                 # As many pages as there are now: alarms come and go.
                 number = min(number, len(found) - 1)
                 number = (number + turned) % len(found)
@@ -472,35 +353,22 @@ def _keys() -> Iterator[Callable[[float], bytes | None]]:
     """Take single keys from the terminal, and give it back as it was.
 
     Yields:
-        What waits for so long (s), less where a signal or a key comes, and returns the keys that
-        were pressed; None where the terminal is gone.
+        What waits for so long (s), less where a key comes, and returns the keys that were pressed;
+        None where the terminal is gone.
     """
-    waking, woken = os.pipe()
-    for end in (waking, woken):
-        os.set_blocking(end, False)
-    wakes = signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
-    resized = signal.signal(signal.SIGWINCH, lambda *_: None)
     keyboard = sys.stdin.fileno() if sys.stdin.isatty() else None
-    settings = None if keyboard is None else termios.tcgetattr(keyboard)
 
     def pressed(seconds: float) -> bytes | None:
-        heard = [waking] if keyboard is None else [waking, keyboard]
-        ready, _, _ = select.select(heard, [], [], seconds)
-        if waking in ready:
-            os.read(waking, 1000)
-        if keyboard not in ready:
-            return b""
-        return os.read(keyboard, 1000) or None
+        ready, _, _ = select.select([] if keyboard is None else [keyboard], [], [], seconds)
+        return os.read(ready[0], 1000) or None if ready else b""
 
+    if keyboard is None:
+        yield pressed
+        return
+    settings = termios.tcgetattr(keyboard)
     try:
-        if keyboard is not None:
-            tty.setcbreak(keyboard)
+        tty.setcbreak(keyboard)
         yield pressed
     finally:
-        if keyboard is not None and settings is not None:
-            with suppress(termios.error):  # the terminal is gone
-                termios.tcsetattr(keyboard, termios.TCSADRAIN, settings)
-        signal.signal(signal.SIGWINCH, resized)
-        signal.set_wakeup_fd(wakes)
-        os.close(waking)
-        os.close(woken)
+        with suppress(termios.error):  # the terminal is gone
+            termios.tcsetattr(keyboard, termios.TCSADRAIN, settings)

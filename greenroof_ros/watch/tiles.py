@@ -6,6 +6,7 @@ judged, a ``sentence`` with more about it, and whether its value is ``stale``: t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Amount, Forecast, Plan
 from greenroof_ros.watch.registry import SILENT_S, Node
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import Newest, Store
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
@@ -28,25 +29,11 @@ _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
+_GAUGE = "/gauge/precipitation"
 roof_level = partial(words.value_of, _ROOF)
 flow = partial(words.value_of, _FLOW)
 
 Tile = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Value:
-    """The newest value of a topic.
-
-    Attributes:
-        number: in the topic's unit; None where it is not plausible.
-        stale: whether it is older than usual, so that it may have changed.
-        heard: of one that is, when it was heard last, as a time is written.
-    """
-
-    number: float | None
-    stale: bool = False
-    heard: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,7 +51,7 @@ class Look:
     wrong: list[dict[str, Any]]
 
     @property
-    def site(self) -> Site | None:
+    def site(self) -> Site:
         """By which levels are judged."""
         return self.store.site
 
@@ -73,19 +60,14 @@ class Look:
         """Whether the run is over, so that nothing is to come."""
         return self.store.mode == "ended"
 
-    def value(self, topic: str) -> Value | None:
+    def value(self, topic: str) -> Newest | None:
         """Return the newest value of a topic."""
-        newest = self.store.newest.get(topic)
-        if newest is None:
-            return None
-        if not newest.stale or self.ended:
-            return Value(newest.value)
-        return Value(newest.value, stale=True, heard=self.time_of_day(newest.time_ns / 1e9))
+        return self.store.newest.get(topic)
 
     def known(self, topic: str) -> float | None:
         """Return a value that is of now; None where there is none."""
-        value = self.value(topic)
-        return None if value is None or value.stale else value.number
+        newest = self.value(topic)
+        return None if newest is None or newest.stale else newest.value
 
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970)."""
@@ -118,24 +100,28 @@ class Look:
 
 
 def _tile(
-    label: str, value: Value | None, text: str, state: str, sentence: str, **more: Any
+    look: Look, label: str, topic: str, judged: Callable[[float], tuple[str, str]], **more: Any
 ) -> Tile:
-    """Return a tile; one whose value is stale is unknown, and says what was heard last, and when.
+    """Return the tile of a topic, whose state and sentence follow from its value.
 
-    A value that is missing is unknown, one that is not plausible an alarm.
+    A value that is missing or stale is unknown, and says what was heard last, and when; one that is
+    not plausible is an alarm.
     """
-    if value is None:
-        text, state, sentence = words.UNKNOWN, "unknown", sentence or "nothing was heard of it yet"
-    elif value.number is None:
-        text, state = words.NOT_PLAUSIBLE, "alarm"
-        sentence = sentence or "its sensor says what cannot be"
-    stale = value is not None and value.stale
-    if value is not None and stale:
-        sentence = f"{text} when last heard at {value.heard}"
+    newest = look.value(topic)
+    number = None if newest is None else newest.value
+    if number is not None:
+        text, (state, sentence) = words.value_of(topic, number), judged(number)
+    elif newest is None:
+        text, state, sentence = words.UNKNOWN, "unknown", "nothing was heard of it yet"
+    else:
+        text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor says what cannot be"
+    if stale := newest is not None and newest.stale:
+        assert newest is not None
+        sentence = f"{text} when last heard at {look.time_of_day(newest.time_ns / 1e9)}"
+        text, number, state = words.UNKNOWN, None, "unknown"
     return {
-        "label": label, "value": words.UNKNOWN if stale else text,
-        "number": None if value is None or stale else value.number,
-        "state": "unknown" if stale else state, "sentence": sentence, "stale": stale, **more,
+        "label": label, "value": text, "number": number, "state": state, "sentence": sentence,
+        "stale": stale, **more,
     }
 
 
@@ -144,39 +130,26 @@ def band_of(site: Site) -> list[float]:
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
 
-def _level(
-    look: Look, topic: str, label: str, gauge: dict[str, Any], judged: tuple[str, str]
-) -> Tile:
-    """Return the tile of a level, judged by a state and a sentence."""
-    value = look.value(topic)
-    if value is None or value.number is None:
-        return _tile(label, value, "", "", "", **gauge)
-    return _tile(label, value, words.value_of(topic, value.number), *judged, **gauge)
-
-
-_NO_GAUGE: dict[str, Any] = {"low": 0.0, "high": None, "marks": [], "band": None}
-_NO_SITE = "unknown", "what is right for this site is not known"
-
-
 def roof(look: Look) -> Tile:
     """Return the tile of the roof's level."""
-    site, value = look.site, look.value(_ROOF)
-    if site is None:
-        return _level(look, _ROOF, "Roof level", _NO_GAUGE, _NO_SITE)
-    level = 0.0 if value is None else value.number or 0.0
+    site, newest = look.site, look.value(_ROOF)
     # The paper's soil is ten times as deep as the water that is wanted; where there is more than
     # twice that, the whole of it is shown.
     full, (low, high) = site.roof_level(site.z_cap), band_of(site)
-    top = max(full, level) if level > 2 * site.z_veg else 2 * site.z_veg
+    shown = 0.0 if newest is None else newest.value or 0.0
+    top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
     marks = [{"at": site.z_veg, "label": f"target {roof_level(site.z_veg)}"}]
     if full <= top:
         marks.append({"at": full, "label": f"soil is full at {roof_level(full)}"})
-    state = "low" if level < low else "high" if level > high else "good"
-    sentence = _versus_target(level - site.z_veg)
-    if level >= full:
-        sentence += "; the soil is full, and water drains off"
-    gauge = {"low": 0.0, "high": top, "marks": marks, "band": [low, high]}
-    return _level(look, _ROOF, "Roof level", gauge, (state, sentence))
+
+    def judged(level: float) -> tuple[str, str]:
+        state = "low" if level < low else "high" if level > high else "good"
+        drains = "; the soil is full, and water drains off" if level >= full else ""
+        return state, _versus_target(level - site.z_veg) + drains
+
+    return _tile(
+        look, "Roof level", _ROOF, judged, low=0.0, high=top, marks=marks, band=[low, high]
+    )
 
 
 def _versus_target(difference: float) -> str:
@@ -189,10 +162,7 @@ def _versus_target(difference: float) -> str:
 
 def cistern(look: Look) -> Tile:
     """Return the tile of the cistern's level."""
-    site, value = look.site, look.value(_CISTERN)
-    if site is None:
-        return _level(look, _CISTERN, "Cistern level", _NO_GAUGE, _NO_SITE)
-    level = 0.0 if value is None else value.number or 0.0
+    site, newest = look.site, look.value(_CISTERN)
     marks = [
         {"at": at, "label": f"{name} {words.value_of(_CISTERN, at)}"}
         for name, at in (
@@ -200,21 +170,22 @@ def cistern(look: Look) -> Tile:
             ("outlet", site.z_o),
         ) if at is not None
     ]
-    usable = site.cistern_volume(level - site.suction_level)
-    if usable <= 0:
-        judged = "low", "too low for the pump: not above the suction level"
-    elif level > site.z_o:
-        judged = "high", "above its outlet: it overflows to the sewer"
-    else:
-        sentence = f"{words.quantity(usable, 'm3', 1)} above the suction level can be pumped"
-        if level > site.lowest_outlet:
-            sentence += "; its low outlet drains it"
-        judged = "good", sentence
-    gauge = {
-        "low": 0.0, "high": max(1.1 * site.z_o, level), "marks": marks,
-        "band": [site.suction_level, site.z_o],
-    }
-    return _level(look, _CISTERN, "Cistern level", gauge, judged)
+
+    def judged(level: float) -> tuple[str, str]:
+        usable = site.cistern_volume(level - site.suction_level)
+        if usable <= 0:
+            return "low", "too low for the pump: not above the suction level"
+        if level > site.z_o:
+            return "high", "above its outlet: it overflows to the sewer"
+        drains = "; its low outlet drains it" if level > site.lowest_outlet else ""
+        usable_text = words.quantity(usable, "m3", 1)
+        return "good", f"{usable_text} above the suction level can be pumped{drains}"
+
+    shown = 0.0 if newest is None else newest.value or 0.0
+    return _tile(
+        look, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
+        marks=marks, band=[site.suction_level, site.z_o],
+    )
 
 
 def pump(look: Look) -> Tile:
@@ -241,11 +212,11 @@ def pump(look: Look) -> Tile:
     elif not heard:
         parts.append("its drive is not heard: it stood then, or its own timeout has stopped it")
     if pumped is not None:
-        parts.append(words.NOT_PLAUSIBLE if pumped.number is None else flow(pumped.number))
+        parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
     elif not flow_known and not may_turn:
         parts.append("its flow is not known")
     if command is not None:
-        parts.append(_commanded(command.number))
+        parts.append(_commanded(command.value))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node says its state by another way than the flow.
@@ -262,7 +233,7 @@ def pump(look: Look) -> Tile:
     state = "unknown" if stale else state
     return {
         "label": "Pump", "value": state,
-        "number": None if pumped is None or pumped.stale else pumped.number,
+        "number": None if pumped is None or pumped.stale else pumped.value,
         "state": state, "alarm": may_turn,
         "idle": state == "off" and not kept_off and look.known(_COMMAND) == 0,
         "sentence": "; ".join(parts), "why": why, "stale": stale,
@@ -283,13 +254,13 @@ def _state(look: Look, said: str | None) -> tuple[str, str]:
         state, _, why = said.partition(": ")
         return (state, why) if state in PUMP_STATES else ("unknown", said)
     pumped, command = look.value(_FLOW), look.value(_COMMAND)
-    share = None if command is None else command.number
+    share = None if command is None else command.value
     why = _why_off(look, share)
-    if pumped is None or pumped.number is None:
+    if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
         return ("off", why) if share == 0 or why else ("running", "")
-    return ("running", "") if pumped.number > 0 else ("off", why or "it rests between two runs")
+    return ("running", "") if pumped.value > 0 else ("off", why or "it rests between two runs")
 
 
 def _why_off(look: Look, share: float | None) -> str:
@@ -299,19 +270,18 @@ def _why_off(look: Look, share: float | None) -> str:
         return "there is frost"
     if share == 0:
         return "nothing is commanded"
-    if site is not None and level is not None and level >= site.z_veg:
+    if level is not None and level >= site.z_veg:
         return "the roof has reached its target"
-    if site is not None and stored is not None and stored < site.suction_level:
+    if stored is not None and stored < site.suction_level:
         return "the cistern is below the suction level"
     return "no command is known" if share is None else ""
 
 
 def rain(look: Look) -> Tile:
     """Return the tile of the rain, now and to come."""
-    value = look.value(_RAIN) or look.value("/gauge/precipitation")
-    rate = None if value is None else value.number
-    text = "" if rate is None else words.value_of(_RAIN, rate)
-    return _tile("Rain", value, text, "good", _to_come(look))
+    topic = _GAUGE if look.value(_RAIN) is None else _RAIN
+    tile = _tile(look, "Rain", topic, lambda _: ("good", ""))
+    return tile if tile["stale"] else {**tile, "sentence": _to_come(look)}
 
 
 def _to_come(look: Look) -> str:
@@ -365,10 +335,10 @@ def controller(look: Look) -> Tile:
         sentence = _planned(look, plan, now)
     elif name is None and command is None:
         sentence = "no controller is known"
-    elif command is None or command.number is None:
+    elif command is None or command.value is None:
         sentence = "its command is unknown"
-    elif command.number:
-        sentence = f"commands {words.command(command.number)} of the pump's greatest flow"
+    elif command.value:
+        sentence = f"commands {words.command(command.value)} of the pump's greatest flow"
     else:
         sentence = "commands no pumping now"
     if not alarm and not look.ended:
@@ -426,7 +396,7 @@ def waiting(look: Look, idle: bool) -> str:
     site, now, forecast = look.site, look.store.now, look.store.forecast
     level = look.known(_ROOF)
     if (
-        site is None or now is None or forecast is None or level is None or look.ended
+        now is None or forecast is None or level is None or look.ended
         or not idle or level >= band_of(site)[0] or now - forecast.at > OLD_S
     ):
         return ""
@@ -452,7 +422,7 @@ def _enough(forecast: Forecast, now: float, missing: float) -> Amount | None:
 def too_wet(look: Look) -> str:
     """Return how much too wet the controller expects the roof to be; empty where it does not."""
     site, plan, now, level = look.site, look.store.plan, look.store.now, look.known(_ROOF)
-    if site is None or plan is None or now is None or level is None or look.ended:
+    if plan is None or now is None or level is None or look.ended:
         return ""
     high = band_of(site)[1]
     above = plan.above(high, now)
@@ -463,5 +433,3 @@ def too_wet(look: Look) -> str:
         f"It is expected to be too wet from {look.hour(begin)} on, "
         f"up to {roof_level(highest - site.z_veg)} above its target."
     )
-
-

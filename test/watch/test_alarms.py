@@ -71,9 +71,9 @@ WRONG, RIGHT = ("drive", ERROR, "no connection", "drive_lost"), ("drive", OK, "c
 def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
     alarms = Alarms()
     alarms.hear(0.0, 1000.0, pump(RIGHT))
-    assert (alarms.rows(), alarms.worst(), alarms.advice()) == ([], "ok", "Nothing to do.")
+    assert (alarms.rows(), alarms.counts(), alarms.advice()) == ([], (0, 0, 0), "Nothing to do.")
     alarms.hear(0.25, 1005.0, pump(WRONG))
-    assert alarms.worst() == "error"
+    assert alarms.counts() == (1, 0, 0)
     alarms.hear(0.5, 1010.0, pump(("drive", ERROR, "no connection for 6 s")))
     (row,) = alarms.rows()
     assert (row["what"], row["level"], row["since"]) == ("no connection for 6 s", "error", 1005.0)
@@ -81,7 +81,7 @@ def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
     assert row["over"] is None
     alarms.hear(0.75, 1015.0, pump(RIGHT))
     (row,) = alarms.rows()
-    assert (row["since"], row["over"], alarms.worst()) == (1005.0, 1015.0, "ok")
+    assert (row["since"], row["over"], alarms.counts()) == (1005.0, 1015.0, (0, 0, 0))
     assert (row["since_text"], row["over_text"]) == ("00:16:45", "00:16:55")
     assert alarms.rows(lambda at: f"at {at:g}")[0]["since_text"] == "at 1005"
 
@@ -160,7 +160,7 @@ def test_a_node_that_is_not_heard() -> None:
     alarms.look(2.1, 20.0)
     assert follows(alarms) == {"/pump": None, "/pump: drive": "/pump"}
     row = rows(alarms)["/pump"]
-    assert (row["level"], row["since"], alarms.worst()) == ("stale", 20.0, "error")
+    assert (row["level"], row["since"], alarms.counts()) == ("stale", 20.0, (1, 0, 1))
     assert "Nobody here knows whether the pump runs" in alarms.advice()
     alarms.hear(3.0, 30.0, said)
     assert present(alarms) == ["/pump: drive"]
@@ -339,7 +339,7 @@ def test_no_error_follows_from_a_warning() -> None:
     for at, said in each_quarter(1.25, [*mpc(("inputs", OK, "good"), **start), *off], begin=6.25):
         alarms.hear(at, at, said)
     assert follows(alarms) == {"/mpc": None, "/pump: command": "/mpc", "/pump: pump": "/mpc"}
-    assert (alarms.counts(), alarms.worst()) == ((1, 0, 2), "error")
+    assert alarms.counts() == (1, 0, 2)
     chain = {
         "/pump: inputs": Trouble(ERROR, "old", "input_silent", "pump", "inputs"),
         "/pump: command": Trouble(STALE, "old", "no_command", "pump", "command"),
@@ -431,7 +431,7 @@ def test_other_devices() -> None:
     """They have 5 s, and one that spoke only once is not missed; they never make an error here."""
     once, often = Status("/camera", OK, "fine", "c"), Status("disk usage", ERROR, "99 %", "host")
     alarms = heard((0.0, [once, often]))
-    assert (present(alarms), alarms.worst()) == (["disk usage"], "warn")
+    assert present(alarms) == ["disk usage"]
     assert alarms.counts() == (0, 1, 0)
     alarms.hear(1.0, 1.0, [often])
     for wall, level in ((5.9, "error"), (6.1, "stale")):
@@ -473,7 +473,7 @@ def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]])
         alarms.look(wall, wall)
         for row in alarms.rows():
             alarms.acknowledge(row["id"])
-        shown = [alarms.rows(), alarms.events(), alarms.worst(), alarms.advice(),
+        shown = [alarms.rows(), alarms.events(), alarms.counts(), alarms.advice(),
                  alarms.registry.mode(wall), alarms.registry.two_pumps(wall)]
         json.dumps(shown, allow_nan=False)
         for row in alarms.rows():

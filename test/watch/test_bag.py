@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from greenroof_ros.common.interface import read_topics, recorded_topics
 from greenroof_ros.recording.bag_writer import FLUSH_S, BagWriter, LiveBag
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.bag import Recorded
+from greenroof_ros.watch.bag import Batch, Recorded
 
 START_NS = 1_625_641_200 * 10**9
 DAY_NS = 86_400 * 10**9
@@ -76,22 +76,25 @@ class Reader:
     """Keeps what was read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
-        self.recorded = Recorded(bag, namespace)
+        self._bag = Recorded(bag, namespace)
+        self.recorded = Batch()
         self.numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
         self.forecasts: list[tuple[int, bytes]] = []
-        self.texts: list[tuple[str, int, str]] = []
+        self.texts: list[tuple[str, int, str | None]] = []
 
     def read(self) -> None:
         """Read all that there is."""
         while True:
-            batch = self.recorded.read()
-            for topic, (times, values) in batch.numbers.items():
+            self.recorded = batch = self._bag.read()
+            for topic, times, values in batch.numbers:
                 assert len(times) == len(values) > 0
                 self.numbers[topic] += zip(times.tolist(), values.tolist(), strict=True)
-            if "/forecast/precipitation" in batch.forecasts:
-                self.forecasts.append(batch.forecasts["/forecast/precipitation"])
-            self.texts += batch.texts
-            if not self.recorded.more:
+            for (topic, _), (time_ns, message) in batch.messages.items():
+                if topic == "/forecast/precipitation":
+                    self.forecasts.append((time_ns, message))
+                elif topic == "/pump/state":
+                    self.texts.append((topic, time_ns, wire.text(message)))
+            if not batch.more:
                 return
 
 
@@ -254,10 +257,12 @@ def test_a_live_bag(tmp_path: Path) -> None:
         bag.write("/pump/state", time_ns, text, now)
     now += FLUSH_S + 1
     bag.look(now)
+    for day in range(12):
+        written = (START_NS + (day + 1) * DAY_NS) / 1e9
+        os.utime(tmp_path / "bag" / f"bag_{day}.mcap", (written, written))
     reader = Reader(tmp_path / "bag", "")
     reader.read()
-    # The newest file that has its end is of the day before the last.
-    assert {round(value) for _, value in reader.numbers["/roof/level"]} == set(range(3, 12))
+    assert {round(value) for _, value in reader.numbers["/roof/level"]} == set(range(5, 12))
     assert reader.texts[-1] == ("/pump/state", time_ns, "off")
     (tmp_path / "bag" / "bag_3.mcap").unlink()
     (tmp_path / "bag" / "bag_0.mcap").unlink()
@@ -288,11 +293,11 @@ def test_much_is_read_in_pieces(tmp_path: Path) -> None:
     batches = []
     while True:
         batch = reader.read()
-        notes.add(reader.progress)
-        batches.append(batch.numbers.get("/roof/level", (np.empty(0), np.empty(0)))[1])
-        if not reader.more:
+        notes.add(batch.progress)
+        batches.append(np.concatenate([np.empty(0), *(one for *_, one in batch.numbers)]))
+        if not batch.more:
             break
     assert np.array_equal(np.concatenate(batches), values)
     assert max(map(len, batches)) < len(values) / 4
     assert any(note.startswith("The recording is being read: ") for note in notes)
-    assert reader.progress == ""
+    assert batch.progress == ""

@@ -160,12 +160,12 @@ def test_the_pump_node_says_how_it_is(state: str) -> None:
     """On /diagnostics, and in a bag."""
     heard, read = watched(), watched()
     pump_says(heard, 100.0, f"{state}: by: its own words")
-    read.add_text("/pump/state", START + 5, f"{state}: by: its own words")
-    read.add_text("/pump/state", START + 4, "off: older")
+    read.add_pump_state(START + 5, f"{state}: by: its own words")
+    read.add_pump_state(START + 4, "off: older")
     for one in (heard, read):
         tile = tile_of(one, "pump")
         assert (tile["state"], tile["why"]) == (state, "by: its own words")
-    read.add_text("/pump/state", START + 6, "<b>dancing</b>: \x00 no such state")
+    read.add_pump_state(START + 6, "<b>dancing</b>: \x00 no such state")
     tile = tile_of(read, "pump")
     assert tile["state"] == "unknown"
     assert "\x00" not in tile["why"]
@@ -506,7 +506,7 @@ def test_a_watcher_that_knows_nothing() -> None:
     document = shown(one, 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
-        "now": None, "utc_offset": 0.0, "factor": None, "text": "unknown",
+        "now": None, "utc_offset": -5.0, "factor": None, "text": "unknown",  # of the paper's site
     }
     assert {tile["state"] for name, tile in document["tiles"].items() if name != "summary"} == {
         "unknown"
@@ -860,7 +860,7 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     second: int, level: str, word: str, value: str
 ) -> None:
     one = store("ended", SITE)
-    one.set_incidents([incident()])
+    one.recorded_incidents = [incident()]
     hear(one, 0, second + 1, QUIET)
     document = shown(one)
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
@@ -882,7 +882,9 @@ def test_an_incident_that_lasted_to_the_end_stands() -> None:
     """Why the pump stood is not guessed then, although flow and command look as if it rested."""
     one = watched("ended", pump_command=0.5, roof_level=0.04)
     assert tile_of(one, "pump")["why"] == "it rests between two runs"
-    one.set_incidents([incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12)])
+    one.recorded_incidents = [
+        incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12),
+    ]
     document = shown(one)
     assert document["tiles"]["summary"]["word"] == "1 alarm, 1 incident, over."
     assert [row["id"] for row in document["alarms"]] == ["pump: drive", "mpc"]
@@ -894,10 +896,10 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; what stands there, and what came since, the nodes say themselves."""
     one = store("live", SITE)
     before = time.time()
-    one.set_incidents([
+    one.recorded_incidents = [
         incident(began=before - 60, ended=before - 30), incident(began=before - 20, ended=None),
         incident(began=before - 20, ended=before + 60),
-    ])
+    ]
     assert shown(one)["alarms"] == []
     one.add_statuses(time.monotonic(), [])
     assert [row["since"] for row in shown(one)["alarms"]] == [before - 60]
@@ -913,7 +915,7 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
 ) -> None:
     """Which alarms there were no recording tells."""
     one = watched("ended")
-    one.add_text("/pump/state", START, said)
+    one.add_pump_state(START, said)
     document = shown(one)
     tiles, stop = document["tiles"], document["stop"]
     assert (tiles["pump"]["state"], tiles["controller"]["value"]) == (state, "not recorded")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -162,7 +161,7 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
         feed._on_message(topic, message, None, now_ns)
     empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()))
     feed._on_message("/controller/plan", empty, None, now_ns)
-    feed._hand_on(time.monotonic())
+    feed._hand_on()
     series = read_series(store, 12)
     assert (series["now"], series["issued"]) == (now, now - 60)
     assert series["plan"] == [

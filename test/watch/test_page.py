@@ -326,11 +326,11 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     until_shown(page, "#summary", "Alarms are not known")
     assert "ok" not in page.locator("#summary-shape").get_attribute("href")
     over = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
-    watched.set_incidents([over])
+    watched.recorded_incidents = [over]
     row = until_shown(page, ".alarm.over", "pump: drive")
     assert not row.locator("button").is_visible()
     until_shown(page, "#summary[data-level=warn]", "1 incident, over.")
-    watched.set_incidents([replace(over, ended=None)])
+    watched.recorded_incidents = [replace(over, ended=None)]
     until_shown(page, ".alarm:not(.over)", "pump: drive")
     until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
 

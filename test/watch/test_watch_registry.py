@@ -56,7 +56,7 @@ def test_two_nodes_that_claim_the_pump() -> None:
         say(graph, at, "pump")
         say(graph, at, "pump", name="/other", process="host 2")
     assert pump_of(graph, 0.25) == "/pump"
-    assert graph.two_pumps(0.25) == "/pump (host 1) and /other (host 2)"
+    assert "/pump (host 1) and /other (host 2)" in graph.two_pumps(0.25)
     assert graph.two_pumps(3.0) == ""
 
 
