@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from greenroof_ros.common.conditions import read_conditions
@@ -23,7 +23,7 @@ from greenroof_ros.watch.words import plain, time_of_day
 
 # An alarm that comes back within this time (s) was not over for an operator.
 _AGAIN_S = 10.0
-_TEXT, _ROWS, _OVER, _EVENTS, _SEEN = 500, 100, 20, 50, 20
+_TEXT, _ROWS, _OVER, _EVENTS = 500, 100, 20, 50
 _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
@@ -109,7 +109,7 @@ class _Alarm:
     trouble: Trouble
     since: float
     since_at_least: bool
-    acknowledged: set[str] = field(default_factory=set)  # the gist of what was seen to
+    acknowledged: str = ""  # the gist of what was seen to
     over: float | None = None
     over_wall: float = 0.0
 
@@ -127,7 +127,7 @@ class _Alarm:
     @property
     def is_acknowledged(self) -> bool:
         """Whether somebody has seen it as it is now, but for its numbers."""
-        return self.gist in self.acknowledged
+        return self.gist == self.acknowledged
 
 
 def _clock(at: float) -> str:
@@ -218,9 +218,8 @@ class Alarms:
         def order(name: str) -> tuple[bool, bool, int, bool, int, float]:
             alarm = self._alarms[name]
             trouble = alarm.trouble
-            states = [(PUMP, ""), (PUMP, PUMP)]  # whether it runs, or that this is not known
-            place = (trouble.role, trouble.part)
-            rank = states.index(place) if place in states else len(states)
+            # Whether it runs is not known; how it is.
+            rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((trouble.role, trouble.part), 2)
             return (
                 not trouble.role, name in causes, rank, alarm.is_acknowledged,
                 _SEVERITY[trouble.level], -alarm.since,
@@ -266,12 +265,9 @@ class Alarms:
     def acknowledge(self, alarm_id: str) -> bool:
         """Note that somebody saw an alarm, until it is another one; False if there is none such."""
         alarm = self._alarms.get(alarm_id)
-        if alarm is None:
-            return False
-        if len(alarm.acknowledged) >= _SEEN:
-            alarm.acknowledged.clear()
-        alarm.acknowledged.add(alarm.gist)
-        return True
+        if alarm is not None:
+            alarm.acknowledged = alarm.gist
+        return alarm is not None
 
     def counts(self) -> tuple[int, int, int]:
         """Return how many causes are alarms and how many warnings, and how many follow from these.

@@ -24,7 +24,7 @@ from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.registry import ERROR, Node, Trouble
 from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.tiles import Look, Tile, band_of
+from greenroof_ros.watch.tiles import Tile, band_of
 
 LINES = {
     "roof": "/roof/level",
@@ -36,8 +36,8 @@ LINES = {
 }
 """Lines of the charts, each with its topic."""
 
-# The past that a series may have (h), and how many points of a line.
-LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, (10, 2000)
+# The past that a series may have (h), and how many points a line has, about.
+LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, 400
 # A line has a gap where so many of its values are missing.
 _INTERVALS = 3
 # Characters of all alarms, and of all events, so that the document stays below 100 kB.
@@ -58,62 +58,58 @@ def document(store: Store, wall: float) -> dict[str, Any]:
     """
     with store.lock:
         store.note(wall)
-        return _document(store, wall)
+        return _document(store)
 
 
-def _document(store: Store, wall: float) -> dict[str, Any]:
+def _document(store: Store) -> dict[str, Any]:
     now, alarms = store.now, store.alarms
-
-    def say_time(at: float) -> str:
-        return words.time_of_day(at, store.utc_offset, at if now is None else now)
-
-    known = store.graph.anybody or store.mode != "ended"
-    incidents = [
+    known, incidents = store.graph.anybody or not store.ended, store.incidents()
+    recorded = [
         row(
             one.name, Trouble(ERROR, one.cause, one.code, one.node), since=one.began,
-            over=None if one.stands(now or 0.0) else one.ended, say_time=say_time, recorded=True,
+            over=None if one.stands(now or 0.0) else one.ended, say_time=store.time_of_day,
+            recorded=True,
         )
-        for one in store.incidents(now)
+        for one in incidents
     ]
-    rows = [*incidents, *alarms.rows(say_time)]
+    rows = [*recorded, *alarms.rows(store.time_of_day)]
     rows.sort(key=lambda one: one["over"] is not None)
-    present = [one for one in rows if one["over"] is None]
-    standing = sum(one["recorded"] for one in present)
-    look = Look(store, wall, present)
+    listed, present = _within(rows, _MOST_ALARMS), [one for one in rows if one["over"] is None]
     shown = {
-        "roof": tiles.roof(look), "cistern": tiles.cistern(look), "pump": tiles.pump(look),
-        "rain": tiles.rain(look), "controller": tiles.controller(look),
+        "roof": tiles.roof(store), "cistern": tiles.cistern(store),
+        "pump": tiles.pump(store, present), "rain": tiles.rain(store),
+        "controller": tiles.controller(store, present),
     }
-    stop, waits = _stop(look), tiles.waiting(look, shown["pump"]["idle"])
+    stop, waits = _stop(store), tiles.waiting(store, shown["pump"]["idle"])
     serious, warnings, following = alarms.counts()
-    over = len(incidents) - standing
-    worst = "error" if stop["warning"] or standing + serious else "warn" if warnings else "ok"
+    over = sum(one["over"] is not None for one in recorded)
+    serious += len(recorded) - over
+    level = "error" if serious or stop["warning"] else "warn" if warnings else _level(
+        store, shown, waits, over=over > 0, known=known
+    )
+    word = _word(serious, warnings, following, over, known)
     shown["summary"] = {
-        "word": "Nothing is heard yet:" if store.mode == "none" else _word(
-            serious + standing, warnings, following, over, known
-        ),
-        "sentence": _sentence(look, shown, waits),
-        "level": _judged(store.mode, shown, worst, bool(waits), over=over, known=known),
+        "word": "Nothing is heard yet:" if store.mode == "none" else word,
+        "sentence": _sentence(store, shown, waits),
+        "level": "warn" if store.mode == "none" else level,
     }
-    listed = _within(rows, _MOST_ALARMS)
+    own = len(present) > len(recorded) - over
     return {
         "heading": _heading(store),
         "mode": store.mode,
         "namespace": store.namespace,
         "time": {
-            "now": now,
-            "utc_offset": store.utc_offset,
-            "factor": store.factor,
+            "now": now, "utc_offset": store.utc_offset, "factor": store.factor,
             "text": words.UNKNOWN if now is None
             else words.date_time_and_zone(now, store.utc_offset),
         },
         "source": store.source,
-        "notes": _notes(store, wall, known, bool(incidents), len(rows) - len(listed)),
+        "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
         "tiles": shown,
-        "advice": alarms.advice() if len(present) > standing else _advice(store, shown, waits),
+        "advice": alarms.advice() if own else _advice(store, shown, waits),
         "alarms": listed,
         "alarms_known": known,
-        "events": _within(alarms.events(say_time), _MOST_EVENTS),
+        "events": _within(alarms.events(store.time_of_day), _MOST_EVENTS),
         "account": _account(store),
         "stop": stop,
     }
@@ -127,7 +123,7 @@ def _heading(store: Store) -> str:
     return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
 
 
-def _notes(store: Store, wall: float, known: bool, incidents: bool, hidden: int) -> list[str]:
+def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]:
     notes = [*store.notes]
     if not known:
         notes.append(
@@ -137,7 +133,7 @@ def _notes(store: Store, wall: float, known: bool, incidents: bool, hidden: int)
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
     newest = store.newest.values()
-    silent = min((one.silent_for(wall) for one in newest), default=None)
+    silent = min((one.silent_for(store.wall) for one in newest), default=None)
     if store.mode != "none" and silent and all(one.stale for one in newest):
         notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
     return [note for note in notes if note]
@@ -159,27 +155,23 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     return f"{', '.join(counts) or none}{more}."
 
 
-def _judged(
-    mode: str, shown: dict[str, Tile], worst: str, waits: bool, *, over: int, known: bool
+def _level(
+    store: Store, shown: dict[str, Tile], waits: str, *, over: bool, known: bool
 ) -> str:
-    """Return how bad it is: ``ok``, ``warn``, ``error``, or ``stale`` where that is not known."""
+    """Return how it is where no alarm stands: ``ok``, ``warn``, or ``stale`` if that is unknown."""
     roof, pump = shown["roof"]["state"], shown["pump"]["state"]
-    if mode == "none":
-        return "warn"
     attention = (
-        roof in ("unknown", "alarm") or pump in ("unknown", "alarm", "fault", "held")
+        over or roof in ("unknown", "alarm") or pump in ("unknown", "alarm", "fault", "held")
         or (roof in ("low", "high") and not waits)
     )
-    if worst != "ok":
-        return worst
-    return "warn" if attention or over else "ok" if known else "stale"
+    return "warn" if attention else "ok" if known else "stale"
 
 
-def _sentence(look: Look, shown: dict[str, Tile], waits: str) -> str:
+def _sentence(store: Store, shown: dict[str, Tile], waits: str) -> str:
     """Return how roof and pump are, and what is to come of that."""
-    if look.store.mode == "none":
+    if store.mode == "none":
         return "no run and no site is found."
-    roof, verb = shown["roof"], "was" if look.ended else "is"
+    roof, verb = shown["roof"], "was" if store.ended else "is"
     if roof["state"] in ("unknown", "alarm"):
         said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
             f"The roof's level is {roof['value']}"
@@ -188,8 +180,8 @@ def _sentence(look: Look, shown: dict[str, Tile], waits: str) -> str:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
         said = f"The roof {verb} {judged}{roof['sentence']}"
     clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"], verb)
-    parts = ["The run has ended." if look.ended else "", f"{said}; {clause}.", tiles.too_wet(look)]
-    return " ".join(filter(None, parts))
+    over = "The run has ended." if store.ended else ""
+    return " ".join(filter(None, (over, f"{said}; {clause}.", tiles.too_wet(store))))
 
 
 def _pump_clause(pump: Tile, verb: str) -> str:
@@ -250,65 +242,56 @@ _THEN = (
 # --- stopping the pump ----------------------------------------------------------------------------
 
 
-def _stop(look: Look) -> dict[str, Any]:
+def _stop(store: Store) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, is so, and what is wrong with that.
 
     It is where an operator stopped it and it stands: the stop alone says that it should. ``call``
     and ``release`` are what somebody types to stop and release it; empty where that would do
-    nothing.
+    nothing. What ends in ``_here`` may be done here, and what in ``_then`` says what happens then.
     """
-    node, two = look.store.graph.pump(look.wall), look.store.graph.two_pumps(look.wall)
-    if node is None or two:
-        sentence = two or "There is no pump node that could be stopped from here."
-        return {
-            "possible": False, "stopped": False, "node": None, "label": "Stop the pump",
-            "sentence": sentence, "warning": two, "call": "", "release": "", **_release(None, None),
-        }
-    asked, gone = bool(node.values.get("stop")), look.gone(node)
-    call = f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
-    stands = not gone and node.values.get("stands") is True
-    warning = ""
+    two = store.graph.two_pumps(store.wall)
+    node = None if two else store.graph.pump(store.wall)
+    values = {} if node is None else node.values
+    asked, gone = bool(values.get("stop")), store.gone(node)
+    stands = not gone and values.get("stands") is True
+    stopped, warning = asked and stands, two
     if asked and not stands and not gone:
         warning = (
             "Stop was accepted, but the pump still turns, or it is not known whether it stands. "
             "Stop it at its drive's panel if it does not stand within seconds."
         )
-    state = (look.says_of_pump() or "").partition(": ")[0]
-    off, stopped = state in ("off", "held", "fault") and stands, asked and stands
+    state = "" if node is None else (store.pump_says or "").partition(": ")[0]
+    off = state in ("off", "held", "fault") and stands
+    call = "" if node is None else f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
+    owners, fault, refusal = _held(None if gone or not store.allow_release else node)
+    others = " and ".join(one for one in owners if one != "page")
+    stays = f"It stays off for all that: it is held off by {others}, too. "
     return {
-        "possible": True, "stopped": stopped, "node": node.name,
+        "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
         else "Keep the pump off" if off else "Stop the pump",
-        "sentence": ("It was held off when last heard. " if asked and gone else "")
+        "sentence": two or "There is no pump node that could be stopped from here."
+        if node is None else ("It was held off when last heard. " if asked and gone else "")
         + ("The pump is held" if stopped else "Holds the pump")
         + " off until somebody releases it at the pump node.",
         "warning": warning,
-        "call": "" if stopped else f'{call} "{{data: true}}"',
+        "call": f'{call} "{{data: true}}"' if call and not stopped else "",
         "release": f'{call} "{{data: false}}"' if asked else "",
-        **_release(None if gone or not look.store.allow_release else node, stands),
-    }
-
-
-def _release(node: Node | None, stands: bool | None) -> dict[str, Any]:
-    """Return what may be released and cleared here, and what happens then.
-
-    Args:
-        node: of the pump; None where nothing may.
-        stands: whether the pump does.
-    """
-    owners = node.values.get("stopped_by") if node is not None else ()
-    owners = owners if isinstance(owners, list) else []
-    fault = "" if node is None else node.text("fault")
-    refusal = "" if node is None else node.text("page_may_not_clear")
-    others = [str(one) for one in owners if one != "page"]
-    stays = f"It stays off for all that: it is held off by {' and '.join(others)}, too. "
-    return {
-        "release_here": "page" in owners and bool(stands),
+        "release_here": "page" in owners and stands,
         "release_then": (stays if others else _THEN) + LOCK_OUT,
-        "clear_here": bool(fault) and not refusal and bool(stands),
+        "clear_here": bool(fault) and not refusal and stands,
         "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
         "no_clear": refusal if fault else "",
     }
+
+
+def _held(node: Node | None) -> tuple[list[str], str, str]:
+    """Return who holds the pump off, its fault, and why that may not be cleared here."""
+    if node is None:
+        return [], "", ""
+    owners = node.values.get("stopped_by")
+    names = [str(one) for one in owners] if isinstance(owners, list) else []
+    return names, node.text("fault"), node.text("page_may_not_clear")
 
 
 # --- the water account ----------------------------------------------------------------------------
@@ -361,7 +344,7 @@ def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
 # --- the charts -----------------------------------------------------------------------------------
 
 
-def series(store: Store, hours: float, points: int = 400) -> dict[str, Any]:
+def series(store: Store, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
     Nothing is known between two rows of a line that are further apart than its entry of ``gaps``
@@ -369,11 +352,8 @@ def series(store: Store, hours: float, points: int = 400) -> dict[str, Any]:
 
     Args:
         store: what is known.
-        hours: how far back, at most a week.
-        points: of each line, at most, about.
+        hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
     """
-    hours = min(max(hours, LEAST_HOURS), MOST_HOURS) if math.isfinite(hours) else 12.0
-    points = min(max(int(points), _POINTS[0]), _POINTS[1])
     with store.lock:
         now = store.now
         lines: dict[str, list[list[Any]]] = {name: [] for name in (*LINES, "roof_expected")}
@@ -382,15 +362,15 @@ def series(store: Store, hours: float, points: int = 400) -> dict[str, Any]:
             newest = max((one.time_ns for one in store.newest.values()), default=0)
             last = max(newest, round(now * 1e9))
             first = last - round(hours * 3.6e12)
-            stretch = stretch_of(first, last, points)
+            stretch = stretch_of(first, last, _POINTS)
             for name, topic in LINES.items():
                 if topic in store.past:
-                    lines[name] = store.past[topic].window(first, last, points)
+                    lines[name] = store.past[topic].window(first, last, _POINTS)
             for history in (store.expected, store.expected_next()):
-                lines["roof_expected"] += history.window(first, last, points)
+                lines["roof_expected"] += history.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()
-        for one in store.incidents(now):
+        for one in store.incidents():
             if one.of_pump:
                 lost.add(one.began, math.inf if one.ended is None else one.ended)
         lines["flow"] = lost.cut_out(store.unknown_flow.cut_out(lines["flow"]))

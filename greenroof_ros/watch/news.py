@@ -7,7 +7,6 @@ import json
 import time
 import traceback
 import zlib
-from collections import Counter
 from collections.abc import AsyncGenerator
 from typing import Any
 
@@ -33,7 +32,7 @@ class Message:
         plain: as it is.
         compressed: raw deflate.
         made: when (steady clock, s).
-        looked: when it was last found to be what still holds.
+        looked: when it was last made, and found to be what still holds.
     """
 
     def __init__(self, name: str, content: dict[str, Any]) -> None:
@@ -46,94 +45,77 @@ class Message:
 
 
 class News:
-    """The document and the series, renewed while somebody reads them.
+    """The document and the series, made anew while somebody reads them.
 
     A reader gets what is newest when it has taken what it got before. What came in between is gone,
     so that a thousand slow ones need no more memory than one.
+
+    Attributes:
+        readers: how many read.
     """
 
     def __init__(self, store: Store) -> None:
-        """Renew nothing yet.
+        """Make nothing yet.
 
         Args:
             store: what is shown.
         """
+        self.readers = 0
         self._store = store
-        self._hours: Counter[float] = Counter()
-        self._newest: dict[float | None, Message] = {}  # series by their hours, and the document
-        self._changed = asyncio.Condition()
-        self._failures = 0
-
-    @property
-    def readers(self) -> int:
-        """How many read."""
-        return self._hours.total()
+        self._newest: dict[str | float, Message] = {}  # by name, of series by their hours
+        self._making = asyncio.Lock()
 
     async def messages(self, hours: float) -> AsyncGenerator[Message, None]:
-        """Yield news as they come, the newest only; ends where they cannot be made.
+        """Yield news as they come, the newest only.
+
+        What cannot be made is printed, and ends every stream: a page says then that it is not
+        connected, rather than showing something old as if it were now.
 
         Args:
             hours: of the past in the series; 0 for the summary alone, of a page that nobody sees.
         """
-        failures, old = self._failures, dict[float | None, Message]()
-        wanted = (None, hours) if hours else (0.0,)
-        self._hours[hours] += 1
+        wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
+        sent: dict[str | float, Message] = {}
+        self.readers += 1
         try:
-            async with self._changed:
-                self._changed.notify_all()  # what renews waits for a reader
             while True:
-                async with self._changed:
-                    while old == (new := {
-                        key: self._newest[key] for key in wanted if key in self._newest
-                    }):
-                        await self._changed.wait()
-                        if self._failures != failures:
-                            return
-                for key, message in new.items():
-                    if old.get(key) is not message:
+                for key in wanted:
+                    message = await self._made(key)
+                    if sent.get(key) is not message:
+                        sent[key] = message
                         yield message
-                old = new
+                await asyncio.sleep(_STATE_S)
+        except _CannotBeMadeError:
+            return
         finally:
-            self._hours[hours] -= 1
-            if not self._hours[hours]:
-                del self._hours[hours]
+            self.readers -= 1
 
-    async def renew(self) -> None:
-        """Renew for ever what is read.
+    async def _made(self, key: str | float) -> Message:
+        """Return the newest message, which is made once for all readers."""
+        async with self._making:
+            now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
+            self._newest = {  # what was made for others who have gone is let go of
+                each: one for each, one in self._newest.items() if now - one.looked < _AT_LEAST_S
+            }
+            old = self._newest.get(key)
+            if old is None or now - old.looked >= lasts:
+                try:
+                    old = _newer(old, await asyncio.to_thread(self._make, key))
+                except Exception as error:
+                    traceback.print_exc()
+                    raise _CannotBeMadeError from error
+                self._newest[key] = old
+            return old
 
-        What cannot be made is printed, and ends every stream: a page says then that it is not
-        connected, rather than showing something old as if it were now.
-        """
-        while True:
-            async with self._changed:
-                while not self._hours:
-                    self._newest = {}  # too old for whoever comes next
-                    await self._changed.wait()
-            begun = time.monotonic()
-            try:
-                self._newest = await asyncio.to_thread(self._make, list(self._hours))
-            except Exception:
-                traceback.print_exc()
-                self._newest = {}
-                self._failures += 1
-            async with self._changed:
-                self._changed.notify_all()
-            await asyncio.sleep(max(_STATE_S - (time.monotonic() - begun), 0.05))
+    def _make(self, key: str | float) -> Message:
+        if not isinstance(key, str):
+            return Message("series", series(self._store, key))
+        shown = document(self._store, time.monotonic())
+        return Message(key, shown if key == "state" else shown["tiles"]["summary"])
 
-    def _make(self, wanted: list[float]) -> dict[float | None, Message]:
-        """Make what is newer than what there is."""
-        now, before = time.monotonic(), self._newest
-        state = document(self._store, now)
-        made: dict[float | None, Message] = {
-            None: _newer(before.get(None), Message("state", state)),
-            0.0: _newer(before.get(0.0), Message("summary", state["tiles"]["summary"])),
-        }
-        for hours in filter(None, wanted):
-            old = before.get(hours)
-            if old is None or now - old.looked >= _SERIES_S:
-                old = _newer(old, Message("series", series(self._store, hours)))
-            made[hours] = old
-        return made
+
+class _CannotBeMadeError(Exception):
+    """A message cannot be made."""
 
 
 def _newer(old: Message | None, new: Message) -> Message:

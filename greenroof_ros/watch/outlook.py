@@ -83,7 +83,8 @@ class Forecast(_Steps):
     def rows(self) -> list[list[float]]:
         """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
         columns = (self.begins, self.ends, self.rain.mean(axis=0), *_ranges(self.rain))
-        return np.column_stack(columns).tolist()
+        rows: list[list[float]] = np.column_stack(columns).tolist()
+        return rows
 
 
 def _ranges(values: Values) -> tuple[Values, Values]:
@@ -127,5 +128,6 @@ class Plan(_Steps):
 
     def rows(self, now: float) -> list[list[float]]:
         """Return begin and end (s since 1970), flow and level at the end of each step to come."""
-        columns = (self.begins, self.ends, self.flow, self.level)
-        return np.column_stack(columns)[self.ends > now].tolist()
+        columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
+        rows: list[list[float]] = columns[self.ends > now].tolist()
+        return rows

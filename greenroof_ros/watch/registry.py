@@ -13,6 +13,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ _LAST_TICK, _LAST_NS = 2**40, 2**63
 # What ROS lets a node be called; its name is part of a command that is advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
+_LAST_WORDS = {FINISHED: "has finished: the run is over", ENDED: "ended"}
 _SAMPLES = {
     "/cistern/level": "cistern_level", "/roof/level": "roof_level", "/pump/command": "command",
 }
@@ -115,7 +117,7 @@ class Node:
     @property
     def over(self) -> bool:
         """Whether its last word was its end."""
-        return self.state in (FINISHED, ENDED)
+        return self.state in _LAST_WORDS
 
     @property
     def lockstep(self) -> bool:
@@ -222,14 +224,13 @@ class Registry:
         """Return what a node of this graph says of itself; None for any other status."""
         if ": " in name or status.message not in STATES or not self.is_own(status):
             return None
-        values = {}
-        for key, text in list(status.values.items())[:_VALUES]:
-            if len(text) > _VALUE:
-                continue
-            try:
-                values[key] = _read_value(text)
-            except (ValueError, RecursionError):
-                return None
+        try:
+            values = {
+                key: _read_value(text) for key, text in islice(status.values.items(), _VALUES)
+                if len(text) <= _VALUE
+            }
+        except (ValueError, RecursionError):
+            return None
         named = isinstance(values.get("role"), str) and isinstance(values.get("process"), str)
         return values if named else None
 
@@ -252,10 +253,8 @@ class Registry:
             before, node.values, node.first = node.values, values, False
             if state != node.state:
                 node.since = wall
-                if state == FINISHED:
-                    self._say(f"{name} has finished: the run is over")
-                elif state == ENDED:
-                    self._say(f"{name} ended")
+                if state in _LAST_WORDS:
+                    self._say(f"{name} {_LAST_WORDS[state]}")
             node.role, node.state, node.heard = role, state, wall
             self._compare(wall, node, before)
         self._latest[name] = node
@@ -453,7 +452,7 @@ class Registry:
         """Whether it is of another graph's node, or a part of it, whose last word was its end."""
         node = self._foreign.get(name.partition(": ")[0])
         return (
-            node is not None and node.status.message in (FINISHED, ENDED)
+            node is not None and node.status.message in _LAST_WORDS
             and part.heard <= node.heard
         )
 

@@ -326,13 +326,12 @@ async def serving(
     assert runner.server is not None
     site.connections = connections = _Connections(runner.server)
     server = await loop.create_server(connections.accept, sock=place.socket)
-    tasks = [loop.create_task(site.news.renew()), loop.create_task(connections.drop_idle())]
+    dropping = loop.create_task(connections.drop_idle())
     try:
         yield
     finally:
         server.close()
-        for task in tasks:
-            task.cancel()
+        dropping.cancel()
         connections.drop_all()
         await runner.cleanup()
 

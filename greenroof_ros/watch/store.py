@@ -37,7 +37,6 @@ Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 _Outlook = TypeVar("_Outlook", Forecast, Plan)
 
-MODES = ("none", "simulated", "loop", "live", "ended")
 FLOW, RAIN_FORECAST = "/pump/flow", "/forecast/precipitation"
 PLAN, PUMP_STATE = "/controller/plan", "/pump/state"
 _NUMBER = "std_msgs/msg/Float64"
@@ -117,9 +116,10 @@ class Store:
         lock: held by whoever reads several attributes.
         namespace: of the graph; empty where it has none.
         site: by which levels are judged: the paper's, until another one is known.
+        wall: when it was looked at last (steady clock, s).
         notes: what an operator should know of the site file, and of what is watched.
-        mode: one of ``MODES``: nothing was heard yet, a simulation, one with the drive of a real
-            pump, a live site, or a run that has ended.
+        mode: ``none`` where nothing was heard yet, ``simulated``, ``loop`` of a simulation with the
+            drive of a real pump, ``live``, or ``ended`` of a run that is over.
         factor: simulated time per wall time; None where there is none.
         source: where the values come from: ``heard``, ``bag`` or ``samples``.
         allow_release: whether the pump may be released from here.
@@ -149,6 +149,7 @@ class Store:
         self.alarms = Alarms(namespace)
         self._nobody = Registry()
         self._interface = read_topics()
+        self.wall = 0.0
         self._began = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
@@ -179,8 +180,6 @@ class Store:
         self._controller_at = -math.inf  # when it was last heard (s since 1970)
         self.unknown_flow = Gaps()
         self._clock_began: float | None = None  # of a simulation, as far as known (s since 1970)
-        self._came = False
-        self._quiet_since: float | None = None  # wall time (s)
 
     def _begin_account(self) -> None:
         self.account = Account(self.site)
@@ -217,17 +216,12 @@ class Store:
         """Say what is watched now: ``mode`` and others as in the attributes.
 
         Args:
-            mode: one of ``MODES``.
+            mode: as in the attributes.
             factor: simulated time per wall time; None where there is none.
             source: where the values come from.
             note: what an operator should know of that; empty where it is plain.
             graph_shown: whether it is the graph that is there.
-
-        Raises:
-            ValueError: there is no such mode.
         """
-        if mode not in MODES:
-            raise ValueError(f"no mode: {mode}")
         with self.lock:
             self.mode, self.source, self.alarms.shown = mode, source, graph_shown
             self.factor = factor if factor is not None and math.isfinite(factor) else None
@@ -262,15 +256,30 @@ class Store:
 
     def note(self, wall: float) -> None:
         """Note what came since the last look; the system's time is as it was then."""
+        self.wall = wall
         for newest in self.newest.values():
-            newest.look(wall, ended=self.mode == "ended")
+            newest.look(wall, ended=self.ended)
         self._date_anew()
         self.alarms.look(wall, self._now_or(time.time()))
-        if self._came or self._quiet_since is None:
-            self._came, self._quiet_since = False, wall
-        quiet = wall - self._quiet_since > _QUIET_S
-        if self.mode == "ended" and quiet:
+        newest = self.newest.values()
+        if self.ended and all(one.silent_for(wall) > _QUIET_S for one in newest):
             self.account.end()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the run is over, so that nothing is to come."""
+        return self.mode == "ended"
+
+    def gone(self, node: Node | None) -> bool:
+        """Whether there was a node that is not heard now, or has ended."""
+        return node is not None and not self.ended and not node.is_heard(self.wall)
+
+    @property
+    def pump_says(self) -> str | None:
+        """The pump node's state and why; None where there is no such node."""
+        if self.pump is not None and (text := self.pump.text("pump")):
+            return text
+        return None if self.pump_state is None else self.pump_state[1]
 
     # --- values ---------------------------------------------------------------------------------
 
@@ -303,7 +312,6 @@ class Store:
             self.newest[topic] = newest
             newest.take(int(times[-1]), float(numbers[-1]))
             newest.past_ns = int(times[-1])
-            self._came = True
             if topic == FLOW:
                 numbers[self.unknown_flow.at(times / 1e9)] = np.nan
             known = np.isfinite(numbers)
@@ -336,6 +344,11 @@ class Store:
         """Return between which values one of a topic is plausible, in its unit."""
         entry = self._interface[topic]
         return max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+
+    def known(self, topic: str) -> float | None:
+        """Return a value that is of now; None where there is none."""
+        newest = self.newest.get(topic)
+        return None if newest is None or newest.stale else newest.value
 
     def _latest_ns(self) -> float:
         """Return the latest time that a value may have (ns since 1970)."""
@@ -553,7 +566,7 @@ class Store:
         with self.lock:
             return self.alarms.acknowledge(alarm_id)
 
-    def incidents(self, now: float | None) -> list[Dated]:
+    def incidents(self) -> list[Dated]:
         """Return the recorded incidents that have begun; none where nodes say how they are.
 
         On a live site those that were over before the nodes were heard here.
@@ -563,9 +576,16 @@ class Store:
                 one for one in self.recorded_incidents
                 if one.ended is not None and one.ended < self._heard_since
             ]
-        if self.graph.anybody or self.mode != "ended" or now is None:
+        now = self.now
+        if self.graph.anybody or not self.ended or now is None:
             return []
         return [one for one in self.recorded_incidents if one.began <= now]
+
+    @property
+    def lost_pump(self) -> bool:
+        """Whether a recording says that what the pump does is not known now."""
+        now = self.now or 0.0
+        return any(one.of_pump and one.stands(now) for one in self.incidents())
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -584,6 +604,14 @@ class Store:
     def utc_offset(self) -> float:
         """Of the times that are shown (h): the site's, UTC where it has none."""
         return 0.0 if self.site.utc_offset is None else self.site.utc_offset
+
+    def time_of_day(self, at: float) -> str:
+        """Write a time of the graph (s since 1970)."""
+        return words.time_of_day(at, self.utc_offset, at if self.now is None else self.now)
+
+    def hour(self, at: float) -> str:
+        """Write a time that comes (s since 1970)."""
+        return words.hour_and_minute(at, self.utc_offset, self.now or at)
 
     def _date_anew(self) -> None:
         """Date what was noted before the clock of a simulation was known by that clock's begin."""

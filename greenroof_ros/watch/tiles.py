@@ -6,8 +6,7 @@ judged, a ``sentence`` with more about it, and whether its value is ``stale``: t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,9 +14,8 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.outlook import Amount, Forecast, Plan
-from greenroof_ros.watch.registry import SILENT_S, Node
-from greenroof_ros.watch.store import Newest, Store
+from greenroof_ros.watch.outlook import Amount, Plan
+from greenroof_ros.watch.store import Store
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
@@ -36,78 +34,15 @@ flow = partial(words.value_of, _FLOW)
 Tile = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Look:
-    """One look at what is known, at one time.
-
-    Attributes:
-        store: all of it.
-        wall: now (steady clock, s).
-        wrong: the alarms of now.
-    """
-
-    store: Store
-    wall: float
-    wrong: list[dict[str, Any]]
-
-    @property
-    def site(self) -> Site:
-        """By which levels are judged."""
-        return self.store.site
-
-    @property
-    def ended(self) -> bool:
-        """Whether the run is over, so that nothing is to come."""
-        return self.store.mode == "ended"
-
-    def value(self, topic: str) -> Newest | None:
-        """Return the newest value of a topic."""
-        return self.store.newest.get(topic)
-
-    def known(self, topic: str) -> float | None:
-        """Return a value that is of now; None where there is none."""
-        newest = self.value(topic)
-        return None if newest is None or newest.stale else newest.value
-
-    def time_of_day(self, at: float) -> str:
-        """Write a time of the graph (s since 1970)."""
-        now = self.store.now
-        return words.time_of_day(at, self.store.utc_offset, at if now is None else now)
-
-    def hour(self, at: float) -> str:
-        """Write a time that comes (s since 1970)."""
-        return words.hour_and_minute(at, self.store.utc_offset, self.store.now or at)
-
-    def lost_pump(self) -> bool:
-        """Whether a recording says that what the pump does is not known now."""
-        now = self.store.now
-        return now is not None and any(
-            one.of_pump and one.stands(now) for one in self.store.incidents(now)
-        )
-
-    def gone(self, node: Node | None) -> bool:
-        """Whether there was a node that is not heard now, or has ended."""
-        return node is not None and not self.ended and (
-            node.over or self.wall - node.heard > SILENT_S
-        )
-
-    def says_of_pump(self) -> str | None:
-        """Return the pump node's state and why; None where there is no such node."""
-        node = self.store.pump
-        if node is not None and (text := node.text("pump")):
-            return text
-        return None if self.store.pump_state is None else self.store.pump_state[1]
-
-
 def _tile(
-    look: Look, label: str, topic: str, judged: Callable[[float], tuple[str, str]], **more: Any
+    store: Store, label: str, topic: str, judged: Callable[[float], tuple[str, str]], **more: Any
 ) -> Tile:
     """Return the tile of a topic, whose state and sentence follow from its value.
 
     A value that is missing or stale is unknown, and says what was heard last, and when; one that is
     not plausible is an alarm.
     """
-    newest = look.value(topic)
+    newest = store.newest.get(topic)
     number = None if newest is None else newest.value
     if number is not None:
         text, (state, sentence) = words.value_of(topic, number), judged(number)
@@ -117,7 +52,7 @@ def _tile(
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor says what cannot be"
     if stale := newest is not None and newest.stale:
         assert newest is not None
-        sentence = f"{text} when last heard at {look.time_of_day(newest.time_ns / 1e9)}"
+        sentence = f"{text} when last heard at {store.time_of_day(newest.time_ns / 1e9)}"
         text, number, state = words.UNKNOWN, None, "unknown"
     return {
         "label": label, "value": text, "number": number, "state": state, "sentence": sentence,
@@ -130,9 +65,9 @@ def band_of(site: Site) -> list[float]:
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
 
-def roof(look: Look) -> Tile:
+def roof(store: Store) -> Tile:
     """Return the tile of the roof's level."""
-    site, newest = look.site, look.value(_ROOF)
+    site, newest = store.site, store.newest.get(_ROOF)
     # The paper's soil is ten times as deep as the water that is wanted; where there is more than
     # twice that, the whole of it is shown.
     full, (low, high) = site.roof_level(site.z_cap), band_of(site)
@@ -148,7 +83,7 @@ def roof(look: Look) -> Tile:
         return state, _versus_target(level - site.z_veg) + drains
 
     return _tile(
-        look, "Roof level", _ROOF, judged, low=0.0, high=top, marks=marks, band=[low, high]
+        store, "Roof level", _ROOF, judged, low=0.0, high=top, marks=marks, band=[low, high]
     )
 
 
@@ -160,9 +95,9 @@ def _versus_target(difference: float) -> str:
     return f"{text} {'below' if difference < 0 else 'above'} its target"
 
 
-def cistern(look: Look) -> Tile:
+def cistern(store: Store) -> Tile:
     """Return the tile of the cistern's level."""
-    site, newest = look.site, look.value(_CISTERN)
+    site, newest = store.site, store.newest.get(_CISTERN)
     marks = [
         {"at": at, "label": f"{name} {words.value_of(_CISTERN, at)}"}
         for name, at in (
@@ -183,28 +118,32 @@ def cistern(look: Look) -> Tile:
 
     shown = 0.0 if newest is None else newest.value or 0.0
     return _tile(
-        look, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
+        store, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
         marks=marks, band=[site.suction_level, site.z_o],
     )
 
 
-def pump(look: Look) -> Tile:
+def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
     ``alarm`` is whether it may turn and nobody knows, ``idle`` whether it is off since the
     controller commands nothing, and for no other reason.
+
+    Args:
+        store: what is known.
+        wrong: the alarms of now.
     """
-    node, said = look.store.pump, look.says_of_pump()
+    node, said = store.pump, store.pump_says
     values = {} if node is None else node.values
-    gone, lost = look.gone(node), look.lost_pump()
+    gone, lost = store.gone(node), store.lost_pump
     may_turn = lost or (
         node is not None and (node.may_turn or (gone and values.get("stands") is False))
     )
     heard = values.get("speed", 0.0) is not None  # so is one that says no speed at all
-    flow_known = not (lost or look.store.unknown_flow.lasts)
-    pumped = look.value(_FLOW) if flow_known and (heard or may_turn) else None
-    command = look.value(_COMMAND)
-    state, why = _state(look, said)
+    flow_known = not (lost or store.unknown_flow.lasts)
+    pumped = store.newest.get(_FLOW) if flow_known and (heard or may_turn) else None
+    command = store.newest.get(_COMMAND)
+    state, why = _state(store, said)
     parts = []
     if may_turn:
         parts.append("whether it stands is not known")
@@ -229,13 +168,13 @@ def pump(look: Look) -> Tile:
     if stale and state != words.UNKNOWN:
         parts.insert(0, f"{state} when last heard")
     name = "" if node is None else node.name
-    kept_off = look.known(_FROST) or any(one["id"] == f"{name}: {PUMP}" for one in look.wrong)
+    kept_off = store.known(_FROST) or any(one["id"] == f"{name}: {PUMP}" for one in wrong)
     state = "unknown" if stale else state
     return {
         "label": "Pump", "value": state,
         "number": None if pumped is None or pumped.stale else pumped.value,
         "state": state, "alarm": may_turn,
-        "idle": state == "off" and not kept_off and look.known(_COMMAND) == 0,
+        "idle": state == "off" and not kept_off and store.known(_COMMAND) == 0,
         "sentence": "; ".join(parts), "why": why, "stale": stale,
     }
 
@@ -248,14 +187,14 @@ def _commanded(share: float | None) -> str:
     return f"commanded {words.command(share)} of its greatest flow"
 
 
-def _state(look: Look, said: str | None) -> tuple[str, str]:
+def _state(store: Store, said: str | None) -> tuple[str, str]:
     """Return the pump's state and why it is so; in a plain simulation, by the plant's rules."""
     if said is not None:
         state, _, why = said.partition(": ")
         return (state, why) if state in PUMP_STATES else ("unknown", said)
-    pumped, command = look.value(_FLOW), look.value(_COMMAND)
+    pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
     share = None if command is None else command.value
-    why = _why_off(look, share)
+    why = _why_off(store, share)
     if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
@@ -263,10 +202,10 @@ def _state(look: Look, said: str | None) -> tuple[str, str]:
     return ("running", "") if pumped.value > 0 else ("off", why or "it rests between two runs")
 
 
-def _why_off(look: Look, share: float | None) -> str:
+def _why_off(store: Store, share: float | None) -> str:
     """Return why a simulated pump stands; empty where nothing known says so."""
-    site, level, stored = look.site, look.known(_ROOF), look.known(_CISTERN)
-    if look.known(_FROST):
+    site, level, stored = store.site, store.known(_ROOF), store.known(_CISTERN)
+    if store.known(_FROST):
         return "there is frost"
     if share == 0:
         return "nothing is commanded"
@@ -277,26 +216,26 @@ def _why_off(look: Look, share: float | None) -> str:
     return "no command is known" if share is None else ""
 
 
-def rain(look: Look) -> Tile:
+def rain(store: Store) -> Tile:
     """Return the tile of the rain, now and to come."""
-    topic = _GAUGE if look.value(_RAIN) is None else _RAIN
-    tile = _tile(look, "Rain", topic, lambda _: ("good", ""))
-    return tile if tile["stale"] else {**tile, "sentence": _to_come(look)}
+    topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
+    tile = _tile(store, "Rain", topic, lambda _: ("good", ""))
+    return tile if tile["stale"] else {**tile, "sentence": _to_come(store)}
 
 
-def _to_come(look: Look) -> str:
-    forecast, now = look.store.forecast, look.store.now
+def _to_come(store: Store) -> str:
+    forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
     # A forecast is as old as its issue, where that is known.
     made_at = forecast.at if forecast.issued is None else forecast.issued
-    age, made = now - forecast.at, look.hour(made_at)
+    age, made = now - forecast.at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
         return f"no forecast is known: that of {made} is over"
-    if age > OLD_S and not look.ended:
+    if age > OLD_S and not store.ended:
         return f"the forecast is too old, of {made}: {_amount(amount, ended=True)}"
-    sentence = _amount(amount, ended=look.ended)
+    sentence = _amount(amount, ended=store.ended)
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
@@ -316,23 +255,28 @@ def _range(amount: Amount) -> str:
     return f" ({low} to {high})"
 
 
-def controller(look: Look) -> Tile:
-    """Return the tile of the controller."""
-    node = look.store.graph.node("controller")
+def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
+    """Return the tile of the controller.
+
+    Args:
+        store: what is known.
+        wrong: the alarms of now.
+    """
+    node = store.graph.node("controller")
     name = None if node is None else node.name.rpartition("/")[2]
-    if look.ended:
-        name = name or look.store.recorded_controller or None
+    if store.ended:
+        name = name or store.recorded_controller or None
     alarm = next((
-        one["what"] for one in look.wrong
+        one["what"] for one in wrong
         if node is not None and one["level"] in ("error", "stale")
         and one["id"].partition(": ")[0] == node.name
     ), "")
-    command, plan, now = look.value(_COMMAND), look.store.plan, look.store.now
-    known = name is not None and look.known(_COMMAND) is not None
+    command, plan, now = store.newest.get(_COMMAND), store.plan, store.now
+    known = name is not None and store.known(_COMMAND) is not None
     if alarm:
         sentence = alarm
     elif plan is not None and now is not None:
-        sentence = _planned(look, plan, now)
+        sentence = _planned(store, plan, now)
     elif name is None and command is None:
         sentence = "no controller is known"
     elif command is None or command.value is None:
@@ -341,25 +285,25 @@ def controller(look: Look) -> Tile:
         sentence = f"commands {words.command(command.value)} of the pump's greatest flow"
     else:
         sentence = "commands no pumping now"
-    if not alarm and not look.ended:
-        sentence = "; ".join(filter(None, (_aim(look), sentence, _trusted(look))))
+    if not alarm and not store.ended:
+        sentence = "; ".join(filter(None, (_aim(store), sentence, _trusted(store))))
     return {
         "label": "Controller",
-        "value": name or ("not recorded" if look.ended else words.UNKNOWN), "number": None,
+        "value": name or ("not recorded" if store.ended else words.UNKNOWN), "number": None,
         "state": "alarm" if alarm else "good" if known else "unknown", "sentence": sentence,
         "stale": command is not None and command.stale,
     }
 
 
-def _aim(look: Look) -> str:
+def _aim(store: Store) -> str:
     """Return to what a controller fills the roof now; empty where it leaves it alone."""
-    level = look.known("/controller/fill_to")
+    level = store.known("/controller/fill_to")
     return "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
 
 
-def _trusted(look: Look) -> str:
+def _trusted(store: Store) -> str:
     """Return how far a controller trusts the forecast; empty where it does in full."""
-    share = look.known("/controller/trust")
+    share = store.known("/controller/trust")
     if share is None or share == 1:
         return ""
     if share == 0:
@@ -370,59 +314,50 @@ def _trusted(look: Look) -> str:
     )
 
 
-def _planned(look: Look, plan: Plan, now: float) -> str:
-    ended = look.ended
+def _planned(store: Store, plan: Plan, now: float) -> str:
+    ended = store.ended
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
     volume, begin = plan.pumped(now)
     reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if begin is None:
         return f"{'planned not to' if ended else 'will not'} pump in the next {reach}"
-    start = "from now on" if begin <= now else f"from {look.hour(begin)} on"
+    start = "from now on" if begin <= now else f"from {store.hour(begin)} on"
     will = "planned to" if ended else "will"
     return f"{will} pump {words.quantity(volume, 'm3', 2)} in the next {reach}, {start}"
 
 
-def waiting(look: Look, idle: bool) -> str:
+def waiting(store: Store, idle: bool) -> str:
     """Return for which rain the controller waits; empty where it does not.
 
     It does where the roof is too dry, it alone has the pump off, and at least the missing water is
     forecast, before it plans to pump any.
 
     Args:
-        look: what is known.
+        store: what is known.
         idle: whether the controller alone has the pump off.
     """
-    site, now, forecast = look.site, look.store.now, look.store.forecast
-    level = look.known(_ROOF)
+    site, now, forecast = store.site, store.now, store.forecast
+    level = store.known(_ROOF)
     if (
-        now is None or forecast is None or level is None or look.ended
+        now is None or forecast is None or level is None or store.ended
         or not idle or level >= band_of(site)[0] or now - forecast.at > OLD_S
     ):
         return ""
-    amount = _enough(forecast, now, site.z_veg - level)
-    if amount is None:
+    amount, plan = forecast.amount(now), store.plan
+    if amount is None or amount.reach_s < SOON_S or amount.mean < site.z_veg - level:
         return ""
-    plan = look.store.plan
     begin = None if plan is None or now >= plan.ends[-1] else plan.pumped(now)[1]
     if begin is not None and begin < amount.fallen_at:
         return ""
-    by = look.hour(-(-amount.fallen_at // 3600) * 3600)
+    by = store.hour(-(-amount.fallen_at // 3600) * 3600)
     return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"
 
 
-def _enough(forecast: Forecast, now: float, missing: float) -> Amount | None:
-    """Return the rain of the next hours where at least so much is forecast (m)."""
-    amount = forecast.amount(now)
-    if amount is None or amount.reach_s < SOON_S or amount.mean < missing:
-        return None
-    return amount
-
-
-def too_wet(look: Look) -> str:
+def too_wet(store: Store) -> str:
     """Return how much too wet the controller expects the roof to be; empty where it does not."""
-    site, plan, now, level = look.site, look.store.plan, look.store.now, look.known(_ROOF)
-    if plan is None or now is None or level is None or look.ended:
+    site, plan, now, level = store.site, store.plan, store.now, store.known(_ROOF)
+    if plan is None or now is None or level is None or store.ended:
         return ""
     high = band_of(site)[1]
     above = plan.above(high, now)
@@ -430,6 +365,6 @@ def too_wet(look: Look) -> str:
         return ""
     begin, highest = above
     return (
-        f"It is expected to be too wet from {look.hour(begin)} on, "
+        f"It is expected to be too wet from {store.hour(begin)} on, "
         f"up to {roof_level(highest - site.z_veg)} above its target."
     )

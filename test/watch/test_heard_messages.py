@@ -140,7 +140,10 @@ def test_hostile_diagnostics_are_cut() -> None:
 
 
 def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
-    """Level, forecast and plan of now; an empty plan says that it is unchanged."""
+    """Level, forecast and plan of now; an empty plan says that it is unchanged.
+
+    Where no bag comes, it becomes the past.
+    """
     store = Store()
     feed = Feed(store)  # not entered: no graph
     feed._mode = "live"  # a message is of the time when it came
@@ -173,3 +176,8 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
     ]
     assert read_document(store, 0.0)["tiles"]["roof"]["number"] == 0.045
     assert series["lines"]["roof"] == series["lines"]["roof_expected"] == []
+    feed._waits_since = 0.0  # no bag has come
+    feed._hand_on()
+    series = read_series(store, 12)
+    assert series["lines"]["roof"] == [[now, 0.045, 0.045, 0.045]]
+    assert len(series["plan"]) == 2

@@ -182,18 +182,6 @@ def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: i
     assert "SetBool" not in " ".join(drawn(Store(), 120, 24))
 
 
-def test_a_pump_of_which_no_flow_is_known_yet() -> None:
-    """As a site says at first: its state is on /diagnostics, flow and command are not there yet."""
-    one = store("live")
-    assert read_document(one, 0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
-    one.add_statuses(1.0, node("/pump", "pump", pump="off: no command"))
-    assert read_document(one, 1.0)["tiles"]["pump"]["sentence"] == ""
-    assert any(line.startswith("Pump          unknown") for line in drawn(one))
-    # And a sentence of nothing but a line's end.
-    one.add_statuses(1.5, node("/mpc", "controller", ("program", ERROR, "\n")))
-    assert any(line.startswith("Controller") for line in drawn(one))
-
-
 def test_all_of_it_by_turning_pages() -> None:
     """A hundred alarms: each with its advice, the account and each event are on some page."""
     one = with_a_silent_sensor(90)
@@ -250,12 +238,6 @@ def test_what_is_constant_is_seen() -> None:
     assert pump[27:53] == "▁" * 26
 
 
-def test_what_a_terminal_says_is_in_a_terminal() -> None:
-    one = run_of(1.0)
-    assert "tile" not in " ".join(drawn(one, height=None))
-    assert "Nothing to do" not in " ".join(drawn(Store(), height=None))
-
-
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
     """A gust of rain between two columns' last values is seen, and so is the least level."""
     one = run_of(12.0)
@@ -268,15 +250,6 @@ def test_the_range_of_a_chart_is_that_of_all_values() -> None:
     assert "0.0-36.0 mm/h" in shown
     assert shown[52] == "█"
     assert any("1000-2500 mm" in line for line in lines)
-
-
-def test_the_advice_is_never_cut() -> None:
-    """Of four lines at 80 columns, the last one is the command."""
-    one = run_of(1.0, "loop")
-    one.add_statuses(99.5, node(
-        "/pump", "pump", ("pump", ERROR, "fault: the cistern falls: a burst pipe or a leak"),
-    ))
-    assert read_document(one, 100.0)["advice"] in " ".join(" ".join(drawn(one, 60)).split())
 
 
 def test_without_colour_nothing_but_text() -> None:

@@ -120,7 +120,7 @@ def take(state: str, address: str, directory: Path) -> None:
     """Take the pictures of a state."""
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
-        console.print(pages(_told(address, "state"), _told(address, "series"), 80, 24, False)[0])
+        console.print(pages(_told(address, "state"), _told(address, "series"), console, 24)[0])
     found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
