@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain, time_of_day
+from greenroof_ros.watch.words import plain
 
 # An alarm that comes back within this time (s) was not over for an operator.
 _AGAIN_S = 10.0
@@ -82,11 +82,10 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
 
 
 def row(
-    name: str, trouble: Trouble, *, since: float, over: float | None,
-    say_time: Callable[[float], str], at_least: bool = False, acknowledged: bool = False,
-    follows: str | None = None, recorded: bool = False,
+    name: str, trouble: Trouble, *, since: float, over: float | None, at_least: bool = False,
+    acknowledged: bool = False, follows: str | None = None, recorded: bool = False,
 ) -> dict[str, Any]:
-    """Return an alarm as the document has it.
+    """Return an alarm as the document has it, but for its times in words.
 
     ``plain`` is whether ``do`` is about that alarm, so that an operator reads it instead of the
     node's own words in ``what``. What only follows from another alarm names that in ``follows``.
@@ -96,9 +95,7 @@ def row(
     return {
         "id": name, "level": _LEVELS[trouble.level], "what": trouble.what, "code": trouble.code,
         "do": do, "plain": known, "since": since, "since_at_least": at_least,
-        "since_text": say_time(since), "acknowledged": acknowledged,
-        "over": over, "over_text": "" if over is None else say_time(over),
-        "follows": follows, "recorded": recorded,
+        "acknowledged": acknowledged, "over": over, "follows": follows, "recorded": recorded,
     }
 
 
@@ -128,11 +125,6 @@ class _Alarm:
     def is_acknowledged(self) -> bool:
         """Whether somebody has seen it as it is now, but for its numbers."""
         return self.gist == self.acknowledged
-
-
-def _clock(at: float) -> str:
-    """Return the time of day, UTC."""
-    return time_of_day(at, 0.0, at)
 
 
 class Alarms:
@@ -185,22 +177,19 @@ class Alarms:
 
     # --- telling --------------------------------------------------------------------------------
 
-    def rows(self, say_time: Callable[[float], str] = _clock) -> list[dict[str, Any]]:
+    def rows(self) -> list[dict[str, Any]]:
         """Return the alarms: causes, then what follows from them, and what is over last.
 
         Of both kinds the pump's state comes first, then the worst. The newest of a severity comes
         first: what has stood for long is known. So is what was acknowledged, which comes later.
-
-        Args:
-            say_time: says a time of the graph.
         """
         causes = self._causes()
         names = [*self._present(causes), *self._past()]
         return [
             row(
                 name, (one := self._alarms[name]).trouble, since=one.since, over=one.over,
-                say_time=say_time, at_least=one.since_at_least,
-                acknowledged=one.is_acknowledged, follows=causes.get(name),
+                at_least=one.since_at_least, acknowledged=one.is_acknowledged,
+                follows=causes.get(name),
             )
             for name in names[:_ROWS]
         ]
@@ -232,12 +221,9 @@ class Alarms:
         over = [one for one in self._alarms if self._alarms[one].over is not None]
         return sorted(over, key=lambda one: -self._alarms[one].over_wall)
 
-    def events(self, say_time: Callable[[float], str] = _clock) -> list[dict[str, Any]]:
+    def events(self) -> list[dict[str, Any]]:
         """Return the events, the newest first."""
-        return [
-            {"at": at, "at_text": say_time(at), "what": what}
-            for at, what in reversed(self._events)
-        ]
+        return [{"at": at, "what": what} for at, what in reversed(self._events)]
 
     def _note(self, text: str) -> None:
         if self.shown:

@@ -414,29 +414,28 @@ class Dated:
         return self.part == "drive" or (self.node, self.part) == (PUMP, "")
 
 
-def read_incidents_of(bag: Path) -> list[Dated]:
-    """Return the incidents of a run whose bag is read, in the order in which they began.
+def read_beside(bag: Path) -> tuple[str, list[Dated], str]:
+    """Return who commanded in a recorded run, its incidents as they began, and what is wrong there.
 
-    They stand in a file of their own, and in the summary where that could not be written. Their
-    times are those of ticks where the site is simulated, otherwise those of the wall.
-
-    Raises:
-        ValueError: they cannot be read, or not when they were.
+    Incidents stand in a file of their own, and in the summary where that could not be written.
+    Their times are those of ticks where the site is simulated, otherwise those of the wall.
     """
-    directory = bag.parent
+    directory, controller = bag.parent, ""
     try:
-        found = read_incidents(directory)
         path = directory / SUMMARY
         summary = json.loads(read_text(path)) if path.exists() else {}
+        controller = plain(str(summary.get("controller", "")), _MOST_TEXT)
+        found = read_incidents(directory)
         found = found or [Incident(**one) for one in summary.get("incidents", ())]
         start, tau = 0.0, 0.0
         if any(one.began_tick is not None for one in found):
             start = datetime.fromisoformat(summary["start"]).timestamp()
             tau = float(summary["tau_s"])
-        return sorted((_dated(one, start, tau) for one in found), key=lambda one: one.began)
-    except (OSError, ConfigurationError, KeyError, TypeError, AttributeError) as error:
+        dated = [_dated(one, start, tau) for one in found]
+        return controller, sorted(dated, key=lambda one: one.began), ""
+    except (OSError, ConfigurationError, ValueError, KeyError, TypeError, AttributeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise ValueError(f"{directory / INCIDENTS} cannot be shown ({why})") from error
+        return controller, [], f"{directory / INCIDENTS} cannot be shown ({why})."
 
 
 def _dated(one: Incident, start: float, tau: float) -> Dated:
@@ -451,12 +450,3 @@ def _dated(one: Incident, start: float, tau: float) -> Dated:
         "started_again" if whole and one.ended else one.code,
         at(one.began_tick, one.began), at(one.ended_tick, one.ended) if one.ended else None,
     )
-
-
-def controller_of(bag: Path) -> str:
-    """Return who commanded in a recorded run, by the summary beside its bag; empty: unknown."""
-    try:
-        name = json.loads(read_text(bag.parent / SUMMARY))["controller"]
-    except (ConfigurationError, ValueError, KeyError, TypeError):
-        return ""
-    return plain(name, _MOST_TEXT) if isinstance(name, str) else ""

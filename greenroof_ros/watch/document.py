@@ -67,13 +67,15 @@ def _document(store: Store) -> dict[str, Any]:
     recorded = [
         row(
             one.name, Trouble(ERROR, one.cause, one.code, one.node), since=one.began,
-            over=None if one.stands(now or 0.0) else one.ended, say_time=store.time_of_day,
-            recorded=True,
+            over=None if one.stands(now or 0.0) else one.ended, recorded=True,
         )
         for one in incidents
     ]
-    rows = [*recorded, *alarms.rows(store.time_of_day)]
-    rows.sort(key=lambda one: one["over"] is not None)
+    rows = sorted([*recorded, *alarms.rows()], key=lambda one: one["over"] is not None)
+    for one in rows:
+        one["since_text"] = store.time_of_day(one["since"])
+        one["over_text"] = "" if one["over"] is None else store.time_of_day(one["over"])
+    events = [{**one, "at_text": store.time_of_day(one["at"])} for one in alarms.events()]
     listed, present = _within(rows, _MOST_ALARMS), [one for one in rows if one["over"] is None]
     shown = {
         "roof": tiles.roof(store), "cistern": tiles.cistern(store),
@@ -109,7 +111,7 @@ def _document(store: Store) -> dict[str, Any]:
         "advice": alarms.advice() if own else _advice(store, shown, waits),
         "alarms": listed,
         "alarms_known": known,
-        "events": _within(alarms.events(store.time_of_day), _MOST_EVENTS),
+        "events": _within(events, _MOST_EVENTS),
         "account": _account(store),
         "stop": stop,
     }
@@ -364,8 +366,8 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             first = last - round(hours * 3.6e12)
             stretch = stretch_of(first, last, _POINTS)
             for name, topic in LINES.items():
-                if topic in store.past:
-                    lines[name] = store.past[topic].window(first, last, _POINTS)
+                if topic in store.newest:
+                    lines[name] = store.newest[topic].past.window(first, last, _POINTS)
             for history in (store.expected, store.expected_next()):
                 lines["roof_expected"] += history.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}

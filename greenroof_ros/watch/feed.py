@@ -30,7 +30,7 @@ from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.graph.supervision import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.bag import Batch, FollowedBag, controller_of, read_incidents_of
+from greenroof_ros.watch.bag import Batch, FollowedBag, read_beside
 from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # Up to how many times real time the numbers of a run are heard: 60 and its jitter.
@@ -281,12 +281,8 @@ class Feed:
 
     def _read_beside(self, bag: Path) -> None:
         """Read who commanded in a recorded run, and what was lost in it."""
-        self._store.recorded_controller = controller_of(bag)
-        self._store.recorded_incidents, self._no_incidents = (), ""
-        try:
-            self._store.recorded_incidents = read_incidents_of(bag)
-        except ValueError as error:
-            self._no_incidents = f"{error}."
+        store = self._store
+        store.recorded_controller, store.recorded_incidents, self._no_incidents = read_beside(bag)
 
     def _on_batch(self, recorded: FollowedBag, batch: Batch) -> None:
         """Take a batch; numbers last: they move now on, and its plans are there by then."""

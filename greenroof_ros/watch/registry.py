@@ -280,14 +280,10 @@ class Registry:
     def _hold(self, wall: float, node: Node) -> None:
         """Give a node its role where it is free, or was that of the process before it."""
         before = self._holders.get(node.role)
-        if before is node:
-            return
-        if before is not None and before.is_heard(wall) and (
-            before.name != node.name or before.began > node.began
-        ):
-            return
-        if before is not None and before.name == node.name and before.began > node.began:
-            return  # a process that was replaced
+        if before is not None:
+            again = before.name == node.name
+            if before is node or (before.began > node.began if again else before.is_heard(wall)):
+                return
         self._holders[node.role] = node
         if node.role == _PLANT and before is not None:
             self.runs += 1

@@ -15,7 +15,9 @@ import hmac
 import json
 import logging
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+import traceback
+import zlib
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,10 +27,9 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.looker import StopFailedError
-from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS
+from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS, document, series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import Place, listen
-from greenroof_ros.watch.news import GZIP_HEAD, News
 from greenroof_ros.watch.store import Store
 
 _PAGE = Path(__file__).resolve().parent / "page"
@@ -56,8 +57,114 @@ _TAKEN_S = 0.05
 _BODY_S = 5.0
 _MOST_BODY = 10_000
 _HOURS = "12"
+# How often the document and the series are made (s); a page that hears nothing for longer than the
+# third has lost its connection.
+_STATE_S, _SERIES_S, _AT_LEAST_S = 0.5, 2.0, 5.0
+# The head of a gzip file without name and time (RFC 1952).
+GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
 
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+# --- what is pushed: made once for all, and never queued for one that is slow --------------------
+
+
+class Message:
+    """One server-sent event, as it is and compressed.
+
+    Compressed ones can follow a :data:`GZIP_HEAD` in any choice and order, so that each is
+    compressed once for all readers: none refers to an earlier one, and each ends with a full flush.
+
+    Attributes:
+        plain: as it is.
+        compressed: raw deflate.
+        made: when (steady clock, s).
+        looked: when it was last made, and found to be what still holds.
+    """
+
+    def __init__(self, name: str, content: dict[str, Any]) -> None:
+        # Broken UTF-8 is escaped, and a number that JSON does not have is a mistake here.
+        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+        self.plain = f"event: {name}\ndata: {text}\n\n".encode()
+        press = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+        self.compressed = press.compress(self.plain) + press.flush(zlib.Z_FULL_FLUSH)
+        self.made = self.looked = time.monotonic()
+
+
+class News:
+    """The document and the series, made anew while somebody reads them.
+
+    A reader gets what is newest when it has taken what it got before. What came in between is gone,
+    so that a thousand slow ones need no more memory than one.
+
+    Attributes:
+        readers: how many read.
+    """
+
+    def __init__(self, store: Store) -> None:
+        """Make nothing yet.
+
+        Args:
+            store: what is shown.
+        """
+        self.readers = 0
+        self._store = store
+        self._newest: dict[str | float, Message] = {}  # by name, of series by their hours
+        self._making = asyncio.Lock()
+
+    async def messages(self, hours: float) -> AsyncGenerator[Message, None]:
+        """Yield news as they come, the newest only.
+
+        What cannot be made is printed, and ends every stream: a page says then that it is not
+        connected, rather than showing something old as if it were now.
+
+        Args:
+            hours: of the past in the series; 0 for the summary alone, of a page that nobody sees.
+        """
+        wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
+        sent: dict[str | float, Message] = {}
+        self.readers += 1
+        try:
+            while True:
+                for key in wanted:
+                    message = await self._made(key)
+                    if message is None:
+                        return
+                    if sent.get(key) is not message:
+                        sent[key] = message
+                        yield message
+                await asyncio.sleep(_STATE_S)
+        finally:
+            self.readers -= 1
+
+    async def _made(self, key: str | float) -> Message | None:
+        """Return the newest message, which is made once for all readers; None if it cannot be."""
+        async with self._making:
+            now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
+            self._newest = {  # what was made for others who have gone is let go of
+                each: one for each, one in self._newest.items() if now - one.looked < _AT_LEAST_S
+            }
+            old = self._newest.get(key)
+            if old is not None and now - old.looked < lasts:
+                return old
+            try:
+                new = await asyncio.to_thread(self._make, key)
+            except Exception:
+                traceback.print_exc()
+                return None
+            if old is not None and old.plain == new.plain and new.made - old.made < _AT_LEAST_S:
+                old.looked, new = new.made, old  # it says nothing else
+            self._newest[key] = new
+            return new
+
+    def _make(self, key: str | float) -> Message:
+        if not isinstance(key, str):
+            return Message("series", series(self._store, key))
+        shown = document(self._store, time.monotonic())
+        return Message(key, shown if key == "state" else shown["tiles"]["summary"])
+
+
+# --- who is served -------------------------------------------------------------------------------
 
 
 class _Connections:

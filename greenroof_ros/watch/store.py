@@ -73,7 +73,8 @@ class Newest:
     Attributes:
         time_ns: of it (ns since 1970).
         value: None where it is not plausible.
-        past_ns: up to here it is in the past.
+        past: of the values before it.
+        past_ns: up to here that has come.
         stale: whether it should have been followed by another one.
     """
 
@@ -81,6 +82,7 @@ class Newest:
         """Know none yet."""
         self.time_ns = self.past_ns = 0
         self.value: float | None = None
+        self.past = History()
         self.stale = False
         self._came = False
         self._heard: float | None = None  # wall time (s)
@@ -124,8 +126,7 @@ class Store:
         source: where the values come from: ``heard``, ``bag`` or ``samples``.
         allow_release: whether the pump may be released from here.
         alarms: of the nodes, and the registry of what they say.
-        newest: the newest value of each topic.
-        past: of each topic.
+        newest: the newest value of each topic, with its past.
         expected: of the roof's level, an hour before.
         account: of the water.
         pump_state: of a recording: when it was said (ns) and the words.
@@ -165,7 +166,6 @@ class Store:
 
     def _forget_values(self) -> None:
         self.newest: dict[str, Newest] = {}
-        self.past: dict[str, History] = {}
         self.expected = History()
         self._expected_until = -math.inf  # s since 1970
         self._begin_account()
@@ -315,7 +315,7 @@ class Store:
             if topic == FLOW:
                 numbers[self.unknown_flow.at(times / 1e9)] = np.nan
             known = np.isfinite(numbers)
-            self.past.setdefault(topic, History()).add(times[known], numbers[known])
+            newest.past.add(times[known], numbers[known])
             if topic in ACCOUNTED:
                 self.account.add(topic, times, numbers)
 

@@ -21,11 +21,11 @@ from graphs import wait_for
 from page_server import Answer, Stream, page_files, request, send, served
 from said import ERROR, SECOND
 
-from greenroof_ros.watch import news, server
+from greenroof_ros.watch import server
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.news import GZIP_HEAD, Message
+from greenroof_ros.watch.server import GZIP_HEAD, Message
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
@@ -380,8 +380,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[float | None]:
         found.append(hours)
         return read_series(store, hours)
 
-    monkeypatch.setattr(news, "document", document)
-    monkeypatch.setattr(news, "series", series)
+    monkeypatch.setattr(server, "document", document)
+    monkeypatch.setattr(server, "series", series)
     return found
 
 
@@ -543,7 +543,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
         events = stream.events()
         assert next(events)[0] == "state"
         with monkeypatch.context() as broken:
-            broken.setattr(news, "document", fail)
+            broken.setattr(server, "document", fail)
             assert {name for name, _ in events} <= {"series", "state"}  # to their end
             stream.close()
             assert "this document cannot be made" in capfd.readouterr().err
