@@ -77,7 +77,9 @@ class Trouble:
 class _Part:
     """A part of a node, or another device, as it was last heard."""
 
-    status: Status
+    level: int
+    message: str
+    code: str
     heard: float  # wall time (s)
     first: bool  # whether it was heard now for the first time, and its node too
     times: int = 1
@@ -218,7 +220,7 @@ class Registry:
             if key in known or len(known) < most:
                 times = known[key].times + 1 if key in known else 1
                 first = times == 1 if node is None else node.first
-                known[key] = _Part(_fit(status), wall, first, times)
+                known[key] = _part(status, wall, first, times)
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
         """Return what a node of this graph says of itself; None for any other status."""
@@ -434,12 +436,12 @@ class Registry:
         """Return all that is wrong now, each by the name of its status."""
         found: dict[str, Trouble] = {}
         for name, part in self._foreign.items():
-            silent, status = wall - part.heard > _FOREIGN_SILENT_S, part.status
+            silent = wall - part.heard > _FOREIGN_SILENT_S
             # One that was heard once perhaps never meant to report again and again.
             if silent and part.times > 1 and not self._has_ended(name, part):
                 found[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
-            elif status.level != OK and not silent:
-                found[name] = Trouble(status.level, status.message, at_least=part.first)
+            elif part.level != OK and not silent:
+                found[name] = Trouble(part.level, part.message, at_least=part.first)
         for node in self._latest.values():
             found.update(self._troubles_of(node, wall))
         return found
@@ -447,10 +449,7 @@ class Registry:
     def _has_ended(self, name: str, part: _Part) -> bool:
         """Whether it is of another graph's node, or a part of it, whose last word was its end."""
         node = self._foreign.get(name.partition(": ")[0])
-        return (
-            node is not None and node.status.message in _LAST_WORDS
-            and part.heard <= node.heard
-        )
+        return node is not None and node.message in _LAST_WORDS and part.heard <= node.heard
 
     def _troubles_of(self, node: Node, wall: float) -> Iterator[tuple[str, Trouble]]:
         name, role = node.name, node.role
@@ -488,15 +487,13 @@ class Registry:
             # What a silent node last said was wrong stays so, as far as anybody knows.
             if not silent and wall - one.heard > SILENT_S:
                 yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
-            elif one.status.level != OK:
+            elif one.level != OK:
                 yield f"{name}: {part}", _trouble_of_part(node, part, one)
 
 
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     """Return what a part says is wrong with it."""
-    status, level = said.status, said.status.level
-    code = status.values.get("code", "")
-    gist = ""
+    level, code, gist = said.level, said.code, ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
         latched = code in INTERLOCKS and INTERLOCKS[code].kind == LATCHED
@@ -506,17 +503,15 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
         elif node.values.get("stop") and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
-        gist = status.message  # with the number that the drive gives it
-    return Trouble(level, status.message, code, node.role, part, (), gist, said.first)
+        gist = said.message  # with the number that the drive gives it
+    return Trouble(level, said.message, code, node.role, part, (), gist, said.first)
 
 
-def _fit(status: Status) -> Status:
+def _part(status: Status, wall: float, first: bool, times: int) -> _Part:
     """Return a status as it can be shown and kept; a level that there is not is an error."""
     level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
-    code = status.values.get("code")
-    values = {"code": plain(code, _NAME)} if code else {}
-    message = plain(status.message, _TEXT) or "says nothing"
-    return Status("", level, message, "", values)
+    code = plain(status.values.get("code", ""), _NAME)
+    return _Part(level, plain(status.message, _TEXT) or "says nothing", code, wall, first, times)
 
 
 def _read_value(text: str) -> Any:

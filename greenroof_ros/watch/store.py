@@ -261,8 +261,8 @@ class Store:
             newest.look(wall, ended=self.ended)
         self._date_anew()
         self.alarms.look(wall, self._now_or(time.time()))
-        newest = self.newest.values()
-        if self.ended and all(one.silent_for(wall) > _QUIET_S for one in newest):
+        quiet = all(one.silent_for(wall) > _QUIET_S for one in self.newest.values())
+        if self.ended and quiet:
             self.account.end()
 
     @property
