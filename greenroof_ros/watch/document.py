@@ -2,9 +2,9 @@
 
 Each is made by one function of a store.
 
-The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``source``, ``notes``,
-``tiles`` (with the ``summary``), ``advice``, ``alarms``, ``alarms_known``, ``events``, ``account``
-and ``stop``.
+The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles``
+(with the ``summary``), ``advice``, ``alarms``, ``alarms_known``, ``events``, ``account`` and
+``stop``.
 """
 
 from __future__ import annotations
@@ -101,11 +101,10 @@ def _document(store: Store) -> dict[str, Any]:
         "mode": store.mode,
         "namespace": store.namespace,
         "time": {
-            "now": now, "utc_offset": store.utc_offset, "factor": store.factor,
+            "now": now, "utc_offset": store.utc_offset,
             "text": words.UNKNOWN if now is None
             else words.date_time_and_zone(now, store.utc_offset),
         },
-        "source": store.source,
         "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
         "tiles": shown,
         "advice": alarms.advice() if own else _advice(store, shown, waits),
@@ -383,7 +382,6 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             "to": None if now is None else now + AHEAD_S,
             "lines": lines,
             "gaps": gaps,
-            "issued": None if forecast is None else forecast.issued,
             "forecast": [] if forecast is None else forecast.rows(),
             "plan": [] if plan is None or now is None else plan.rows(now),
             "marks": _marks(store.site),

@@ -396,7 +396,7 @@ class Feed:
     def _hand_on(self) -> None:
         """Make the past of what was heard, where no bag brings that."""
         now = time.monotonic()
-        if self._source(now) == "samples" and self._graph.samples is not None:
+        if self._shows_samples(now) and self._graph.samples is not None:
             time_ns, values = self._graph.samples
             for topic, value in values.items():
                 self._store.add(topic, np.array([time_ns]), np.array([value]))
@@ -424,15 +424,12 @@ class Feed:
         read = recorded.read
         return not read.problem and (read.more or now - recorded.grew < _WAIT_S)
 
-    def _source(self, now: float) -> str:
-        """Return where what is shown is from: ``heard``, ``bag`` or ``samples``."""
-        recorded, listens = self._recorded, self._listens_since > 0
-        if recorded is not None and not recorded.read.problem and not listens:
-            return "bag"
-        too_fast = not listens and (self._factor or 0.0) > FASTEST
-        if too_fast and self._running and now - self._waits_since > _FOUND_S:
-            return "samples"
-        return "heard"
+    def _shows_samples(self, now: float) -> bool:
+        """Whether the run is too fast to be heard in full, and no recording of it is here."""
+        recorded = self._recorded is not None and not self._recorded.read.problem
+        too_fast = not self._listens_since and (self._factor or 0.0) > FASTEST
+        waited = now - self._waits_since > _FOUND_S
+        return self._running and too_fast and waited and not recorded
 
     # --- what is said of it ---------------------------------------------------------------------
 
@@ -441,7 +438,7 @@ class Feed:
         if now - self._said < _SAY_S:
             return
         self._said = now
-        recorded, source = self._recorded, self._source(now)
+        recorded = self._recorded
         notes = [self._problem] if now < self._problem_until else []
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
@@ -452,14 +449,14 @@ class Feed:
         shown = self._shows_graph()
         if not shown and self._graph.mode(now) not in ("none", "ended"):
             notes.append(f"Another graph runs here; {self._bag} is shown.")
-        if source == "samples":
+        if self._shows_samples(now):
             notes.append(
                 "Shows samples: the run is too fast to be heard in full, and there is no recording "
                 "of it here."
             )
         self._store.set_present(
             mode=self._mode, factor=self._factor if self._running else None,
-            source=source, note=" ".join(filter(None, notes)), graph_shown=shown,
+            note=" ".join(filter(None, notes)), graph_shown=shown,
         )
         self._store.look(now, time.time())
 

@@ -123,7 +123,6 @@ class Store:
         mode: ``none`` where nothing was heard yet, ``simulated``, ``loop`` of a simulation with the
             drive of a real pump, ``live``, or ``ended`` of a run that is over.
         factor: simulated time per wall time; None where there is none.
-        source: where the values come from: ``heard``, ``bag`` or ``samples``.
         allow_release: whether the pump may be released from here.
         alarms: of the nodes, and the registry of what they say.
         newest: the newest value of each topic, with its past.
@@ -160,7 +159,7 @@ class Store:
     def _forget(self) -> None:
         self.alarms.begin_anew()
         self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
-        self.mode, self.source = "none", "heard"
+        self.mode = "none"
         self.factor: float | None = None
         self._forget_values()
 
@@ -211,19 +210,18 @@ class Store:
             self.notes[0] = words.plain(note, _MOST_TEXT)
 
     def set_present(
-        self, *, mode: str, factor: float | None, source: str, note: str, graph_shown: bool = True
+        self, *, mode: str, factor: float | None, note: str, graph_shown: bool = True
     ) -> None:
         """Say what is watched now: ``mode`` and others as in the attributes.
 
         Args:
             mode: as in the attributes.
             factor: simulated time per wall time; None where there is none.
-            source: where the values come from.
             note: what an operator should know of that; empty where it is plain.
             graph_shown: whether it is the graph that is there.
         """
         with self.lock:
-            self.mode, self.source, self.alarms.shown = mode, source, graph_shown
+            self.mode, self.alarms.shown = mode, graph_shown
             self.factor = factor if factor is not None and math.isfinite(factor) else None
             self.notes[1] = words.plain(note, _MOST_TEXT)
             self.account.live = mode == "live"

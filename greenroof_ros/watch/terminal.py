@@ -40,6 +40,8 @@ _HOURS = 12.0
 # The least that is drawn for; what is smaller shows the left of it.
 _LEAST_WIDTH = 40
 _LABEL, _VALUE, _RANGE = 13, 15, 18
+# More lines than there are.
+_ENDLESS = 1_000_000
 _BARS, _ASCII_BARS = "▁▂▃▄▅▆▇█", "_.:-=+*#"
 _WORDS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 _CHARTS = {"roof": "Roof", "cistern": "Cistern", "rain": "Rain", "flow": "Pump"}
@@ -65,7 +67,13 @@ def pages(
     """
     options = console.options.update(width=max(console.width, _LEAST_WIDTH), height=None)
     parts = _parts(document, series, options.max_width, ascii_only=options.ascii_only)
-    lines = console.render_lines(Group(*parts), options, pad=False)
+    each = _ENDLESS if height is None else max(1, height - 1)
+    lines: list[list[Segment]] = []
+    for part in parts:
+        block, room = console.render_lines(part, options, pad=False), each - len(lines) % each
+        if isinstance(part, Group) and room < len(block) <= each:
+            lines += [[]] * room  # it stays together
+        lines += block
     if options.ascii_only:
         lines = [
             [Segment(one.text.encode("ascii", "replace").decode(), one.style) for one in line]
@@ -73,12 +81,11 @@ def pages(
         ]
     if height is None:
         return [SegmentLines(lines, new_lines=True)]
-    each = max(1, height - 1)
     begins, found = range(0, len(lines), each), []
     for number, begin in enumerate(begins, 1):
-        part = lines[begin:begin + each]
+        seen = lines[begin:begin + each]
         keys = f"page {number} of {len(begins)}; space turns it, q ends"
-        filled = [*part, *[[]] * (each - len(part)), [Segment(keys, Style.parse(_DIM))]]
+        filled = [*seen, *[[]] * (each - len(seen)), [Segment(keys, Style.parse(_DIM))]]
         found.append(SegmentLines(filled, new_lines=True))
     return found
 
@@ -100,9 +107,10 @@ def _parts(
     yield Text()
     yield _tiles(document["tiles"])
     yield from (Text(note, _DIM) for note in document["notes"])
+    charts = _charts(series, width, _ASCII_BARS if ascii_only else _BARS)
     for part in (
-        _alarms(document), _charts(series, width, _ASCII_BARS if ascii_only else _BARS),
-        _account(document["account"]), _events(document["events"]),
+        _alarms(document), [Group(*charts)] if charts else [], _account(document["account"]),
+        _events(document["events"]),
     ):
         if part:
             yield Text()

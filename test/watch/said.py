@@ -42,7 +42,7 @@ def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
     """Return what is known of a graph of which only the site is."""
     one = Store()
     one.set_site(site)
-    one.set_present(mode=mode, factor=30.0, source="heard", note="")
+    one.set_present(mode=mode, factor=30.0, note="")
     return one
 
 

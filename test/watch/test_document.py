@@ -455,7 +455,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     one.add_plan(MINUTE, np.array([[43_200.0, 1e-4, 0.045]]))
     forecast(one, MINUTE, np.full(32, 1e-7))
     shown(one, 100.0)
-    one.set_present(mode="ended", factor=None, source="bag", note="")
+    one.set_present(mode="ended", factor=None, note="")
     document = shown(one, 9999.0)
     tiles = document["tiles"]
     assert (document["heading"], tiles["roof"]["state"]) == ("Ended run", "good")
@@ -478,7 +478,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
 ])
 def test_headings(mode: str, factor: float | None, heading: str) -> None:
     one = Store()
-    one.set_present(mode=mode, factor=factor, source="heard", note="")
+    one.set_present(mode=mode, factor=factor, note="")
     assert shown(one)["heading"] == heading
 
 
@@ -487,7 +487,7 @@ def test_a_watcher_that_knows_nothing() -> None:
     document = shown(one, 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
-        "now": None, "utc_offset": -5.0, "factor": None, "text": "unknown",  # of the paper's site
+        "now": None, "utc_offset": -5.0, "text": "unknown",  # of the paper's site
     }
     assert {tile["state"] for name, tile in document["tiles"].items() if name != "summary"} == {
         "unknown"
@@ -507,7 +507,7 @@ def test_another_run_begins() -> None:
     assert tile_of(one, "roof")["number"] is None
     assert not shown(one, 120.0)["stop"]["possible"]  # nobody of the run before is heard now
     # It may be of an earlier day.
-    one.set_present(mode="simulated", factor=1.0, source="heard", note="")
+    one.set_present(mode="simulated", factor=1.0, note="")
     hear(one, -86_400, -86_300, QUIET)
     assert tile_of(one, "roof")["state"] == "good"
     assert shown(one)["account"]["since_text"] == "since 2021-07-19 00:00:00"
@@ -575,7 +575,7 @@ def test_notes() -> None:
     one = watched()
     assert shown(one)["notes"] == []
     one.set_site(SITE, "Levels are judged by the paper's site, a.yaml.")
-    one.set_present(mode="live", factor=None, source="samples", note="Shows samples: no bag.")
+    one.set_present(mode="live", factor=None, note="Shows samples: no bag.")
     assert shown(one)["notes"] == [
         "Levels are judged by the paper's site, a.yaml.", "Shows samples: no bag.",
     ]

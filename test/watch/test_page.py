@@ -78,7 +78,7 @@ def site_watched(mode: str = "ended") -> Store:
     Of a run that has ended nothing grows stale while a test looks.
     """
     watched = store(mode, SITE)
-    watched.set_present(mode=mode, factor=30.0, source="heard", note="A note.")
+    watched.set_present(mode=mode, factor=30.0, note="A note.")
     seconds = np.arange(BEGIN, BEGIN + 4 * 3600, 10)
     phase = (seconds - BEGIN) / 3000
     for topic, values in {
@@ -232,7 +232,7 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
     """Markup, control characters and megabytes: shown as text, and no wider than a phone."""
     watched = site_watched("simulated")
     watched.add_event(time.time(), HOSTILE)
-    watched.set_present(mode="simulated", factor=30.0, source="heard", note=HOSTILE)
+    watched.set_present(mode="simulated", factor=30.0, note=HOSTILE)
     page = open_page(watched, [
         *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
         *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE, "", {}) for i in range(50)),
@@ -303,7 +303,7 @@ def test_what_is_old_is_said_to_be(open_page: Open) -> None:
     assert re.fullmatch(r"[\d.]+ mm when last heard at [\d:]+", sentence)
     assert roof.locator(".fill").bounding_box()["width"] == 0
     assert roof.locator(".state").inner_text().strip() == "not known"
-    watched.set_present(mode="ended", factor=None, source="heard", note="")
+    watched.set_present(mode="ended", factor=None, note="")
     until_shown(page, "#heading", "Ended run")
     assert page.locator(".tile.stale").count() == 0
 

@@ -557,7 +557,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
 def test_a_page_that_nobody_sees_gets_the_summary_alone(watched: Store) -> None:
     """For its title: when it changes, and now and then to hear that it is connected."""
     set_level(watched, 0.01, 1)
-    watched.set_present(mode="live", factor=None, source="heard", note="")
+    watched.set_present(mode="live", factor=None, note="")
     with served(watched) as port:
         stream = Stream(port, "0")
         stream.head()
