@@ -23,7 +23,7 @@ from greenroof_ros.watch.alarms import row
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.registry import ERROR, Node, Trouble
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import INTERVALS, Store
 from greenroof_ros.watch.tiles import Tile, band_of
 
 LINES = {
@@ -38,8 +38,6 @@ LINES = {
 
 # The past that a series may have (h), and how many points a line has, about.
 LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, 400
-# A line has a gap where so many of its values are missing.
-_INTERVALS = 3
 # Characters of all alarms, and of all events, so that the document stays below 100 kB.
 _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
@@ -406,4 +404,4 @@ def _gap(rows: list[list[Any]], stretch_ns: int) -> float:
     """
     gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9
     usual = float(np.median(np.diff([row[0] for row in rows]))) if len(rows) > 1 else 0.0
-    return _INTERVALS * usual if usual > gap else gap
+    return INTERVALS * usual if usual > gap else gap
