@@ -181,10 +181,8 @@ def _show(report: Report) -> None:
         said = []
         if run.incidents:
             said.append(f"{name}: {run.ended}; the report lists them")
-        if run.ending is not None:
-            said.append(
-                f"{name} {run.ending.sentence}; what follows is of the part that was recorded"
-            )
+        if run.ending:
+            said.append(f"{name} {run.ending}; what follows is of the part that was recorded")
         for text in said:
             console.print(text, style="bold", soft_wrap=True, markup=False)
     windows, best = report.windows(), report.best()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, tzinfo
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,100 +48,50 @@ Row = dict[str, Any]
 Parameters = dict[str, "float | str"]
 
 
-@dataclass(frozen=True)
-class Note:
-    """What a reader should know of a run.
-
-    Attributes:
-        text: of the note, with ``{count}`` where it counts something.
-        count: how many; None where nothing is counted.
-        listed: what it is about, one by one; the page folds it away.
-    """
+class Note(NamedTuple):
+    """What a reader should know of a run."""
 
     text: str
-    count: float | None = None
+    """of one run"""
+    of_many: str = ""
+    """of many that differ in a number; empty where none is in it"""
     listed: str = ""
-
-    def __str__(self) -> str:
-        """As it is of one run."""
-        return self.text.replace("{count}", "" if self.count is None else f"{self.count:g}")
-
-    def of_many(self) -> str:
-        """As it is of many runs, each with a count of its own."""
-        return self.text.replace("{count}", "some")
+    """what it is about, one by one; the page folds it away"""
 
 
-@dataclass(frozen=True)
-class Change:
-    """A parameter that was set while the run was under way.
-
-    Attributes:
-        parameter: its name.
-        value: from then on; None where there is no bound.
-        tick: the first with this value.
-        time: of that tick since the start (s).
-    """
-
-    parameter: str
-    value: float | None
-    tick: int
-    time: float
-
-    def __str__(self) -> str:
-        """As it stands behind the value before."""
-        return f" -> {parameter_text(self.value)} at {hours_minutes(self.time)}"
-
-
-@dataclass(frozen=True)
-class Ending:
-    """How a run ended, or not yet, that was not done.
-
-    Attributes:
-        sentence: about the run, without its name and full stop.
-        short: the same in a few words.
-    """
-
-    sentence: str
-    short: str
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run that left something to show.
+@dataclass(frozen=True, kw_only=True)
+class About:
+    """What a run says of itself; as it is here where it says nothing.
 
     Attributes:
         row: of the table, in the columns of a study's ``results.csv`` and those of
-            :func:`labels`; of a bag without its results.
-        site: Table I.
+            :func:`labels`; of a bag without what is worked out from it.
         parameters: the controller's at the start; no entry where there is no bound.
-        load: reads what happened, with further notes; None where no trajectory was kept.
-        bound: of what happened, the least total deviation (m3) that a controller with commands
-            up to 1 could reach, None where that is unknown; None of a run whose row has it.
-        notes: what a reader should know of it.
-        changes: of parameters, in the run.
-        ending: how it ended; None if it is done, or nothing says that it is not.
+        exact_sensor: whether the roof's level is the true one.
+        zone: offset from UTC; None where it is unknown.
+        own: whether this package wrote it.
+        external_pump: whether its flow was that of a pump driver.
+        changes: what parameters became in the run, as it stands behind the value before.
+        ending: how a run ended that is not done, as a sentence without its name and full stop.
+        short: the same in a few words.
         incidents: what was lost in it while it went on, the newest where there were very many.
-        source: the study or run directory that it is from, by a name that no other one has.
-        meant: what stands behind names of the row, by column: where two sources use a name for
-            different things, they are told apart.
+        notes: what a reader should know of it.
     """
 
-    row: Row
-    site: Site
-    parameters: Parameters
-    load: Callable[[], Recorded] | None
-    bound: Callable[[Recorded], float | None] | None = None
-    notes: tuple[Note, ...] = ()
-    changes: tuple[Change, ...] = ()
-    ending: Ending | None = None
+    row: Row = field(default_factory=lambda: {
+        "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
+        "gaps": REFUSE,
+    })
+    parameters: Parameters = field(default_factory=dict)
+    exact_sensor: bool = True
+    zone: tzinfo | None = None
+    own: bool = False
+    external_pump: bool = False
+    changes: Mapping[str, str] = field(default_factory=dict)
+    ending: str = ""
+    short: str = summary.DONE
     incidents: tuple[Incident, ...] = ()
-    source: str = ""
-    meant: Mapping[str, object] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """Of the run, unique in the report."""
-        return str(self.row["run"])
+    notes: tuple[Note, ...] = ()
 
     @property
     def incident_count(self) -> int:
@@ -151,8 +101,33 @@ class Run:
     @property
     def ended(self) -> str:
         """How it ended, in a few words, with how many incidents there were."""
-        short = summary.DONE if self.ending is None else self.ending.short
-        return with_incidents(short, self.incident_count)
+        return with_incidents(self.short, self.incident_count)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(About):
+    """A run that left something to show.
+
+    Attributes:
+        site: Table I.
+        load: reads what happened, with further notes; None where no trajectory was kept.
+        bound: of what happened, the least total deviation (m3) that a controller with commands
+            up to 1 could reach, None where that is unknown; None of a run whose row has it.
+        source: the study or run directory that it is from, by a name that no other one has.
+        meant: what stands behind names of the row, by column: where two sources use a name for
+            different things, they are told apart.
+    """
+
+    site: Site
+    load: Callable[[], Recorded] | None = None
+    bound: Callable[[Recorded], float | None] | None = None
+    source: str = ""
+    meant: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the run, unique in the report."""
+        return str(self.row["run"])
 
 
 def controller_name(name: str) -> str:
@@ -244,58 +219,17 @@ def notes_of(row: Row) -> list[Note]:
             f"{row['filled_hours']:g} hours of the weather from {row.get('start') or 'its start'} "
             "were missing and filled in", listed=row.get("filled") or "",
         ))
-    if row.get("weather_notes"):
-        notes.append(Note(row["weather_notes"]))
-    if row.get("suspicious"):
-        notes.append(Note(f"suspicious, and not changed: {row['suspicious']}"))
     for column, text in (
-        ("fallbacks", "the controller's solver found no answer in {count} ticks"),
-        ("limited_steps", "a tank ran empty in {count} ticks, and what left it was limited"),
+        ("weather_notes", "{}"),
+        ("suspicious", "suspicious, and not changed: {}"),
+        ("fallbacks", "the controller's solver found no answer in {:g} ticks"),
+        ("limited_steps", "a tank ran empty in {:g} ticks, and what left it was limited"),
+        ("forecast_repeats_from", "a forecast ends at {}, and what follows is assumed"),
     ):
         if row.get(column):
-            notes.append(Note(text, row[column]))
-    if row.get("forecast_repeats_from"):
-        notes.append(Note(
-            f"a forecast ends at {row['forecast_repeats_from']}, and what follows is assumed"
-        ))
+            of_many = text.replace("{:g}", "some") if "{:g}" in text else ""
+            notes.append(Note(text.format(row[column]), of_many))
     return notes
-
-
-@dataclass(frozen=True)
-class About:
-    """What a run directory says of its run; as it is here where it says nothing.
-
-    Attributes:
-        row: columns of ``results.csv``, with the results of a run that is done.
-        parameters: the controller's at the start.
-        exact_sensor: whether the roof's level is the true one.
-        zone: offset from UTC; None where it is unknown.
-        own: whether this package wrote it.
-        external_pump: whether its flow was that of a pump driver.
-        changes: of parameters, in the run.
-        ending: how the run ended; None if it is done, or nothing says that it is not.
-        incidents: what was lost in the run while it went on.
-        notes: what a reader should know of the run.
-    """
-
-    row: Row = field(default_factory=lambda: {
-        "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
-        "gaps": REFUSE,
-    })
-    parameters: Parameters = field(default_factory=dict)
-    exact_sensor: bool = True
-    zone: tzinfo | None = None
-    own: bool = False
-    external_pump: bool = False
-    changes: tuple[Change, ...] = ()
-    ending: Ending | None = None
-    incidents: tuple[Incident, ...] = ()
-    notes: tuple[Note, ...] = ()
-
-    @property
-    def method(self) -> str:
-        """Of the evapotranspiration."""
-        return str(self.row["evapotranspiration"])
 
 
 def read_about(run: Path) -> About:
@@ -407,23 +341,21 @@ def _understand(content: dict[str, Any]) -> About:
         results = (*(metric.name for metric in METRICS), "frost_hours")
         row |= {name: float(content[name]) for name in results if content.get(name) is not None}
     start = datetime.fromisoformat(content["start"]) if "start" in content else None
-    changes = [
-        Change(
-            parameter=str(change["parameter"]),
-            value=None if change["value"] is None else float(change["value"]),
-            tick=int(change["tick"]),
-            time=change["tick"] * float(content["tau_s"]),
-        )
-        for change in content.get("parameter_changes") or []
-    ]
     notes = notes_of({**row, "start": None if start is None else to_people(start)})
-    for name in dict.fromkeys(change.parameter for change in changes):
-        found = [change for change in changes if change.parameter == name]
-        ticks = ", ".join(f"{change.tick}" for change in found)
-        notes.append(Note(
+    changes, ticks = dict[str, str](), dict[str, list[str]]()
+    for change in content.get("parameter_changes") or []:
+        name, value = str(change["parameter"]), change["value"]
+        became = parameter_text(None if value is None else float(value))
+        time = hours_minutes(change["tick"] * float(content["tau_s"]))
+        changes[name] = f"{changes.get(name, '')} -> {became} at {time}"
+        ticks.setdefault(name, []).append(f"{int(change['tick'])}")
+    notes += [
+        Note(
             f"the controller's {name} was changed in the run: {parameter_text(given.get(name))}"
-            f"{''.join(map(str, found))} (tick {ticks})"
-        ))
+            f"{became} (tick {', '.join(ticks[name])})"
+        )
+        for name, became in changes.items()
+    ]
     exact_sensor = not (errors.get("roof_noise") or errors.get("roof_offset"))
     if not exact_sensor:
         of = "the results are of the true one" if "total_deviation_m3" in row else (
@@ -431,14 +363,16 @@ def _understand(content: dict[str, Any]) -> About:
         )
         named = labels(row)["sensor and pump errors"]
         notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))
+    ending, short = ("", summary.DONE) if done else _ending(content)
     return About(
         row=row,
         parameters=given,
         exact_sensor=exact_sensor,
         zone=None if start is None else start.tzinfo,
         own=not live,  # what sensors said may be anything
-        changes=tuple(changes),
-        ending=None if done else _ending(content),
+        changes=changes,
+        ending=ending,
+        short=short,
         incidents=tuple(Incident(**incident) for incident in content.get("incidents") or []),
         notes=tuple(notes),
     )
@@ -474,8 +408,8 @@ def _inputs(content: Mapping[str, Any], live: bool) -> Row:
     }
 
 
-def _ending(content: Mapping[str, Any]) -> Ending:
-    """Return how a run ended that is not done, by its summary."""
+def _ending(content: Mapping[str, Any]) -> tuple[str, str]:
+    """Return how a run ended that is not done, by its summary: a sentence, and in a few words."""
     sentence, short = _NOT_DONE[content["status"]]
     tick = content.get("last_tick")
     if tick is not None:
@@ -485,4 +419,4 @@ def _ending(content: Mapping[str, Any]) -> Ending:
     if content.get("reason"):
         # The last lines of a log may be among it.
         sentence += f": {' '.join(content['reason'].split())}"
-    return Ending(sentence, short)
+    return sentence, short

@@ -6,7 +6,7 @@ import itertools
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,11 +56,9 @@ def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) 
             raise ConfigurationError(
                 f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
             )
-        if about.ending is not None:
-            return {
-                "run": name, "what": about.row["controller"],
-                "error": f"{about.ending.sentence}; no bag",
-            }
+        if about.ending:
+            error = f"{about.ending}; no bag"
+            return {"run": name, "what": about.row["controller"], "error": error}
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
@@ -83,22 +81,22 @@ def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) 
     if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
+    known = {
+        **vars(about),
+        "row": {**row, **labels(row), "seed": ""},  # it is shown alone
+        "notes": (*notes, *about.notes),
+    }
     return Run(
-        row={**row, **labels(row), "seed": ""},  # it is shown alone
+        **known,
         site=site,
-        parameters=about.parameters,
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
         ),
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=partial(
-            _own_bound, run / _WEATHER, own_site, site, about.method, row["gaps"]
+            _own_bound, run / _WEATHER, own_site, site, row["evapotranspiration"], row["gaps"]
         ) if about.exact_sensor else lambda _: None,
-        notes=(*notes, *about.notes),
-        changes=about.changes,
-        ending=about.ending,
-        incidents=about.incidents,
         source=name,
         meant={
             "site": site,
@@ -189,33 +187,25 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     the site's ``initial_layer``.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
-
-    def until_the_end(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.append(values[:-1], 0.0)
-
-    rain = until_the_end(trajectory.precipitation)
-    flow = until_the_end(trajectory.pump_flow)
-    drainage = until_the_end(trajectory.drainage)
-    potential = until_the_end(trajectory.evapotranspiration)
-    mains = None
-    if site.mains_level is not None:
-        mains = until_the_end(mains_flows(site, trajectory.cistern))
+    # Until the end: in the last sample nothing flows any more.
+    flows: dict[str, Any] = {
+        name: np.append(getattr(trajectory, name)[:-1], 0.0)
+        for name in ("command", "precipitation", "outflow", "drainage")
+    }
+    pump, potential, mains = (
+        np.append(values[:-1], 0.0) for values in (
+            trajectory.pump_flow, trajectory.evapotranspiration,
+            mains_flows(site, trajectory.cistern),
+        )
+    )
     followed = soil_of(site).follow(
-        site.initial_layer, trajectory.roof, rain, flow, potential, drainage, dt,
+        site.initial_layer, trajectory.roof, flows["precipitation"], pump, potential,
+        flows["drainage"], dt,
     )
     return Samples(
-        duration=dt,
-        cistern=trajectory.cistern,
-        roof=trajectory.roof,
-        command=until_the_end(trajectory.command),
-        precipitation=rain,
-        outflow=until_the_end(trajectory.outflow),
-        pump=flow,
-        drainage=drainage,
-        evapotranspiration=followed.evaporated,
-        layer=followed.layer,
-        mains=mains,
-        potential=potential,
+        **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof, pump=pump,
+        evapotranspiration=followed.evaporated, layer=followed.layer,
+        mains=None if site.mains_level is None else mains, potential=potential,
         time=trajectory.time,
     )
 

@@ -137,9 +137,7 @@ class Figure:
     @property
     def page_columns(self) -> int:
         """How many panels go side by side on the page, which has room for three."""
-        if self.columns <= 3:
-            return self.columns
-        return 2 if self.columns == 4 else 3
+        return 2 if self.columns == 4 else min(self.columns, 3)
 
     def save(self, directory: Path) -> None:
         """Write the figure as SVG and as PNG."""

@@ -34,7 +34,7 @@ from greenroof_ros.report.drawing import (
     pointed,
     short,
 )
-from greenroof_ros.report.groups import SEASONS, SEEDS, SKY, TOTAL, Report, facts, heading
+from greenroof_ros.report.groups import SEASONS, SEEDS, SKY, TOTAL, Report, facts, heading, who
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.trajectories import trajectories, weather
 
@@ -328,8 +328,7 @@ _BALANCE = {
 def balance(report: Report, rows: Sequence[Row], number: int) -> Figure:
     """Return the water balance of both tanks, run by run."""
     rows = sorted(rows, key=lambda row: (report.initials.index(row["from"]), row["rank"]))
-    labels = [f"{controller_name(row['controller'])} {row['setting']}, {row['from']}"
-              for row in rows]
+    labels = [f"{who(row)}, {row['from']}" for row in rows]
     names = [
         f"{label} ({row['run']})" if labels.count(label) > 1 else label
         for label, row in zip(labels, rows, strict=True)
@@ -374,7 +373,7 @@ def forecast_errors(report: Report) -> Figure:
         here = list(group)
         dataset = f"forecast-errors-{number}"
         data[dataset] = [
-            {"series": _who(row), "skill": row["skill"], "amount": amount,
+            {"series": who(row), "skill": row["skill"], "amount": amount,
              "v": short(row[column]), "seeds": row["seeds"]}
             for row in here for amount, column in _AMOUNTS.items()
         ]
@@ -400,10 +399,6 @@ def forecast_errors(report: Report) -> Figure:
     )
 
 
-def _who(row: Row) -> str:
-    return f"{controller_name(row['controller'])} {row['setting']}".strip()
-
-
 def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     """Return a panel: lines and marks of each series, and the least possible."""
     bounds = sorted({row["bound_m3"] for row in cases if row["bound_m3"] is not None})
@@ -420,7 +415,7 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     y = alt.Y("v:Q", title=_TOTAL_AXIS, scale=scale)
     # Colours by controller, shapes by the controller's setting.
     colours = dict(zip(report.controllers, cycle(COLOURS, report.controllers), strict=True))
-    named, settings = {_who(row): row["controller"] for row in cases}, dict[str, int]()
+    named, settings = {who(row): row["controller"] for row in cases}, dict[str, int]()
     shapes = []
     for controller in named.values():
         settings[controller] = settings.get(controller, -1) + 1

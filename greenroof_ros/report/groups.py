@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +21,7 @@ from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
+from greenroof_ros.model.site import Site
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.about import (
     NO_ERRORS,
@@ -28,17 +29,19 @@ from greenroof_ros.report.about import (
     Note,
     Row,
     Run,
+    controller_name,
     parameter_text,
 )
 from greenroof_ros.report.bags import Drawn, drawn, measured, near_hours
 from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
 from greenroof_ros.report.runs import Sources
-from greenroof_ros.report.sizing import is_sizing, size_of
 
 SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
 """kinds of cases"""
 
 TOTAL = "total_deviation_m3"
+ALIKE = "all alike"
+"""instead of a setting, where all give the same"""
 
 # What runs can be compared within, by the columns of the table, which are headers of the page's.
 _WINDOW = (
@@ -58,15 +61,21 @@ _NUMBERS = (
 _TEXTS = (
     "run", "site", "weather", "start", "length", "evapotranspiration", "forecast", "model",
     "kind of forecast", "skill", "seed", "sensor and pump errors", "controller", "from", "begins",
+    "kind", "label", "setting", "ended",
 )
 _SCHEMA: dict[str, Any] = {
-    **dict.fromkeys(_TEXTS, pl.String), "year": pl.Int64, "season": pl.List(pl.Float64),
+    **dict.fromkeys(_TEXTS, pl.String), "season": pl.List(pl.Float64),
+    **dict.fromkeys(("year", "rank", "skill rank"), pl.Int64),
     **dict.fromkeys(
         ("hours", "cistern_m3", "roof_m3", "bound_m3", "tau", "initial_layer", "roof_m2",
-         "cistern_size_m3", *_NUMBERS),
+         "cistern_size_m3", "x", *_NUMBERS),
         pl.Float64,
     ),
 }
+# More than any controller has settings: a rank is a controller's place times this, and a setting's.
+_SETTINGS = 10_000
+# What follows a site's size: areas, the cistern's depth, and the volumes in them.
+_BY_SIZE = {"a1", "a2", "z_o", "x2_star", "initial_cistern", "initial_roof", "initial_layer"}
 
 
 @dataclass(frozen=True)
@@ -113,7 +122,7 @@ class Settings:
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        changed = {change.parameter for run in runs for change in run.changes}
+        changed = {name for run in runs for name in run.changes}
         apart = differing([run.parameters for run in runs])
         apart += sorted(changed.difference(apart))
         self._shown = apart or list(runs[0].parameters)[:1]
@@ -131,24 +140,20 @@ class Settings:
             (value, "") if isinstance(value, float) else (math.inf, str(value)) for value in values
         ), self.label(run)
 
-    def label(self, run: Run) -> str:
-        """Return the setting of a run, as it differs from the controller's others."""
-        if not self._shown:
-            return run.name
-        if len(self._shown) == 1:
-            return _value(run, self.title)
-        return ", ".join(f"{name} {_value(run, name)}" for name in self._shown)
+    def label(self, run: Run, *, full: bool = False) -> str:
+        """Return the setting of a run, as it differs from the controller's others.
 
-    def full_label(self, run: Run) -> str:
-        """Return the label with the parameter's name."""
-        label = self.label(run)
-        return f"{self.title} {label}" if len(self._shown) == 1 else label
-
-
-def _value(run: Run, name: str) -> str:
-    """Return a parameter of a run, with what it became in the run."""
-    changes = "".join(str(change) for change in run.changes if change.parameter == name)
-    return parameter_text(run.parameters.get(name)) + changes
+        Args:
+            run: of the controller.
+            full: whether with the name of the parameter, where there is just one.
+        """
+        texts = {
+            name: parameter_text(run.parameters.get(name)) + run.changes.get(name, "")
+            for name in self._shown
+        }
+        if len(texts) == 1 and not full:
+            return texts[self.title]
+        return ", ".join(f"{name} {text}" for name, text in texts.items()) or run.name
 
 
 class Report:
@@ -162,7 +167,6 @@ class Report:
         failed: runs that left nothing to show.
         configuration: name and text of each further file that decided the numbers.
         drawn: what is drawn of the runs that are cases of their own, by name.
-        notes: what a reader should know of each run.
         controllers: names, the paper's first.
         settings: of each controller.
         assumptions: what the results rest on.
@@ -185,23 +189,23 @@ class Report:
         self.assumptions = assumptions
         self.failed, self.configuration = list(sources.failed), sources.configuration
         self.drawn: dict[str, Drawn] = {}
-        self.notes: dict[str, tuple[Note, ...]] = {}
-        alone = set(_kinds(sources.runs).filter(kind=SINGLE)["run"])
-        rows, runs = [], []
-        for run in track(sources.runs):
+        kinds, runs = _kinds([run.row for run in sources.runs]), []
+        for kind, run in zip(kinds, track(sources.runs), strict=True):
             try:
-                rows.append(self._read(run) if run.name in alone else self._of_table(run))
-                runs.append(run)
+                runs.append(self._read(run, kind))
             except ConfigurationError as error:
-                if run.ending is None:
+                if not run.ending:
                     raise
-                reason = f"{run.ending.sentence}; {error}"
+                reason = f"{run.ending}; {error}"
                 self.failed.append(
                     {"run": run.name, "what": run.row["controller"], "error": reason}
                 )
         if not runs:
-            sources.failed = self.failed
-            raise sources.nothing_to_show()
+            first, *_ = self.failed
+            raise ConfigurationError(
+                f"holds no finished run; {len(self.failed)} failed or did not run, the first: "
+                f"{first['run']} {first['error']}"
+            )
         self.runs = {run.name: run for run in runs}
         found = list(dict.fromkeys(run.row["controller"] for run in runs))
         self.controllers = [name for name in PAPERS_CONTROLLERS if name in found]
@@ -210,66 +214,55 @@ class Report:
             name: Settings([run for run in runs if run.row["controller"] == name])
             for name in self.controllers
         }
-        self.table = self._grouped(rows, runs)
+        self.table = self._grouped(runs)
         self.cases = self._cases()
 
-    def _of_table(self, run: Run) -> Row:
-        """Return the row of a run of which no more than the study's table is shown."""
-        self.notes[run.name] = run.notes
-        near = run.row.get("near_target_hours")
-        return {**run.row, "near_target_hours": near if self._usual_band else None}
+    def _read(self, run: Run, kind: str) -> Run:
+        """Return a run with its kind; of one that stands alone with what happened in it.
 
-    @property
-    def _usual_band(self) -> bool:
-        return self.assumptions.band == NEAR_TARGET
+        What is drawn of that is kept. No more is shown of the others than the study's table.
+        """
+        band, notes = self.assumptions.band, list(run.notes)
+        usual = band == NEAR_TARGET
+        row = run.row if usual else {**run.row, "near_target_hours": None}
+        if kind == SINGLE and run.load is None:
+            notes.append(Note(
+                "no trajectory was kept: no figure of weather, commands and volumes shows it"
+            ))
+        elif kind == SINGLE and run.load is not None:
+            recorded = run.load()
+            notes += map(Note, recorded.notes)
+            self.drawn[run.name] = drawn(recorded.trajectory)
+            if run.bound is not None:
+                row = measured(run, recorded)
+            if not usual:
+                near = near_hours(run.site, recorded.trajectory, band)
+                row = {**row, "near_target_hours": near}
+                spacing = float(np.diff(recorded.trajectory.time).max())
+                if run.bound is None and spacing > 1.5 * run.site.tau:
+                    notes.append(Note(
+                        f"the time near the target is of samples every {spacing:g} s, which is "
+                        "what was kept"
+                    ))
+        return replace(run, row={**row, "kind": kind}, notes=tuple(notes))
 
-    def _read(self, run: Run) -> Row:
-        """Read what happened in a run, keep of it what is drawn, and return the run's row."""
-        row = self._of_table(run)
-        if run.load is None:
-            text = "no trajectory was kept: no figure of weather, commands and volumes shows it"
-            self.notes[run.name] += (Note(text),)
-            return row
-        recorded = run.load()
-        self.notes[run.name] += tuple(map(Note, recorded.notes))
-        self.drawn[run.name] = drawn(recorded.trajectory)
-        if run.bound is not None:
-            row = measured(run, recorded)
-        if not self._usual_band:
-            row["near_target_hours"] = near_hours(
-                run.site, recorded.trajectory, self.assumptions.band
-            )
-            spacing = float(np.diff(recorded.trajectory.time).max())
-            if run.bound is None and spacing > 1.5 * run.site.tau:
-                self.notes[run.name] += (Note(
-                    f"the time near the target is of samples every {spacing:g} s, which is what "
-                    "was kept"
-                ),)
-        return row
-
-    def _grouped(self, rows: list[Row], runs: list[Run]) -> pl.DataFrame:
+    def _grouped(self, runs: list[Run]) -> pl.DataFrame:
         """Return the table: names and results of the runs, and which belong together."""
-        names = []
-        for row, run in zip(rows, runs, strict=True):
-            settings, size = self.settings[row["controller"]], size_of(run.site)
+        rows = []
+        for run in runs:
+            settings = self.settings[run.row["controller"]]
             label = settings.label(run)
-            names.append({
-                **row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
-                "roof_m2": size.roof_m2, "cistern_size_m3": size.cistern_m3,
-                "label": label, "setting": settings.full_label(run) if run.parameters else "",
+            place = self.controllers.index(run.row["controller"])
+            rows.append({
+                **run.row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
+                "roof_m2": run.site.a2, "cistern_size_m3": run.site.a1 * run.site.z_o,
+                "label": label,
+                "setting": settings.label(run, full=True) if run.parameters else "",
                 "x": run.parameters[settings.axis] if settings.axis else None,
-                "rank": (
-                    self.controllers.index(row["controller"]) * 10_000
-                    + settings.labels.index(label)
-                ),
-                "skill rank": _skill_rank(row),
-                "ended": run.ended,
+                "rank": _SETTINGS * place + settings.labels.index(label),
+                "skill rank": _skill_rank(run.row), "ended": run.ended,
             })
-        more = {
-            "label": pl.String, "setting": pl.String, "x": pl.Float64, "rank": pl.Int64,
-            "skill rank": pl.Int64, "ended": pl.String,
-        }
-        table = _with_kinds(pl.DataFrame(names, schema={**_SCHEMA, **more}))
+        table = pl.DataFrame(rows, schema=_SCHEMA)
         col, season = pl.col, pl.col("kind") == SEASONS
         table = table.with_columns(_derived(self.assumptions)).with_columns(
             start=pl.when(season).then("begins").otherwise("start"),
@@ -347,9 +340,7 @@ class Report:
     @cached_property
     def single(self) -> list[Row]:
         """The runs that are cases of their own, in the order in which they were given."""
-        return self.table.filter(kind=SINGLE).with_columns(
-            ratio=pl.col(TOTAL) / pl.when(pl.col("bound_m3") > 0).then("bound_m3")
-        ).to_dicts()
+        return self.table.filter(kind=SINGLE).to_dicts()
 
     def windows(self, kind: str = SINGLE) -> list[Row]:
         """Return the first run of each window of a kind."""
@@ -380,28 +371,25 @@ class Report:
     def best(self) -> list[Row]:
         """Return the single run of each controller with the least deviation, place by place.
 
-        Of several that are equal it is the first, and its setting is ``all alike``.
+        Of several that are equal it is the first, and its setting is :data:`ALIKE`.
         """
-        cases = self.cases.filter(kind=SINGLE).sort("case")
-        alike = (pl.col(TOTAL).min() == pl.col(TOTAL).max()) & (pl.len() > 1)
-        groups = cases.group_by("window", "place", "controller", maintain_order=True)
-        firsts = groups.agg(
-            pl.all().sort_by(TOTAL, maintain_order=True).first(), alike=alike,
-        ).with_columns(
-            setting=pl.when("alike").then(pl.lit("all alike")).otherwise("setting"),
-            state=pl.col("from").replace_strict(
-                {name: place for place, name in enumerate(self.initials)}, return_dtype=pl.Int64,
-            ),
-            controllers=pl.col("rank") // 10_000,
-        )
-        return firsts.sort("window", "state", "controllers").to_dicts()
+        groups: dict[tuple[int, ...], list[Row]] = {}
+        for row in sorted(self.of(SINGLE), key=lambda row: row["case"]):
+            state, controller = self.initials.index(row["from"]), row["rank"] // _SETTINGS
+            groups.setdefault((row["window"], state, controller), []).append(row)
+        found = []
+        for _, rows in sorted(groups.items()):
+            alike = len(rows) > 1 and len({row[TOTAL] for row in rows}) == 1
+            least = min(rows, key=lambda row: row[TOTAL])
+            found.append({**least, "setting": ALIKE} if alike else least)
+        return found
 
     # --- seasons of several years ----------------------------------------------------------------
 
     @cached_property
     def sizing(self) -> bool:
         """Whether the seasons are of sites that differ in size, and in nothing else."""
-        return is_sizing(self.runs[row["run"]].site for row in self.of(SEASONS))
+        return _is_sizing(self.runs[row["run"]].site for row in self.of(SEASONS))
 
     @cached_property
     def given_errors(self) -> set[str]:
@@ -467,6 +455,12 @@ class Report:
         return list(self._deviations[row["case"]].totals.items())
 
 
+def who(row: Row) -> str:
+    """Name the controller of a case with its setting, where one of them is meant."""
+    name = controller_name(row["controller"])
+    return name if row["setting"] == ALIKE else f"{name} {row['setting']}".strip()
+
+
 def facts(row: Row) -> Row:
     """Return what a run has in common with those that it is compared with."""
     return {name: row[name] for name in _FACTS[row["kind"]]}
@@ -488,27 +482,32 @@ def _skill_rank(row: Row) -> int:
     return known[0] if known else len(SKILLS) if row["skill"] else -1
 
 
-def _kinds(runs: Sequence[Run]) -> pl.DataFrame:
-    return _with_kinds(pl.DataFrame([run.row for run in runs], schema=_SCHEMA))
-
-
-def _with_kinds(table: pl.DataFrame) -> pl.DataFrame:
+def _kinds(rows: Sequence[Row]) -> list[str]:
     """Say of each run whether it is alone, one of many seeds, or of a season of several years."""
     season = pl.col("season").is_not_null() & (pl.col("year").n_unique().over(
         "site", "evapotranspiration", "begins", "hours", "sensor and pump errors", "from",
         pl.col("season").is_not_null(),
     ) > 1)
-    table = table.with_columns(kind=pl.when(season).then(pl.lit(SEASONS)))
+    of_season = pl.when(season).then(pl.lit(SEASONS))
+    table = pl.DataFrame(rows, schema=_SCHEMA).with_columns(kind=of_season)
     # All initial states of a window belong together.
     seeds = (pl.col("seed") != "") & (pl.col("seed").n_unique().over(
         "site", "weather", "start", "hours", "evapotranspiration", "model",
         "sensor and pump errors", "skill", "kind",
     ) > 1)
-    return table.with_columns(
-        kind=pl.col("kind").fill_null(
-            pl.when(seeds).then(pl.lit(SEEDS)).otherwise(pl.lit(SINGLE))
-        )
-    )
+    alone = pl.when(seeds).then(pl.lit(SEEDS)).otherwise(pl.lit(SINGLE))
+    return table.select(pl.col("kind").fill_null(alone))["kind"].to_list()
+
+
+def _is_sizing(sites: Iterable[Site]) -> bool:
+    """Whether the sites of some seasons differ in size, and in nothing else."""
+    different = set(sites)
+    sizes = {(site.a2, site.a1 * site.z_o) for site in different}
+    others = {
+        tuple(value for name, value in asdict(site).items() if name not in _BY_SIZE)
+        for site in different
+    }
+    return len(sizes) > 1 and len(others) == 1
 
 
 def _derived(assumptions: Assumptions) -> list[pl.Expr]:
@@ -534,6 +533,7 @@ def _derived(assumptions: Assumptions) -> list[pl.Expr]:
         (roof - into_roof).alias("roof_residual_m3"),
         (col("electric_energy_kwh") * assumptions.energy_price).alias("energy_cost"),
         (col("pumped_m3") * assumptions.water_price).alias("water_value"),
+        (col(TOTAL) / pl.when(col("bound_m3") > 0).then("bound_m3")).alias("ratio"),
         # The last sample counts for a tick.
         (col("near_target_hours") / (col("hours") + col("tau") / 3600)).alias("near_share"),
     ]

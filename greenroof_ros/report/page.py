@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Any, NamedTuple
+from typing import Any
 
 import jinja2
 import vl_convert
@@ -58,7 +58,8 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         assumptions=report.assumptions,
         resamples=RESAMPLES,
         windows=windows(report),
-        sites=_sites(report),
+        sites={run.row["site"]: run.site for run in report.runs.values()},
+        parameters=site_parameters(),
         configuration=report.configuration,
         versions=versions_text(_versions()),
         library=library(),
@@ -116,27 +117,6 @@ def _names(specification: dict[str, Any]) -> list[str]:
 def _columns(rows: Rows) -> dict[str, list[Any]]:
     """Return rows as columns, in which each name stands once."""
     return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
-
-
-class _SiteRow(NamedTuple):
-    """A parameter of a site as the page shows it."""
-
-    symbol: str
-    value: str
-    unit: str
-    meaning: str
-
-
-def _sites(report: Report) -> dict[str, list[_SiteRow]]:
-    """Return the parameters of each site, by its name; those that it leaves out are left out."""
-    sites = {run.row["site"]: run.site for run in report.runs.values()}
-    return {
-        name: [
-            _SiteRow(each.name, str(getattr(site, each.name)), each.unit, each.meaning)
-            for each in site_parameters() if getattr(site, each.name) is not None
-        ]
-        for name, site in sites.items()
-    }
 
 
 def _versions() -> dict[str, str]:

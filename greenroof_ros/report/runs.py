@@ -57,14 +57,6 @@ class Sources:
     failed: list[Row] = field(default_factory=list)
     configuration: dict[str, str] = field(default_factory=dict)
 
-    def nothing_to_show(self) -> ConfigurationError:
-        """Return the error of a report none of whose runs left anything to show."""
-        first = self.failed[0]
-        return ConfigurationError(
-            f"holds no finished run; {len(self.failed)} failed or did not run, the first: "
-            f"{first['run']} {first['error']}"
-        )
-
 
 def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     """Find the runs under some paths; what happened in them is read later, one by one.
@@ -105,8 +97,6 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     for name in names:
         if names.count(name) > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
-    if not sources.runs:
-        raise sources.nothing_to_show()
     sources.runs = _told_apart(sources.runs)
     return sources
 

@@ -17,7 +17,7 @@ from greenroof_ros.report.groups import (
     TOTAL,
     Report,
     facts,
-    heading,
+    who,
 )
 from greenroof_ros.report.intervals import Comparison, Ratio
 
@@ -150,6 +150,10 @@ def _fact(name: str) -> Column:
     return Column(name, cell)
 
 
+_NEAR = Column("near target (%)", lambda row: number(
+    None if row["near_share"] is None else 100 * row["near_share"], ".1f"))
+
+
 def _setting(row: Row) -> Cell:
     return Cell(row["setting"], f"{row['controller']} {row['rank']:06}")
 
@@ -192,8 +196,7 @@ def _results(report: Report) -> list[Column]:
         *map(_fact, report.apart()),
         _RUN,
         _number("near target (h)", "near_target_hours", ".2f"),
-        Column("near target (%)", lambda row: number(
-            None if row["near_share"] is None else 100 * row["near_share"], ".1f")),
+        _NEAR,
         *(_metric(metric) for metric in shown_metrics(report) if metric.name not in _ELSEWHERE),
         _number(f"value as mains water ({money})", "water_value"),
         _number(f"cost of electric energy ({money})", "energy_cost"),
@@ -270,8 +273,7 @@ def _methods(report: Report) -> list[Table]:
     if not pairs:
         return []
     return [_table("Total deviation under both kinds of evapotranspiration", [
-        Column("setting", lambda row: word(
-            f"{controller_name(row['controller'])} {row['setting']}")),
+        Column("setting", lambda row: word(who(row))),
         _FROM, *map(_fact, where),
         _number("published (m³)", TOTAL, ".2f"), _number("fao56 (m³)", "fao56", ".2f"),
         _number("difference (%)", "more", "+.2f"),
@@ -333,21 +335,6 @@ def _seeds(report: Report) -> list[Table]:
     ], cases)] if cases else []
 
 
-def season_windows(report: Report) -> list[str]:
-    """Name the seasons, each with its years."""
-    apart = [*report.apart(SEASONS), "start", "length"]
-    years: dict[str, set[int]] = {}
-    for row in report.of(SEASONS):
-        of = years.setdefault(heading(facts(row), apart), set())
-        of.update(year for year, _ in report.years(row))
-    return [f"{name}, {_span(sorted(found))}" for name, found in years.items()]
-
-
-def _span(years: Sequence[int]) -> str:
-    whole = years[-1] - years[0] + 1 == len(years)
-    return f"{years[0]} to {years[-1]}" if whole else ", ".join(map(str, years))
-
-
 def _seasons(report: Report) -> list[Table]:
     """Return means and comparisons, or of several cisterns or roofs sizes; none without seasons."""
     cases = report.of(SEASONS)
@@ -386,8 +373,7 @@ def _means(report: Report, cases: Sequence[Row]) -> Table:
         *_ratio(cases),
         _number("worst year (m³)", "worst_year_m3", ".0f"), _number("which", "worst_year", "d"),
         _number("worst tenth of weeks, of a week (m³)", "worst_tenth_m3", ".0f"),
-        Column("near target (%)", lambda row: number(
-            None if row["near_share"] is None else 100 * row["near_share"], ".1f")),
+        _NEAR,
         *(
             _metric(_METRICS[name], _MEAN_FORMS.get(name, ""))
             for name in _MEANS if any(row[name] is not None for row in cases)
@@ -405,15 +391,10 @@ def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> Table:
             Column("to", lambda row: number(of(row["has"]).high, ".3f")),
         ]
 
-    def name(row: Row) -> Cell:
-        than = row["than"]
-        parts = controller_name(than["controller"]), than["setting"], than["forecast"]
-        return word(" ".join(filter(None, parts)))
-
     return _table(
         f"Deviation over that of {other} ({len(compared)} compared, each interval for one)", [
             *_named(report),
-            Column("over", name),
+            Column("over", lambda row: word(f"{who(row['than'])} {row['than']['forecast']}")),
             Column("years with less deviation", lambda row: Cell(
                 f"{row['has'].better} of {row['has'].years}", row["has"].better)),
             Column("more or less (m³)", lambda row: number(row["has"].difference, "+.0f")),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import altair as alt
 
@@ -16,20 +15,6 @@ _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
 # Longer runs have days on their axis.
 _MOST_HOURS = 72.0
-
-class _Reference(NamedTuple):
-    """A level that means something."""
-
-    value: float
-    text: str
-
-
-class _Range(NamedTuple):
-    """The range of an axis, and its reference lines."""
-
-    low: float
-    high: float
-    references: list[_Reference]
 
 
 def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
@@ -57,14 +42,11 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         ("roof", "green roof", "green roof, x2 (m³)"),
     ):
         curves = {row["run"]: report.drawn[row["run"]].curves[quantity] for row in rows}
-        axis_range = _range(site, quantity, [v for one in curves.values() for _, v in one])
-        scale = alt.Scale(domain=[axis_range.low, axis_range.high], nice=False)
-        ticks = alt.Axis()
+        domain, references = _axis(site, quantity, [v for one in curves.values() for _, v in one])
+        scale, ticks = alt.Scale(domain=domain, nice=False), alt.Axis()
         if quantity == "command":
             # Of 1e-3 and of 1 both must be seen.
-            scale = alt.Scale(
-                type="symlog", constant=1e-3, domain=[axis_range.low, axis_range.high], nice=False
-            )
+            scale = alt.Scale(type="symlog", constant=1e-3, domain=domain, nice=False)
             ticks = alt.Axis(
                 values=[0.0, *(10.0**power for power in range(-3, 10))], format="~g"
             )
@@ -87,7 +69,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 **distinct("setting", list(labels), named),
             )
             panels.append(Panel(
-                alt.layer(*_reference_layers(axis_range, scale), lines),
+                alt.layer(*_reference_layers(domain, references, scale), lines),
                 f"{controller_name(controller)}: {title}",
                 hover=hover_points(lines), toggle="setting", zoom=True,
             ))
@@ -106,47 +88,46 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
 def _unique_labels(report: Report, rows: Sequence[Row]) -> dict[str, str]:
     """Return the runs of a panel by label; equal settings have the run's name, too."""
     plain = [row["label"] for row in rows]
-    order = report.settings[rows[0]["controller"]].labels
     return {
         f"{row['label']} ({row['run']})" if plain.count(row["label"]) > 1 else row["label"]:
-        row["run"] for row in sorted(rows, key=lambda row: order.index(row["label"]))
+        row["run"] for row in sorted(rows, key=lambda row: row["rank"])
     }
 
 
-def _range(site: Site, quantity: str, values: Sequence[float]) -> _Range:
-    """Return the range of a quantity's axis, the same in all panels."""
+def _axis(
+    site: Site, quantity: str, values: Sequence[float]
+) -> tuple[list[float], dict[str, float]]:
+    """Return a quantity's axis range, the same in all panels, and levels by what they mean."""
     low, high = min(values), max(values)
     if quantity == "command":
         # On a logarithmic axis that leaves room for the words above the line.
         top = max(2.5 * high, 0.002)
-        return _Range(0.0, top, [_Reference(1.0, _FULL_FLOW)] if top > 1.5 else [])
+        return [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
     span = max(high - low, 1e-3 * high, 1e-9)
 
     def near(value: float) -> bool:
         return low - span / 2 <= value <= high + span / 2
 
+    references = {"target": site.x2_star}
     if quantity == "cistern":
-        references = [
-            _Reference(site.a1 * site.z_o, "outlet"),
-            _Reference(site.a1 * site.suction_level, "suction limit"),
-        ]
+        references = {"outlet": site.a1 * site.z_o, "suction limit": site.a1 * site.suction_level}
         # Else two words would be in one place.
         if site.low_outlet_level is not None and near(site.a1 * site.low_outlet_level):
-            references.append(_Reference(site.a1 * site.low_outlet_level, "low outlet"))
-    else:
-        references = [_Reference(site.x2_star, "target")]
+            references["low outlet"] = site.a1 * site.low_outlet_level
     # One nearby is worth the room; one far away would make all lines flat.
-    inside = [one.value for one in references if near(one.value)]
+    inside = list(filter(near, references.values()))
     low, high = min([low, *inside]), max([high, *inside])
     margin = 0.12 * max(high - low, span)
-    return _Range(max(0.0, low - margin), high + margin, references)
+    return [max(0.0, low - margin), high + margin], references
 
 
-def _reference_layers(axis_range: _Range, scale: alt.Scale) -> list[alt.Chart]:
+def _reference_layers(
+    domain: Sequence[float], references: Mapping[str, float], scale: alt.Scale
+) -> list[alt.Chart]:
     """Return the reference lines, each with its name; those outside as a word at the edge."""
     layers = []
-    low, high = axis_range.low, axis_range.high
-    for value, text in axis_range.references:
+    low, high = domain
+    for text, value in references.items():
         above = value > high
         inside = low <= value and not above
         words = text if inside else f"{text} at {value:.4g} {'↑' if above else '↓'}"

@@ -18,9 +18,9 @@ from greenroof_ros.report.groups import (
     Report,
     facts,
     heading,
+    who,
 )
 from greenroof_ros.report.intervals import CONTAINS_1
-from greenroof_ros.report.tables import season_windows
 
 LEADING = (
     "sizing", "season-comparisons", "seasons", "forecast-errors", "total-deviation-1",
@@ -60,7 +60,20 @@ def windows(report: Report) -> list[str]:
     return [
         *map(report.heading, report.windows(SINGLE)),
         *(f"{window}, {len(found)} seeds" for window, found in seeds.items()),
-        *season_windows(report),
+        *_seasons(report),
+    ]
+
+
+def _seasons(report: Report) -> list[str]:
+    """Name the seasons, each with its years."""
+    apart = [*report.apart(SEASONS), "start", "length"]
+    years: dict[str, set[int]] = {}
+    for row in report.table.filter(kind=SEASONS).to_dicts():
+        years.setdefault(heading(facts(row), apart), set()).add(row["year"])
+    return [
+        f"{name}, {min(found)} to {max(found)}" if max(found) - min(found) + 1 == len(found)
+        else f"{name}, {', '.join(map(str, sorted(found)))}"
+        for name, found in years.items()
     ]
 
 
@@ -81,11 +94,6 @@ def _over_least(row: Row) -> str:
     return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
 
 
-def _who(row: Row) -> str:
-    name = controller_name(row["controller"])
-    return name if row["setting"] == "all alike" else f"{name} {row['setting']}".strip()
-
-
 def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
     """Say how many runs there are of whom, where."""
     counts = {name: len(report.settings[name].labels) for name in report.controllers}
@@ -101,12 +109,12 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
 
 
 def _of_one(report: Report, row: Row) -> list[str]:
-    who = controller_name(row["controller"])
+    whose = controller_name(row["controller"])
     if report.runs[row["run"]].parameters:
-        who += f" ({row['setting']})"
+        whose += f" ({row['setting']})"
     near = row["near_target_hours"]
     return [
-        f"A run of {who}: {heading(facts(row), ['site'])}, from {row['from']}: {row['ended']}.",
+        f"A run of {whose}: {heading(facts(row), ['site'])}, from {row['from']}: {row['ended']}.",
         f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
         f"{_over_least(row)}; it was near the target for "
         f"{'an unknown part' if near is None else f'{near:.2f}'} "
@@ -151,10 +159,10 @@ def _least(report: Report) -> str:
         where = [f"in {heading({name: first[name] for name in apart}, apart)}"] if apart else []
         where += [f"from {first['from']}"] if len(report.initials) > 1 else []
         alike = bool(others) and others[-1][TOTAL] == first[TOTAL]
-        who = "whatever the controller" if alike else _who(first)
-        text = f"{' '.join([_deviation(first[TOTAL]), *where])} ({who}{_over_least(first)}"
+        whose = "whatever the controller" if alike else who(first)
+        text = f"{' '.join([_deviation(first[TOTAL]), *where])} ({whose}{_over_least(first)}"
         if others and not alike:
-            text += f"; {_who(others[0])} had {others[0][TOTAL]:.2f}"
+            text += f"; {who(others[0])} had {others[0][TOTAL]:.2f}"
         parts.append(f"{text})")
     return f"The least total deviation was {_and(parts)}."
 
@@ -163,7 +171,7 @@ def _of_seeds(report: Report) -> list[str]:
     cases = report.of(SEEDS)
 
     def named(row: Row) -> str:
-        return f"{_who(row)} from {row['from']}, forecasts of skill {row['skill']}"
+        return f"{who(row)} from {row['from']}, forecasts of skill {row['skill']}"
 
     groups: dict[object, list[Row]] = {}
     for row in cases:
@@ -185,7 +193,7 @@ def _of_seeds(report: Report) -> list[str]:
 
 
 def _of_seasons(report: Report) -> list[str]:
-    first = _runs(report, season_windows(report))  # which name the initial states
+    first = _runs(report, _seasons(report))  # which name the initial states
     cases = report.of(SEASONS)
     if report.sizing:
         return [first, *_of_sizes(cases)]
@@ -197,7 +205,7 @@ def _of_seasons(report: Report) -> list[str]:
         first,
         "The least mean deviation of a season was "
         + _and(
-            f"{_deviation(row[TOTAL])}{_over_least(row)} ({_who(row)}, forecast {row['forecast']})"
+            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']})"
             for row in best[:_MOST_NAMED]
         ) + ".",
         *(
@@ -250,9 +258,9 @@ def cautions(report: Report) -> list[str]:
     """Return what changes how the numbers are to be read, each in a few words."""
     total = len(report.runs)
     found = []
-    broken = [run.ending for run in report.runs.values() if run.ending is not None]
+    broken = [run.ending for run in report.runs.values() if run.ending]
     if broken and total == 1:
-        found.append(f"this run {broken[0].sentence}: what follows is of what was recorded")
+        found.append(f"this run {broken[0]}: what follows is of what was recorded")
     elif broken:
         found.append(
             f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
@@ -301,8 +309,8 @@ def make_warnings(report: Report) -> list[RunWarning]:
     for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
         run = report.runs[row["run"]]
         said = [(text, "") for text in _of_results(row, run.site.starts_per_hour)]
-        if run.ending is not None:
-            said.insert(0, (f"{run.ending.sentence}; what follows is of what was recorded", ""))
+        if run.ending:
+            said.insert(0, (f"{run.ending}; what follows is of what was recorded", ""))
         if run.incidents:
             said.append((
                 f"{run.ended}: something was lost while the run went on; the table of "
@@ -312,8 +320,8 @@ def make_warnings(report: Report) -> list[RunWarning]:
             said += [(text, "") for text in (too_few.get(row["kind"]), _TOGETHER[row["kind"]])
                      if text]
         said += [
-            (str(note) if row["kind"] == SINGLE else note.of_many(), note.listed)
-            for note in report.notes[row["run"]]
+            (note.text if row["kind"] == SINGLE else note.of_many or note.text, note.listed)
+            for note in run.notes
         ]
         for text, listed in said:
             sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."

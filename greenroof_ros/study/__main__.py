@@ -21,7 +21,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.recording.results_table import differing, shortest
-from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
+from greenroof_ros.study.case_run import ENGINES, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
 from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
@@ -129,19 +129,16 @@ def main() -> int:
         arguments.output or Path("studies") / grid.stem, grid, cases, arguments.engine,
         trajectory_every=every,
     )
-    outcomes = store.finished()
-    open_cases = [case for case in cases if case.identity not in outcomes]
-    failures: dict[str, str] = {}
+    open_cases = [case for case in cases if case.identity not in store.outcomes]
+    unbounded = {
+        case.problem: case for case in cases
+        if case.bound_block != 0 and case.problem not in store.bounds
+    }
     console = Console(stderr=True)
-    if outcomes:
-        console.print(f"{len(outcomes)} of {len(cases)} runs are there already")
+    if store.outcomes:
+        console.print(f"{len(store.outcomes)} of {len(cases)} runs are there already")
     try:
-        bounds = store.bounds()
-        problems = {
-            case.problem: case for case in cases
-            if case.bound_block != 0 and case.problem not in bounds
-        }
-        if open_cases or problems:
+        if open_cases or unbounded:
             cores = len(os.sched_getaffinity(0))
             if arguments.engine == "ros":
                 cores = max(1, cores // _CORES_PER_GRAPH)
@@ -150,39 +147,28 @@ def main() -> int:
                 else processes(arguments.jobs or cores)
             )
             with those as workers:
-                _run(
-                    open_cases, Names(cases), problems, bounds, arguments.engine, every, workers,
-                    store, outcomes, failures, console,
-                )
+                _run(store, open_cases, list(unbounded.values()), workers, console)
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
         return EXIT_FAILED
     except WorkersGoneError as error:
         print(
-            f"error: {error}: {len(outcomes)} of {len(cases)} cases are stored; run the same "
+            f"error: {error}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same "
             "command again, it goes on", file=sys.stderr,
         )
         return EXIT_FAILED
     finally:
-        rows = store.write_tables(outcomes, failures, store.bounds())
+        rows = store.write_tables()
     show(cases, rows, store.directory)
-    return EXIT_FAILED if failures else EXIT_DONE
+    return EXIT_FAILED if store.failures else EXIT_DONE
 
 
 def _run(
-    cases: Sequence[Case],
-    names: Names,
-    problems: Mapping[str, Case],
-    bounds: dict[str, float],
-    engine: str,
-    trajectory_every: float | None,
-    workers: Workers,
-    store: Store,
-    outcomes: dict[str, Outcome],
-    failures: dict[str, str],
+    store: Store, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
     console: Console,
 ) -> None:
-    """Run cases, and bound the problems, keeping each outcome as it comes."""
+    """Run cases, and bound the problems of others, keeping each outcome as it comes."""
+    names = Names(store.cases)
     # The longest first, so that no core is idle at the end while another has a long one left.
     ordered = sorted(
         cases,
@@ -197,41 +183,31 @@ def _run(
     ) as progress:
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
-        bounding: dict[Future[float], str] = {
-            workers.submit(bound_case, case): problem for problem, case in problems.items()
+        pending: dict[Future[Any], Case] = {
+            workers.submit(bound_case, case): case for case in unbounded
         }
-        pending: dict[Future[Outcome], Case] = {
-            workers.submit(run_case, case, engine, trajectory_every): case for case in ordered
-        }
-        while pending or bounding:
+        bounds = set(pending)
+        for case in ordered:
+            future = workers.submit(run_case, case, store.engine, store.trajectory_every)
+            pending[future] = case
+        while pending:
             workers.check()
-            open_tasks: list[Future[Any]] = [*pending, *bounding]
-            done, _ = wait(open_tasks, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
-            for future in done & bounding.keys():
-                problem = bounding.pop(future)
-                try:
-                    bounds[problem] = future.result()
-                except CancelledError:
-                    raise
-                except Exception as error:  # the runs do not need it
-                    name = names.name(problems[problem])
-                    progress.print(f"no bound: {name}: {error}", markup=False)
-                else:
-                    store.keep_bounds(bounds)
-            for future in done & pending.keys():
+            done, _ = wait(list(pending), timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            for future in done:
                 case = pending.pop(future)
                 try:
-                    outcome = future.result()
+                    result = future.result()
                 except CancelledError:
                     raise
                 except Exception as error:  # of a run, or the end of its process
-                    reason = str(error) or type(error).__name__
-                    failures[case.identity] = reason
-                    progress.print(f"failed: {names.name(case)}: {reason}", markup=False)
+                    what, reason = "no bound", str(error) or type(error).__name__
+                    if future not in bounds:  # which the runs do not need
+                        what, store.failures[case.identity] = "failed", reason
+                    progress.print(f"{what}: {names.name(case)}: {reason}", markup=False)
                 else:
-                    store.keep(case, outcome)
-                    outcomes[case.identity] = outcome
-                progress.advance(task)
+                    (store.keep_bound if future in bounds else store.keep)(case, result)
+                if future not in bounds:
+                    progress.advance(task)
             progress.refresh()
 
 
@@ -270,8 +246,9 @@ class Names:
 
 def _forecast(case: Case) -> str:
     """Name the forecasts of a case."""
-    dressed = {} if case.dressed_file is None else {"dressed": case.dressed_file.name}
-    return _named(str(case.forecast), {**case.forecast.options(), **dressed})
+    choice = case.forecast
+    dressed = {} if choice.dressed is None else {"dressed": choice.dressed.name}
+    return _named(str(choice), {**choice.options(), **dressed})
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:

@@ -24,13 +24,12 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_pump_errors import Pump
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.study.grid import Case
+from greenroof_ros.study.grid import Case, in_directory
 from greenroof_ros.weather.reading import read_weather
 
 ENGINES = ("inprocess", "ros")
@@ -104,20 +103,8 @@ def _build(case: Case, directory: Path) -> Run:
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
-        _choice(case, directory), case.sensor_pump_errors,
+        in_directory(case.forecast, case.forecast_files, directory), case.sensor_pump_errors,
     )
-
-
-def _choice(case: Case, directory: Path) -> ForecastChoice:
-    """Return the case's choice of forecasts, files of them and of their skill where they lie."""
-    choice = case.forecast
-    if case.forecast_file is not None:
-        choice = replace(choice, file=directory / case.forecast_file.name)
-    if case.skill_file is not None:
-        choice = replace(choice, skill=str(directory / case.skill_file.name))
-    if case.dressed_file is not None:
-        choice = replace(choice, dressed=directory / case.dressed_file.name)
-    return choice
 
 
 def _every(site: Site, trajectory_every: float) -> int:
@@ -153,6 +140,7 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         encoding="utf-8",
     )
     output = directory / "run"
+    forecast = in_directory(case.forecast, case.forecast_files, directory)
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
         *(["--no-record"] if trajectory_every is None else []),
@@ -162,11 +150,11 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
-        "--forecast", str(_choice(case, directory)),
+        "--forecast", str(forecast),
     ]
-    if case.dressed_file is not None:
-        command += ["--dressed", str(directory / case.dressed_file.name)]
-    for name, value in _choice(case, directory).options().items():
+    if forecast.dressed is not None:
+        command += ["--dressed", str(forecast.dressed)]
+    for name, value in forecast.options().items():
         command += [f"--forecast-{name}", str(value)]
     if case.sensor_pump_errors is not None:
         # In one word, as -1e-05 alone would be taken for an option.

@@ -52,8 +52,12 @@ from greenroof_ros.weather.series import Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
+# The digests of a case's files of forecasts, in what its identity is made from.
+_DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
 # What the directory of a study has beside them.
 _OWN_FILES = ("grid.yaml", "study.json")
+# What a value of each kind must be.
+_KINDS = {str: "a text", int: "a whole number", float: "a number"}
 _WINDOW_KEYS = ("file", "start", "year", "hours", "evapotranspiration", "gaps", "forecast")
 
 
@@ -83,10 +87,8 @@ class Case:
         hours: length (h).
         evapotranspiration: method.
         gaps: what is done about gaps in the weather files.
-        forecast: which forecasts; a file of them by its name.
-        forecast_file: that file; None where there is none.
-        skill_file: of the forecasts' skill; None where that has a name.
-        dressed_file: that they are dressed by; None for forecasts as they were issued.
+        forecast: which forecasts; their files by name.
+        forecast_files: these, by the attribute of the choice that names each.
         controller: which.
         parameters: all of the controller's.
         initial: name of the initial state.
@@ -104,9 +106,7 @@ class Case:
     hours: float
     evapotranspiration: str
     forecast: ForecastChoice
-    forecast_file: InputFile | None
-    skill_file: InputFile | None
-    dressed_file: InputFile | None
+    forecast_files: Mapping[str, InputFile]
     controller: ControllerChoice
     parameters: dict[str, float]
     initial: str
@@ -119,10 +119,7 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """What it reads."""
-        files = (
-            self.site, *self.weather, self.forecast_file, self.skill_file, self.dressed_file
-        )
-        return tuple(file for file in files if file is not None)
+        return self.site, *self.weather, *self.forecast_files.values()
 
     @property
     def identity(self) -> str:
@@ -131,9 +128,8 @@ class Case:
             **self.columns(),
             "site": self.site.digest,
             "weather": " ".join(file.digest for file in self.weather),
-            "forecast_file": self.forecast_file.digest if self.forecast_file is not None else "",
-            **({"skill_file": self.skill_file.digest} if self.skill_file is not None else {}),
-            **({"dressed": self.dressed_file.digest} if self.dressed_file is not None else {}),
+            "forecast_file": "",
+            **{_DIGESTS[key]: file.digest for key, file in self.forecast_files.items()},
             "parameters": sorted(self.parameters.items()),
             "controller": [self.controller.reference, self.controller.source],
         }
@@ -144,7 +140,7 @@ class Case:
         """Identity of what every controller is given alike, and of how it is bounded."""
         alike = replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
-            forecast_file=None, skill_file=None, dressed_file=None, sensor_pump_errors=None,
+            forecast_files={}, sensor_pump_errors=None,
         ).identity
         return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
 
@@ -160,8 +156,8 @@ class Case:
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
             **(
-                {"forecast_dressed": self.dressed_file.name}
-                if self.dressed_file is not None else {}
+                {} if self.forecast.dressed is None
+                else {"forecast_dressed": self.forecast.dressed.name}
             ),
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
             "controller": self.controller.name,
@@ -169,6 +165,16 @@ class Case:
             "cistern_m3": self.cistern,
             "roof_m3": self.roof,
         }
+
+
+def in_directory(
+    choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
+) -> ForecastChoice:
+    """Return a choice of forecasts whose files are those of a case, in a directory."""
+    places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
+    if "skill" in places:
+        places["skill"] = str(places["skill"])
+    return replace(choice, **places)
 
 
 class _Setting(NamedTuple):
@@ -181,11 +187,6 @@ class _Setting(NamedTuple):
     """instead of the grid's, for a controller that looks at none or at one kind; None for those"""
     sites: list[str]
     """files of those that it runs on; empty for all"""
-
-    def on(self, site: Site) -> _Setting:
-        """Return it with all parameters, those that are not given as they are on a site."""
-        defaults = self.controller.defaults(site)
-        return self._replace(parameters={**defaults, **self.parameters})
 
 
 def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
@@ -239,16 +240,18 @@ class _Grid:
         controllers = list(self._controllers())
         for name, path in self._sites():
             site = read_site(path)
+            # Those parameters that are not given are as they are on a site.
             settings = [
-                one.on(site) for one in controllers if not one.sites or name in one.sites
+                one._replace(parameters={**one.controller.defaults(site), **one.parameters})
+                for one in controllers if not one.sites or name in one.sites
             ]
             for window in self._windows():
-                for start, hours, method in itertools.product(
-                    self._list(window, "start", str),
-                    self._list(window, "hours", float, [None]),
-                    self._list(window, "evapotranspiration", str, [None]),
-                ):
-                    yield from self._runs(path, site, window, start, hours, method, settings)
+                for when in _products({
+                    "start": self._list(window, "start", str),
+                    "hours": self._list(window, "hours", float, [None]),
+                    "method": self._list(window, "evapotranspiration", str, [None]),
+                }):
+                    yield from self._runs(path, site, window, settings, **when)
 
     def _sites(self) -> Iterator[tuple[str, Path]]:
         """Yield the name and path of each site file, those with other values with these."""
@@ -269,8 +272,7 @@ class _Grid:
             for name in self._list(each, "file", str):
                 file = self._place(each, "file", name) / name
                 read_site(file)
-                for combination in itertools.product(*values.values()):
-                    own = dict(zip(values, combination, strict=True))
+                for own in _products(values):
                     label = "_".join(f"{key}-{shortest(value)}" for key, value in own.items())
                     path = Path(self._scratch.name, str(number), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
@@ -285,14 +287,8 @@ class _Grid:
                     yield name, path
 
     def _runs(
-        self,
-        site_file: Path,
-        site: Site,
-        window: YamlMapping,
-        start: str,
-        hours: float | None,
-        method: str | None,
-        controllers: list[_Setting],
+        self, site_file: Path, site: Site, window: YamlMapping, controllers: list[_Setting], *,
+        start: str, hours: float | None, method: str | None,
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
         files: list[Path] = []
@@ -335,8 +331,7 @@ class _Grid:
                             initial, volumes, asked,
                         )
                 run = checked[key]
-            carried, forecast_file, skill_file = self._carried(choice, site)
-            dressed_file = None if choice.dressed is None else self._input(choice.dressed)
+            carried, forecast_files = self._carried(choice, site)
             inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters, *_) in itertools.product(
                 list(self._sensor_pump_errors()), theirs
@@ -349,9 +344,7 @@ class _Grid:
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
                     forecast=carried,
-                    forecast_file=forecast_file,
-                    skill_file=skill_file,
-                    dressed_file=dressed_file,
+                    forecast_files=forecast_files,
                     controller=controller,
                     parameters=parameters,
                     initial=initial,
@@ -386,15 +379,13 @@ class _Grid:
             if "dressed" in options:
                 name = self._one(options, "dressed", str)
                 choice = replace(choice, dressed=self._place(options, "dressed", name) / name)
-            skills = self._skills(options) if "skill" in options else [choice.skill]
-            numbers = {
-                name: (NUMBERS[name].low, NUMBERS[name].high)
-                for name in choice.takes if name in options and name in NUMBERS
+            choices = {
+                "skill": self._skills(options) if "skill" in options else [choice.skill],
+                **{name: self._in_range(options, name, NUMBERS[name].low, NUMBERS[name].high)
+                   for name in choice.takes if name in options and name in NUMBERS},
             }
-            for skill, values in itertools.product(
-                skills, list(self._combinations(options, numbers))
-            ):
-                yield replace(choice, skill=skill, **values)
+            for values in _products(choices):
+                yield replace(choice, **values)
 
     def _weather(self, files: list[Path], site: Site, method: str | None, gaps: str) -> Weather:
         """Return the weather of some files, read once for all sites of a place."""
@@ -424,37 +415,32 @@ class _Grid:
         if "sensor_pump_errors" not in self._mapping:
             yield None
             return
-        given = self._mapping["sensor_pump_errors"]
-        mappings = given if isinstance(given, list) else [given]
-        if not mappings or not all(isinstance(each, YamlMapping) for each in mappings):
-            raise self._refuse(
-                self._mapping, "sensor_pump_errors",
-                "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of "
-                "such",
-            )
-        for mapping in mappings:
+        for mapping in self._mappings(
+            "sensor_pump_errors",
+            "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of such",
+        ):
             self._keys(mapping, tuple(PARAMETERS))
-            names = [name for name in PARAMETERS if name in mapping]
-            ranges = {name: (PARAMETERS[name].low, PARAMETERS[name].high) for name in names}
-            for values in self._combinations(mapping, ranges):
+            for values in _products({
+                name: self._in_range(mapping, name, PARAMETERS[name].low, PARAMETERS[name].high)
+                for name in PARAMETERS if name in mapping
+            }):
                 yield SensorPumpErrors(**values)
 
-    def _combinations(
-        self, mapping: YamlMapping, ranges: Mapping[str, tuple[float, float]]
-    ) -> Iterator[dict[str, Any]]:
-        """Yield every combination of the values of some options, each with its range.
+    def _mappings(self, key: str, expected: str) -> list[YamlMapping]:
+        """Return what is under a key of the grid as a list of mappings; one is a list of one."""
+        given = self._mapping[key]
+        mappings = given if isinstance(given, list) else [given]
+        if not mappings or not all(isinstance(each, YamlMapping) for each in mappings):
+            raise self._refuse(self._mapping, key, expected)
+        return mappings
 
-        An option is a whole number where its range has whole ends.
-        """
-        choices = []
-        for name, (low, high) in ranges.items():
-            values = self._list(mapping, name, type(low))
-            for value in values:
-                if not low <= value <= high:
-                    raise self._refuse(mapping, name, f"{value} must be from {low} to {high}")
-            choices.append(values)
-        for combination in itertools.product(*choices):
-            yield dict(zip(ranges, combination, strict=True))
+    def _in_range(self, mapping: YamlMapping, key: str, low: float, high: float) -> list[Any]:
+        """Return the values of an option with a range: whole numbers where its ends are."""
+        values = self._list(mapping, key, type(low))
+        for value in values:
+            if not low <= value <= high:
+                raise self._refuse(mapping, key, f"{value} must be from {low} to {high}")
+        return values
 
     def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
         """Return the directory from which a name, or a pattern, is that of a file.
@@ -487,38 +473,34 @@ class _Grid:
         """
         path = path.resolve()
         if path not in self._files:
-            taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
             named = path
-            if path.name in taken:
+            if named.name in self._taken():
                 named = path.with_name(f"{path.parent.name}-{path.name}")
-            self._files[path] = InputFile(unique_name(named, taken), content(path))
+            self._files[path] = InputFile(unique_name(named, self._taken()), content(path))
         return self._files[path]
+
+    def _taken(self) -> set[str]:
+        """Return the names that files of the study have."""
+        return {*_OWN_FILES, *(file.name for file in self._files.values())}
 
     def _carried(
         self, choice: ForecastChoice, site: Site
-    ) -> tuple[ForecastChoice, InputFile | None, InputFile | None]:
-        """Return a choice of forecasts as the study carries it along, its file, and its skill's.
+    ) -> tuple[ForecastChoice, dict[str, InputFile]]:
+        """Return a choice of forecasts as the study carries it along, and its files.
 
         A directory is one file there, in the project's own form, and so is NetCDF, whose name has
         to say its issue alone.
         """
-        skill_file = None if choice.skill_file is None else self._input(choice.skill_file)
-        if skill_file is not None:
-            choice = replace(choice, skill=skill_file.name)
-        if choice.file is None:
-            return choice, None, skill_file
-        path = choice.file.resolve()
-        if path.is_dir() or path.suffix.lower() == ".nc":
+        path = None if choice.file is None else choice.file.resolve()
+        if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
             archive = read_archive(path, site, choice.delay)
             choice = replace(choice, delay=archive.delay)
             if path not in self._files:
-                taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
-                self._files[path] = InputFile(
-                    unique_name(Path(f"{path.name}.csv"), taken),
-                    write_forecasts(archive.issues).encode(),
-                )
-        file = self._input(path)
-        return replace(choice, file=Path(file.name)), file, skill_file
+                name = unique_name(Path(f"{path.name}.csv"), self._taken())
+                self._files[path] = InputFile(name, write_forecasts(archive.issues).encode())
+        named = {"file": path, "skill": choice.skill_file, "dressed": choice.dressed}
+        files = {key: self._input(file) for key, file in named.items() if file is not None}
+        return in_directory(choice, files, Path()), files
 
     def _weather_name(self, files: tuple[InputFile, ...]) -> str:
         """Return one name for weather files, which no others of the study have."""
@@ -530,13 +512,9 @@ class _Grid:
         return self._weathers[files]
 
     def _windows(self) -> Iterator[YamlMapping]:
-        windows = self._mapping["weather"]
-        for window in windows if isinstance(windows, list) else [windows]:
-            if not isinstance(window, YamlMapping):
-                raise self._refuse(
-                    self._mapping, "weather", "must be a list of windows, each with 'file:', "
-                    "'start:' and 'hours:'",
-                )
+        for window in self._mappings(
+            "weather", "must be a list of windows, each with 'file:', 'start:' and 'hours:'"
+        ):
             self._keys(window, _WINDOW_KEYS)
             for key in ("file", "start"):
                 if key not in window:
@@ -655,7 +633,7 @@ class _Grid:
             if name not in (known for known, _ in self._sites()):
                 raise self._refuse(given, "site", f"{name} is not under 'site:' of the grid")
         keys = [key for key in given if key not in ("forecast", "site")]
-        choices = []
+        choices = {}
         for key in keys:
             controller.check_name(key, self._path, given.lines[key])
             parameter = controller.parameters[key]
@@ -663,11 +641,9 @@ class _Grid:
             for value in values:
                 if not parameter.accepts(value):
                     raise self._refuse(given, key, f"{value:g} {parameter.expected}")
-            choices.append([int(value) if parameter.whole else value for value in values])
-        for combination in itertools.product(*choices):
-            yield _Setting(
-                controller, dict(zip(keys, combination, strict=True)), forecasts, sites
-            )
+            choices[key] = [int(value) if parameter.whole else value for value in values]
+        for parameters in _products(choices):
+            yield _Setting(controller, parameters, forecasts, sites)
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:
@@ -704,16 +680,12 @@ class _Grid:
         values = value if isinstance(value, list) else [value]
         if not values:
             raise self._refuse(mapping, key, "is empty")
+        expected: Any = (int, float) if kind is float else kind
         for each in values:
-            is_number = isinstance(each, (int, float)) and not isinstance(each, bool)
-            if kind is float and not is_number:
-                raise self._refuse(mapping, key, "must be a number, or a list of them")
-            if kind is int and not (is_number and isinstance(each, int)):
-                raise self._refuse(mapping, key, "must be a whole number, or a list of them")
+            if isinstance(each, bool) or not isinstance(each, expected):
+                raise self._refuse(mapping, key, f"must be {_KINDS[kind]}, or a list of them")
             if kind is float and math.isnan(each):
                 raise self._refuse(mapping, key, "must not be nan")
-            if kind is str and not isinstance(each, str):
-                raise self._refuse(mapping, key, "must be a text, or a list of them")
         return [kind(each) for each in values]
 
     def _keys(self, mapping: YamlMapping, known: tuple[str, ...]) -> None:
@@ -729,6 +701,12 @@ class _Grid:
             expected, file=self._path, line=mapping.lines[key], key=key,
             value=None if isinstance(mapping[key], (dict, list)) else mapping[key],
         )
+
+
+def _products(choices: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
+    """Yield every combination of the values of some options."""
+    for combination in itertools.product(*choices.values()):
+        yield dict(zip(choices, combination, strict=True))
 
 
 def _whole_site(path: Path) -> bytes:

@@ -6,10 +6,12 @@ import ast
 import csv
 import fcntl
 import hashlib
+import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -28,6 +30,13 @@ class Store:
 
     Attributes:
         directory: of the study.
+        cases: its runs.
+        engine: which makes them.
+        trajectory_every: time between the samples of what happened in each run (s), 0 for each
+            tick; None to keep the results only.
+        outcomes: of the runs that are finished, without their files, by identity.
+        failures: why others are not; those in neither were not run.
+        bounds: least possible total deviations (m3) that are known, by problem.
     """
 
     def __init__(
@@ -41,21 +50,24 @@ class Store:
     ) -> None:
         """Begin a study, or go on with one.
 
+        An outcome that is damaged, as after a power cut, is none: its run is made again and then
+        replaced.
+
         Args:
             directory: of the study, new, empty or its own.
             grid: its file.
             cases: its runs.
             engine: which makes them.
-            trajectory_every: time between the samples of what happened in each run (s), 0 for each
-                tick; None to keep the results only.
+            trajectory_every: as the attribute.
 
         Raises:
             ConfigurationError: the directory holds something else, another study, or this one as
                 another engine made it, or other code that makes the numbers; or it cannot be
-                written, or another process works in it.
+                written, or another process works in it; or an outcome cannot be read, as on a
+                network drive that is away. It is left as it is, since it may be whole.
         """
         self.directory = directory
-        self._cases = cases
+        self.cases, self.engine, self.trajectory_every = cases, engine, trajectory_every
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
         identity = {
@@ -70,6 +82,14 @@ class Store:
             raise ConfigurationError(
                 f"cannot be written: {error.strerror}", key="--output", value=str(directory)
             ) from error
+        self.outcomes: dict[str, Outcome] = {}
+        self.failures: dict[str, str] = {}
+        for case in cases:
+            content = _read(self._runs / case.identity / _OUTCOME)
+            with suppress(KeyError, TypeError):
+                self.outcomes[case.identity] = Outcome(content["results"], content["timings"], {})
+        bounds = _read(self._bounds)
+        self.bounds: dict[str, float] = bounds if isinstance(bounds, dict) else {}
 
     def _open(self, grid: Path, identity: dict[str, Any]) -> None:
         configuration = self.directory / "configuration"
@@ -89,7 +109,7 @@ class Store:
             self._check(file, identity)
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
-            for case in self._cases:
+            for case in self.cases:
                 for used in case.files:
                     (configuration / used.name).write_bytes(used.content)
             _write(file, json.dumps(identity, indent=2) + "\n")
@@ -125,22 +145,6 @@ class Store:
                     key="--output", value=str(self.directory),
                 )
 
-    def finished(self) -> dict[str, Outcome]:
-        """Return the outcomes that are there, without their files.
-
-        One that is damaged, as after a power cut, is not; its run is made again and then replaced.
-
-        Raises:
-            ConfigurationError: one cannot be read, as on a network drive that is away. It is left
-                as it is, since it may be whole.
-        """
-        found = {}
-        for case in self._cases:
-            content = _read(self._runs / case.identity / _OUTCOME)
-            with suppress(KeyError, TypeError):
-                found[case.identity] = Outcome(content["results"], content["timings"], {})
-        return found
-
     def keep(self, case: Case, outcome: Outcome) -> None:
         """Write an outcome; a process that is killed meanwhile leaves nothing of it.
 
@@ -158,39 +162,25 @@ class Store:
         if whole.exists():  # a damaged one
             shutil.rmtree(whole)
         part.replace(whole)
+        self.outcomes[case.identity] = replace(outcome, files={})
 
-    def bounds(self) -> dict[str, float]:
-        """Return the least possible total deviations (m3) that are known, by problem."""
-        found = _read(self._bounds)
-        return found if isinstance(found, dict) else {}
+    def keep_bound(self, case: Case, bound: float) -> None:
+        """Write down the least possible total deviation (m3) of a case's problem."""
+        self.bounds[case.problem] = bound
+        _write(self._bounds, json.dumps(self.bounds, indent=2) + "\n")
 
-    def keep_bounds(self, bounds: Mapping[str, float]) -> None:
-        """Write them down."""
-        _write(self._bounds, json.dumps(bounds, indent=2) + "\n")
-
-    def write_tables(
-        self,
-        outcomes: Mapping[str, Outcome],
-        failures: Mapping[str, str],
-        bounds: Mapping[str, float],
-    ) -> list[dict[str, Any]]:
+    def write_tables(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and ``timings.csv``, as times differ from run to run.
-
-        Args:
-            outcomes: of the finished runs, by identity.
-            bounds: least possible total deviations (m3), by problem.
-            failures: why the others are not, by identity; those in neither were not run.
 
         Returns:
             The rows of ``results.csv``.
         """
-        parameters = list(dict.fromkeys(name for case in self._cases for name in case.parameters))
+        parameters = list(dict.fromkeys(name for case in self.cases for name in case.parameters))
         rows, timings = [], []
-        for case in self._cases:
+        for case in self.cases:
             identity = case.identity
-            outcome = outcomes.get(identity)
-            status = "done" if outcome else "failed" if identity in failures else "not run"
-            bound = bounds.get(case.problem)
+            outcome, error = self.outcomes.get(identity), self.failures.get(identity)
+            bound = self.bounds.get(case.problem)
             ratio = None
             if outcome and bound:
                 ratio = outcome.results["total_deviation_m3"] / bound
@@ -198,8 +188,8 @@ class Store:
                 "run": identity,
                 **case.columns(),
                 **parameter_columns({name: case.parameters.get(name) for name in parameters}),
-                "status": status,
-                "error": failures.get(identity, ""),
+                "status": "done" if outcome else "not run" if error is None else "failed",
+                "error": error or "",
                 **(outcome.results if outcome else {}),
                 "bound_m3": bound,
                 "ratio_to_bound": ratio,
@@ -255,10 +245,9 @@ def _write(path: Path, text: str) -> None:
 
 def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows with the columns of all of them; floats with all their digits."""
+    text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))
-    part = path.with_name(f".{path.name}.part")
-    with part.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    part.replace(path)
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    _write(path, text.getvalue())

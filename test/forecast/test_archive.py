@@ -170,11 +170,10 @@ def test_a_study_by_an_archive(tmp_path: Path) -> None:
         "forecast: [runs/, {model: runs/, delay: 2.0}]\n"
     )
     usual, early = read_grid(grid)
-    assert usual.forecast_file is not None
-    assert usual.forecast_file == early.forecast_file
+    assert usual.forecast_files == early.forecast_files
     assert (usual.forecast.delay, early.forecast.delay) == (6.0, 2.0)
-    carried = tmp_path / usual.forecast_file.name
-    carried.write_bytes(usual.forecast_file.content)
+    carried = tmp_path / usual.forecast_files["file"].name
+    carried.write_bytes(usual.forecast_files["file"].content)
     weather = weather_from(datetime.fromisoformat("2021-07-07T06:00+00:00"))
     one, other = (
         FileModel(archive, weather, False).known(20, 12)[0]

@@ -89,11 +89,10 @@ def test_a_study_carries_the_same_issue_of_two_products(tmp_path: Path) -> None:
     both = "forecast: [HRDPS/2021070706.nc, REPS/2021070706.nc]\n"
     text = edited("T02:00", "T10:00").replace("published, ", "")
     cases = read_grid(tmp_path / grid(tmp_path, text + both))
-    files = {case.forecast_file for case in cases}
+    files = {case.forecast_files["file"] for case in cases}
     assert {case.forecast.delay for case in cases} == {5.0, 7.0}
     rains = []
     for number, file in enumerate(files):
-        assert file is not None
         carried = tmp_path / str(number) / file.name
         carried.parent.mkdir()
         carried.write_bytes(file.content)

@@ -36,7 +36,7 @@ def trajectory(samples: int, dt: float = 1.0, **values: object) -> Trajectory:
 
 def found_in(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return what is found in a bag."""
-    return measured(Run({"run": "bag"}, site, {}, None), Recorded(happened))
+    return measured(Run(row={"run": "bag"}, site=site), Recorded(happened))
 
 
 def test_an_hour_of_constant_flow() -> None:

@@ -112,7 +112,7 @@ def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     first, second = report.single
     assert first["near_target_hours"] == near_hours(PAPER_SITE, kept, 0.2)
     assert second["near_target_hours"] is None
-    assert "the time near the target is of samples every 60 s" in str(report.notes["001"][-1])
+    assert "the time near the target is of samples every 60 s" in report.runs["001"].notes[-1].text
     for usual in report_of(path, band=NEAR_TARGET).single:
         assert usual["near_target_hours"] == one.row["near_target_hours"]
 

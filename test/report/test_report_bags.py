@@ -110,7 +110,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) ->
         for name in (TOTAL, "pumped_m3"):
             assert row[name] == pytest.approx(one.row[name], rel=1e-12)
         assert (row["controller"], row["from"]) == ("unknown", "as recorded")
-        assert any("the paper's, config/site.yaml" in str(note) for note in run.notes)
+        assert any("the paper's, config/site.yaml" in note.text for note in run.notes)
     with pytest.raises(ConfigurationError, match=r"of one graph, but holds .* /, /site1"):
         report_of(tmp_path / "both")
 
@@ -321,7 +321,7 @@ def test_a_run_directorys_notes(tmp_path: Path) -> None:
         suspicious=["79.2 mm at 2015-12-29T02:00-05:00"],
     )
     report = report_of(path)
-    assert {str(note) for note in report.notes["run"]} == {
+    assert {note.text for note in report.runs["run"].notes} == {
         "the controller's solver found no answer in 3 ticks",
         "a forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed",
         "a tank ran empty in 4 ticks, and what left it was limited",
@@ -329,7 +329,7 @@ def test_a_run_directorys_notes(tmp_path: Path) -> None:
         "1 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled in",
         "suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00",
     }
-    assert "dew point: 2021-07-20T13:00-05:00" in [note.listed for note in report.notes["run"]]
+    assert "dew point: 2021-07-20T13:00-05:00" in [note.listed for note in report.runs["run"].notes]
 
 
 def test_no_bound_for_other_weather(tmp_path: Path) -> None:
@@ -372,8 +372,8 @@ def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
         report = report_of(tmp_path / "run")
         (row,) = report.single
         assert (row["run"], row["controller"], row["from"]) == ("run", "unknown", "as recorded")
-        assert any(str(note).startswith(f"{file} beside the bag is damaged or foreign")
-                   for note in report.notes["run"]), text
+        assert any(note.text.startswith(f"{file} beside the bag is damaged or foreign")
+                   for note in report.runs["run"].notes), text
         assert row["pumped_m3"] == pytest.approx(0.002)
 
 
@@ -391,7 +391,7 @@ def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
     (run,) = find_runs([tmp_path / "run"], None).runs
     assert (run.row["controller"], run.parameters) == ("onoff", {"fraction": 0.5})
     assert run.row["from"] == "50 / 2 m3"
-    assert any(str(note).startswith("summary.json beside the bag") for note in run.notes)
+    assert any(note.text.startswith("summary.json beside the bag") for note in run.notes)
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
@@ -420,7 +420,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     (row,), (run,) = report.single, report.runs.values()
     assert (row["controller"], row["from"], row["site"]) == ("onoff", "low-low", "site.yaml")
     assert report.drawn["run"].start.isoformat() == summary["start"]
-    assert report.notes["run"] == ()
+    assert report.runs["run"].notes == ()
     assert row["bound_m3"] == pytest.approx(
         clairvoyant_bound(paper_run("--hours", "0.1")).bound_m3, rel=1e-9
     )
@@ -490,8 +490,8 @@ def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
     (row,) = report.single
     for name in (TOTAL, "pumped_m3", "pump_starts", "final_roof_m3", "electric_energy_kwh"):
         assert row[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert any("13 of 121 values of /pump/flow were refused" in str(note)
-               for note in report.notes["run"])
+    assert any("13 of 121 values of /pump/flow were refused" in note.text
+               for note in report.runs["run"].notes)
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:

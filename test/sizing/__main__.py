@@ -18,7 +18,6 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent.parent)]
 
 from greenroof_ros.model.site import read_site  # noqa: E402
-from greenroof_ros.report.sizing import Size, size_of  # noqa: E402
 
 METRICS = {
     "saved_m3": ("mains water saved (m³)", ".1f"),
@@ -42,14 +41,15 @@ def mean(values: list[float], form: str) -> str:
 def main() -> None:
     """Print the table."""
     study = Path(sys.argv[1])
-    years: dict[Size, list[dict[str, str]]] = defaultdict(list)
+    years: dict[tuple[float, float], list[dict[str, str]]] = defaultdict(list)
     with (study / "results.csv").open(encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
-            years[size_of(read_site(study / "configuration" / row["site"]))].append(row)
+            site = read_site(study / "configuration" / row["site"])
+            years[site.a2, site.a1 * site.z_o].append(row)
     heads = ["green roof (m²)", "cistern (m³)", *(head for head, _ in METRICS.values())]
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     for size in sorted(years):
-        cells = [f"{size.roof_m2:g}", f"{size.cistern_m3:g}"]
+        cells = [f"{each:g}" for each in size]
         cells += [
             mean([float(row[name]) for row in years[size]], form)
             for name, (_, form) in METRICS.items()
