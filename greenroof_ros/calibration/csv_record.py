@@ -136,7 +136,9 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
         time = parse_time(text)
         return time.replace(tzinfo=time.tzinfo or clock)
 
-    times = table.times(TIME, on_clock, "2015-06-01T14:05")
+    times = table.times(
+        TIME, on_clock, "2015-06-01T14:05", ", or the site file must give utc_offset"
+    )
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file

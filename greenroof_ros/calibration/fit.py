@@ -265,7 +265,7 @@ def fit(
             return differences(near)
 
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
-        stages.begin(_MOST_EVALUATIONS * (1 + np.count_nonzero(told)))
+        stages.begin(_MOST_EVALUATIONS * (1 + int(told.sum())))
         found = least_squares(
             moved, at[told], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
@@ -360,14 +360,14 @@ def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, dict[str
     told = size > _TELLS_NOTHING * size.max()
     lengths = np.linalg.norm(jacobian, axis=0)
     why = {}
-    for place in np.flatnonzero(~told):
+    for place in np.flatnonzero(~told).tolist():
         if lengths[place] <= _TELLS_NOTHING * size.max():
             why[names[place]] = "the data do not depend on it"
             continue
         weights = np.linalg.lstsq(jacobian[:, told], jacobian[:, place], rcond=None)[0]
         parts = np.zeros(len(names))
         parts[told] = np.abs(weights) * lengths[told]
-        others = [names[other] for other in np.flatnonzero(parts > 0.1 * lengths[place])]
+        others = [names[other] for other in np.flatnonzero(parts > 0.1 * lengths[place]).tolist()]
         why[names[place]] = f"the data cannot tell it apart from {' and '.join(others)}"
     return told, why
 

@@ -146,7 +146,7 @@ class Table:
 
     def times(
         self, column: str, parse: Callable[[str], datetime] = parse_time,
-        example: str = DEFAULT_START,
+        example: str = DEFAULT_START, hint: str = "",
     ) -> list[datetime]:
         """Return a column's times.
 
@@ -155,6 +155,7 @@ class Table:
             parse: raises ValueError where a text is no time; ISO 8601 with an offset from UTC
                 unless given.
             example: of a time, for messages.
+            hint: what ends the message about a missing offset.
 
         Raises:
             ConfigurationError: a cell is no time, or says no offset from UTC.
@@ -169,7 +170,7 @@ class Table:
                 ) from None
             if time.utcoffset() is None:
                 raise self.refuse(
-                    f"must say its offset from UTC, as in {DEFAULT_START}", column, row
+                    f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
                 )
             times.append(time)
         return times
