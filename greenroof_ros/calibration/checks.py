@@ -54,14 +54,17 @@ def check_record(record: Record, site: Site) -> list[Finding]:
                 f"has {there} values; it must have {_FEWEST_VALUES} at least", file=record.source,
                 key=column,
             )
-    return [
-        finding
-        for check in (
-            _sparse, _stuck, _clock, _evapotranspiration, _rain, _level, _runoff, _storm_runoff,
-            _silence, _runoff_without_rain, _rise_without_rain,
-        )
-        for finding in check(record, site)
+    findings = [
+        *_sparse(record), *_stuck(record), *_clock(record), *_evapotranspiration(record, site),
+        *_rain(record),
     ]
+    for check, column in (
+        (_level, "level"), (_runoff, "runoff"), (_storm_runoff, "runoff"), (_silence, "runoff"),
+        (_runoff_without_rain, "runoff"), (_rise_without_rain, "level"),
+    ):
+        if column in record.measured:
+            findings += check(record, site, record.measured[column])
+    return findings
 
 
 # --- sensors --------------------------------------------------------------------------------------
@@ -71,7 +74,7 @@ def check_record(record: Record, site: Site) -> list[Finding]:
 _STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
 
 
-def _sparse(record: Record, site: Site) -> Iterator[Finding]:
+def _sparse(record: Record) -> Iterator[Finding]:
     """A sensor that is read less often than there are rows: between, all would be gaps."""
     for column, values in {"rain": record.rain, **record.measured}.items():
         often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
@@ -82,7 +85,7 @@ def _sparse(record: Record, site: Site) -> Iterator[Finding]:
             )
 
 
-def _stuck(record: Record, site: Site) -> Iterator[Finding]:
+def _stuck(record: Record) -> Iterator[Finding]:
     """A sensor that shows one value while it must change."""
     fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
     for column, values in (*reversed(record.measured.items()), ("rain", record.rain)):
@@ -116,7 +119,7 @@ _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
-def _clock(record: Record, site: Site) -> Iterator[Finding]:
+def _clock(record: Record) -> Iterator[Finding]:
     """A roof that answers before it rains, or hours after.
 
     Its rises answer: how long a roof goes on after the rain says nothing about clocks. Those of a
@@ -268,7 +271,7 @@ def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _rain(record: Record, site: Site) -> Iterator[Finding]:
+def _rain(record: Record) -> Iterator[Finding]:
     rain, days = float(np.nansum(record.rain)), _days(record)
     if rain + float(np.nansum(record.pumped)) < _LEAST_RAIN:
         yield FINDINGS.make(
@@ -280,18 +283,16 @@ def _rain(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _level(record: Record, site: Site) -> Iterator[Finding]:
+def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
     """Levels above the soil, or that rise by much more or less than what storms bring.
 
     A storm's rise is from the mean of half an hour before its first rain to that after its last.
     """
-    if record.level is None:
-        return
-    highest = float(np.nanmax(record.level))
+    highest = float(np.nanmax(level))
     if highest > site.highest_roof_level:
         yield FINDINGS.make(
             "unit-error", "high level", "level",
-            highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(record.level))),
+            highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(level))),
         )
     beside = max(1, round(_BESIDE_S / record.step_s))
     water, rises = record.rain + record.pumped, []
@@ -302,8 +303,8 @@ def _level(record: Record, site: Site) -> Iterator[Finding]:
             continue
         came = float(np.sum(water[storm.first - beside:last + beside]))
         # Levels are of the beginnings of steps: the storm's first is before its rain.
-        before = record.level[storm.first + 1 - beside:storm.first + 1]
-        rise = 1000 * float(np.mean(record.level[last:last + beside]) - np.mean(before))
+        before = level[storm.first + 1 - beside:storm.first + 1]
+        rise = 1000 * float(np.mean(level[last:last + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             rises.append((came, rise))
     came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
@@ -314,15 +315,13 @@ def _level(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _runoff(record: Record, site: Site) -> Iterator[Finding]:
+def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """Next to nothing of what came runs off.
 
     That is what a watered roof may leave, as long as its soil can hold the rest.
     """
-    if record.runoff is None:
-        return
-    both = ~np.isnan(record.runoff) & ~np.isnan(record.rain)
-    came, gone = float(np.sum(record.came[both])), float(np.sum(record.runoff[both]))
+    both = ~np.isnan(runoff) & ~np.isnan(record.rain)
+    came, gone = float(np.sum(record.came[both])), float(np.sum(runoff[both]))
     if gone < 0.001 * came and (
         not _watered(record).any()
         or _to_hold(record, site, 0, record.steps) > _most_held(site)
@@ -331,21 +330,19 @@ def _runoff(record: Record, site: Site) -> Iterator[Finding]:
         yield FINDINGS.make(code, case, "runoff", gone=gone, came=came)
 
 
-def _storm_runoff(record: Record, site: Site) -> Iterator[Finding]:
+def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """Runoff that is more than what came storm by storm, or less than any roof lets off.
 
     What came and what ran off are of a storm and the day after (mm). Storms with gaps do not count.
     From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
     make room for the storm.
     """
-    if record.runoff is None:
-        return
     water = record.rain + record.pumped
     spans = storms(record)
     first = np.array([one.first for one in spans], dtype=np.int64)
     came, gone = (
         np.array([np.sum(series[one.first:one.end]) for one in spans])
-        for series in (water, record.runoff)
+        for series in (water, runoff)
     )
     known = ~np.isnan(came + gone)
     first, came, gone = first[known], came[known], gone[known]
@@ -385,11 +382,11 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 
-def _silence(record: Record, site: Site) -> Iterator[Finding]:
+def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """A flow meter that shows none of more water than soil and evapotranspiration can take."""
     most = _most_held(site)
     came = np.concatenate(([0.0], np.cumsum(record.came)))
-    for low, high in [] if record.runoff is None else gaps(record.runoff == 0):
+    for low, high in gaps(runoff == 0):
         if came[high] - came[low] > most and _to_hold(record, site, low, high) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
@@ -404,12 +401,10 @@ def _wet(record: Record) -> Steps:
     return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 
-def _runoff_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+def _runoff_without_rain(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     since = math.ceil(_DRY_S / record.step_s)
-    spans = [] if record.runoff is None else gaps(~lately(_wet(record), since))
-    for low, high in spans:
-        assert record.runoff is not None
-        gone = float(np.nansum(record.runoff[low:high]))
+    for low, high in gaps(~lately(_wet(record), since)):
+        gone = float(np.nansum(runoff[low:high]))
         if low > 0 and gone > _UNEXPLAINED:
             yield FINDINGS.make(
                 "gauge-blocked", "runoff", "rain",
@@ -419,18 +414,18 @@ def _runoff_without_rain(record: Record, site: Site) -> Iterator[Finding]:
             return
 
 
-def _rise_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+def _rise_without_rain(record: Record, site: Site, level: Values) -> Iterator[Finding]:
     count = max(_RISE_VALUES, round(_RISE_S / record.step_s))
     before = max(count, round(DAY_S / record.step_s))
-    if record.level is None or record.steps <= before + count:
+    if record.steps <= before + count:
         return
     at = np.arange(before, record.steps - count)
     there, rained = (
-        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(record.level), _wet(record))
+        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(level), _wet(record))
     )
     known = there[at + count] - there[at - count] == 2 * count
     dry = known & (rained[at + count] == rained[at - before])
-    rise = 1000 * _rises(record.level, count)[at]
+    rise = 1000 * _rises(level, count)[at]
     most = int(np.argmax(np.where(dry, rise, 0.0)))
     fall = float(np.max(np.where(dry, -rise, 0.0)))
     if dry[most] and rise[most] > max(_RISE, _RISE_TO_FALL * fall):
@@ -460,7 +455,7 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     NSE of days below 0, of hours (or longer steps) where there are too few days, or a volume that
     is wrong by more than half.
     """
-    told = []
+    lines: list[str] = []
     worse, off = [], []
     all_worse = True
     for one in scores:
@@ -469,7 +464,7 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
             if over_s >= HOUR_S and not math.isnan(nse)
         }
         names = [f"{nse:.2f} ({time_name(over_s)})" for over_s, nse in nses.items()]
-        told.append(f"{one.quantity}, {one.part}: {' and '.join(names)}")
+        lines.append(f"{one.quantity}, {one.part}: {' and '.join(names)}")
         all_worse &= bool(nses) and max(nses.values()) < 0
         if one.part == "validation":
             if nses and nses[max(nses)] < 0:
@@ -477,7 +472,7 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
             if one.quantity == "runoff" and abs(one.volume_error) > _VOLUME_OFF:
                 off.append(f"volume of runoff {100 * one.volume_error:+.0f} %")
     if all_worse:
-        return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(told), look=_LOOK_AT)]
+        return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
     what = "worse than the mean of what was measured" if worse else "wrong by much"

@@ -185,27 +185,24 @@ def _columns(table: Table, site: Site) -> dict[str, _Column]:
                 f"is not a known column; they are {', '.join(_QUANTITIES)}, each with its unit in "
                 "brackets", name,
             )
-        column = _column(name, quantity, unit, site)
-        if column is None:
-            units = ", ".join(f"[{one}]" for one in _QUANTITIES[quantity][1].split())
-            raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
-        columns[quantity] = column
+        columns[quantity] = _column(table, name, quantity, unit, site)
     _require(table, columns)
     return columns
 
 
-def _column(name: str, quantity: str, unit: str, site: Site) -> _Column | None:
-    """Return a column by its unit; None where the quantity has no such unit."""
-    limits, examples = _QUANTITIES[quantity]
-    if limits[0] != "mm/h":
-        known = unit in examples.split()
-        return _Column(name, limits, Unit(unit, _PER_OURS[unit])) if known else None
-    match = _RATE.fullmatch(unit)
-    if match is None or (match["amount"] != "mm" and "l" not in examples.split()):
-        return None
-    per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[match["amount"]]
-    rate_s = _SECONDS[match["time"]] * int(match["count"] or 1) if match["time"] else 0.0
-    return _Column(name, limits, Unit(unit, per_ours), rate_s)
+def _column(table: Table, name: str, quantity: str, unit: str, site: Site) -> _Column:
+    """Return a column by its unit; refuse one that the quantity cannot have."""
+    limits, text = _QUANTITIES[quantity]
+    examples = text.split()
+    rate = _RATE.fullmatch(unit) if limits[0] == "mm/h" else None
+    if rate and (rate["amount"] == "mm" or "l" in examples):
+        per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
+        rate_s = _SECONDS[rate["time"]] * int(rate["count"] or 1) if rate["time"] else 0.0
+        return _Column(name, limits, Unit(unit, per_ours), rate_s)
+    if limits[0] == "mm/h" or unit not in examples:
+        units = ", ".join(f"[{one}]" for one in examples)
+        raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
+    return _Column(name, limits, Unit(unit, _PER_OURS[unit]))
 
 
 def _require(table: Table, columns: Collection[str]) -> None:

@@ -261,41 +261,41 @@ def fit(
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
             near = at.copy()
-            near[told] = shares
+            near[free] = shares
             return differences(near)
 
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
-        stages.begin(_MOST_EVALUATIONS * (1 + int(told.sum())))
+        stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
         found = least_squares(
-            moved, at[told], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
+            moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
         )
-        at[told] = found.x
+        at[free] = found.x
         return found
 
-    told, _ = tell_apart()
+    free, _ = tell_apart()
     # A large store that evaporates little and a small one that evaporates much leave a ridge
     # between them that no search from one side crosses.
     grid = itertools.product(*(
-        _GRID.get(one.name, (share,)) if tells else (share,)
-        for one, share, tells in zip(every, at, told, strict=True)
+        _GRID.get(one.name, (share,)) if is_free else (share,)
+        for one, share, is_free in zip(every, at, free, strict=True)
     ))
     tried = [at, *map(np.array, grid)]
     stages.begin(len(tried))
     at = min(tried, key=lambda shares: _cost(differences(shares)))
     solve()
     # Once more where the roof now is: what tells there may differ from where the search began.
-    told, why = tell_apart()
-    at[~told] = as_it_was[~told]
+    free, why = tell_apart()
+    at[~free] = as_it_was[~free]
     found = solve()
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     robust = 1 + (found.fun / _ROBUST_FROM) ** 2
     rows = without_meter() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
-    half[told] = np.hypot(
-        half_intervals(moves(rows[:, told], found.fun * robust**0.25, compare.weeks)),
-        _moved_by_held(rows[:, told], rows[:, ~told], at[~told]),
+    half[free] = np.hypot(
+        half_intervals(moves(rows[:, free], found.fun * robust**0.25, compare.weeks)),
+        _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
     )
     parameters = {
         one.name: _judged(one, share, width, why.get(one.name, ""))
@@ -352,24 +352,24 @@ def _jacobian(residuals: Callable[[Values], Values], shares: Values) -> Values:
 
 
 def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, dict[str, str]]:
-    """Return which parameters the data tell, and of each other one, by its name, why not."""
+    """Return which parameters the data tell, and why they do not tell the others, by name."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
     # Fewer residuals than parameters tell no more of these than there are of those.
     size = np.zeros(len(names))
     size[order[:len(triangle)]] = np.abs(np.diag(triangle))
-    told = size > _TELLS_NOTHING * size.max()
+    free = size > _TELLS_NOTHING * size.max()
     lengths = np.linalg.norm(jacobian, axis=0)
     why = {}
-    for place in np.flatnonzero(~told).tolist():
+    for place in np.flatnonzero(~free).tolist():
         if lengths[place] <= _TELLS_NOTHING * size.max():
             why[names[place]] = "the data do not depend on it"
             continue
-        weights = np.linalg.lstsq(jacobian[:, told], jacobian[:, place], rcond=None)[0]
+        weights = np.linalg.lstsq(jacobian[:, free], jacobian[:, place], rcond=None)[0]
         parts = np.zeros(len(names))
-        parts[told] = np.abs(weights) * lengths[told]
+        parts[free] = np.abs(weights) * lengths[free]
         others = [names[other] for other in np.flatnonzero(parts > 0.1 * lengths[place]).tolist()]
         why[names[place]] = f"the data cannot tell it apart from {' and '.join(others)}"
-    return told, why
+    return free, why
 
 
 def _moved_by_held(own: Values, others: Values, shares: Values) -> Values:

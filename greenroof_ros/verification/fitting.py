@@ -68,8 +68,8 @@ def fit_skill(
     sums = list(dict.fromkeys(one.sum for one in tallies))
     goals = {}
     for low in dict.fromkeys(one.low for one in tallies):
-        of_lead = {one.sum: tally for one, tally in tallies.items() if one.low == low}
-        scores = np.array([of_lead[each].scores()[2:5] for each in sums])
+        of_lead = [tally for one, tally in tallies.items() if one.low == low]
+        scores = np.array([tally.scores()[2:5] for tally in of_lead])
         if not np.isnan(scores).any():
             goals[low + step / 2 + older] = scores[None]
     if len(goals) < 2:
