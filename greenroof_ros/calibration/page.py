@@ -115,10 +115,13 @@ def _figure(
 
     def lines(chart: alt.Chart, value: str, field: str, axis: str, *, zero: bool) -> alt.Chart:
         shown = alt.Tooltip(f"{value}:Q", title=axis, format=".4~g")
-        return chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
+        drawn: alt.Chart = chart.mark_line(
+            clip=True, strokeWidth=1.2, interpolate="step-after"
+        ).encode(
             x=_TIME, y=alt.Y(f"{value}:Q", title=axis, scale=alt.Scale(zero=zero)),
             tooltip=pointed(f"{field}:N", _WHEN, shown),
         )
+        return drawn
 
     axis = _axis(quantity, DAY_S)
     return Figure(

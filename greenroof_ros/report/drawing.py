@@ -224,5 +224,7 @@ def series_panel(
 
 def reference_line(points: Rows, x: alt.X, y: alt.Y) -> alt.Chart:
     """Return a thin grey line, such as that on which a perfect forecast lies."""
-    line = alt.Chart(alt.InlineData(points)).mark_line(color="#888888", strokeWidth=1)
-    return line.encode(x=x, y=y)
+    line: alt.Chart = alt.Chart(alt.InlineData(points)).mark_line(
+        color="#888888", strokeWidth=1
+    ).encode(x=x, y=y)
+    return line
