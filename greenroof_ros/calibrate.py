@@ -18,19 +18,18 @@ from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.fit import Fit, fit, measured_roof, reachable_target
 from greenroof_ros.calibration.pumps import fit_pumps
 from greenroof_ros.calibration.record import (
-    Halves,
     Record,
     Steps,
     comparable,
     halve,
     in_months,
     month_numbers,
+    time_name,
 )
-from greenroof_ros.calibration.scores import PARTS, ScoreRow, score, time_name
+from greenroof_ros.calibration.scores import Scores, score
 from greenroof_ros.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
-    Entry,
     edited_site_file,
     fit_entries,
     sheet_entries,
@@ -205,11 +204,17 @@ def _calibrate(
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, halves)
     with progress_bar() as tell:
-        fitted = fit(site, record, halves.earlier, tell)
+        fitted = fit(site, record, halves["fit"], tell)
     fitted = fitted._replace(
         site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
-    rows = _score(record, fitted, halves)
+    rows = [
+        score(
+            name, part, getattr(fitted.simulated, name)[steps], series[steps],
+            record.seconds[steps], record.step_s,
+        )
+        for name, series in record.measured.items() for part, steps in halves.items()
+    ]
     doubts += accept(check_fit(rows), arguments.accept, measured)
     if fitted.site.z_veg != site.z_veg:
         findings.append(FINDINGS.make(
@@ -219,8 +224,8 @@ def _calibrate(
     if record.level is not None:
         findings.append(level_sensor(seen, fitted.simulated.level))
     findings += doubts
-    spans = {part: _span(record, steps) for part, steps in zip(PARTS, halves, strict=True)}
-    entries: Mapping[str, Entry] = fit_entries(fitted, site.z_veg, sheet)
+    spans = {part: _span(record, steps) for part, steps in halves.items()}
+    entries = fit_entries(fitted, site.z_veg, sheet)
     text = edited_site_file(site_file, entries, _heading(measured, spans, rows, findings))
     page = render(seen, halves, fitted, rows, text, spans, findings)
     _print_fit(fitted, rows)
@@ -228,26 +233,14 @@ def _calibrate(
     return text, page
 
 
-def _refuse_dry(record: Record, halves: Halves) -> None:
+def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
     """Refuse a record of which a half has nothing measured, or no water."""
-    for part, steps in zip(("first", "second"), halves, strict=True):
+    for part, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(one[steps]) == 0 for one in record.measured.values()):
             raise ConfigurationError(
                 f"in the {part} half of its rain nothing that was measured changes; a longer "
                 "record, with dry days in it, is needed", file=record.source,
             )
-
-
-def _score(record: Record, fitted: Fit, halves: Halves) -> list[ScoreRow]:
-    """Return the scores of everything that was measured, in each half."""
-    return [
-        ScoreRow(name, part, score(
-            name, getattr(fitted.simulated, name)[steps], measured[steps], record.seconds[steps],
-            record.step_s,
-        ))
-        for name, measured in record.measured.items()
-        for part, steps in zip(PARTS, halves, strict=True)
-    ]
 
 
 def _span(record: Record, steps: Steps) -> str:
@@ -256,7 +249,7 @@ def _span(record: Record, steps: Steps) -> str:
 
 
 def _heading(
-    measured: Path, spans: Mapping[str, str], rows: Collection[ScoreRow],
+    measured: Path, spans: Mapping[str, str], rows: Collection[Scores],
     findings: Sequence[Finding],
 ) -> list[str]:
     """Return what stands at the top of the site file."""
@@ -266,7 +259,7 @@ def _heading(
     ]
     for row in rows:
         nse = ", ".join(
-            f"{value:.2f} ({time_name(over_s)})" for over_s, value in row.scores.nse.items()
+            f"{value:.2f} ({time_name(over_s)})" for over_s, value in row.nse.items()
         )
         volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
@@ -274,11 +267,11 @@ def _heading(
     return [line for one in lines for line in textwrap.wrap(one, 98)]
 
 
-def _volume(row: ScoreRow) -> str:
-    return f"{100 * row.scores.volume_error:+.1f} %" if row.quantity == "runoff" else ""
+def _volume(row: Scores) -> str:
+    return f"{100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
 
 
-def _print_fit(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
+def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
     """Print parameters and scores."""
     table = Table(title="Parameters", title_justify="left")
     for name in ("parameter", "value", "95 % interval", ""):
@@ -286,13 +279,13 @@ def _print_fit(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
     for one in fitted.parameters:
         interval = f"{one.low:.4g} to {one.high:.4g}" if one.told else "not fitted"
         table.add_row(one.name, f"{one.value:.4g}", interval, one.words)
-    times = list(rows[0].scores.nse)
+    times = list(rows[0].nse)
     scores = Table(title="Scores", title_justify="left")
     scores.add_column("of")
     for name in (*(f"NSE {time_name(time)}" for time in times), "KGE 1 day", "volume"):
         scores.add_column(name, justify="right")
     for row in rows:
-        values = [*(row.scores.nse[time] for time in times), row.scores.kge[times[-1]]]
+        values = [*(row.nse[time] for time in times), row.kge[times[-1]]]
         scores.add_row(
             f"{row.quantity}, {row.part}", *(f"{value:.3f}" for value in values), _volume(row)
         )

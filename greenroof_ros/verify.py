@@ -27,8 +27,13 @@ from greenroof_ros.forecast.dressing import chosen_archive, dressing_text, learn
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.verification.checks import check_forecasts
 from greenroof_ros.verification.dressed import Worth, worth
-from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
-from greenroof_ros.verification.pairs import Class, Sum, tally
+from greenroof_ros.verification.pairs import (
+    Class,
+    IssuedForecasts,
+    Sum,
+    issued_forecasts,
+    tally,
+)
 from greenroof_ros.verification.scores import SHOWN, Tally
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather

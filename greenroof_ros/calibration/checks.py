@@ -8,15 +8,23 @@ sensor; bounds of levels part the levels that these roofs would have.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import Record, Steps, Values, lately, storms
-from greenroof_ros.calibration.scores import DAY_S, HOUR_S, ScoreRow, time_name
+from greenroof_ros.calibration.record import (
+    DAY_S,
+    HOUR_S,
+    Record,
+    Steps,
+    Values,
+    lately,
+    storms,
+    time_name,
+)
+from greenroof_ros.calibration.scores import Scores
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.quality import Finding, Findings
 from greenroof_ros.formats.records import gaps
@@ -46,11 +54,17 @@ def check_record(record: Record, site: Site) -> list[Finding]:
                 f"has {there} values; it must have {_FEWEST_VALUES} at least", file=record.source,
                 key=column,
             )
-    checks: tuple[Callable[[Record, Site], Iterator[Finding]], ...] = (
-        _sparse, _stuck, _clock, _evapotranspiration, _rain, _level, _runoff, _storm_runoff,
-        _silence, _runoff_without_rain, _rise_without_rain,
-    )
-    return [finding for check in checks for finding in check(record, site)]
+    findings = [
+        *_sparse(record), *_stuck(record), *_clock(record), *_evapotranspiration(record, site),
+        *_rain(record),
+    ]
+    for check, column in (
+        (_level, "level"), (_runoff, "runoff"), (_storm_runoff, "runoff"), (_silence, "runoff"),
+        (_runoff_without_rain, "runoff"), (_rise_without_rain, "level"),
+    ):
+        if column in record.measured:
+            findings += check(record, site, record.measured[column])
+    return findings
 
 
 # --- sensors --------------------------------------------------------------------------------------
@@ -60,35 +74,32 @@ def check_record(record: Record, site: Site) -> list[Finding]:
 _STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
 
 
-def _sparse(record: Record, site: Site) -> Iterator[Finding]:
+def _sparse(record: Record) -> Iterator[Finding]:
     """A sensor that is read less often than there are rows: between, all would be gaps."""
     for column, values in {"rain": record.rain, **record.measured}.items():
         often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
         if often > 1:
             yield FINDINGS.make(
                 "sensor-sparse", "sparse", column,
-                seen=time_name(round(often * record.step_s)), step=time_name(round(record.step_s)),
+                seen=time_name(often * record.step_s), step=time_name(record.step_s),
             )
 
 
-def _stuck(record: Record, site: Site) -> Iterator[Finding]:
+def _stuck(record: Record) -> Iterator[Finding]:
     """A sensor that shows one value while it must change."""
     fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
-    for column, values, least_s in (
-        ("level", record.level, _STUCK_S), ("runoff", record.runoff, _STUCK_S),
-        ("rain", record.rain, _RAIN_STUCK_S),
-    ):
-        for low, high in [] if values is None else gaps(np.diff(values) == 0):
-            assert values is not None
+    for column, values in (*reversed(record.measured.items()), ("rain", record.rain)):
+        of_rain, of_level = column == "rain", column == "level"
+        for low, high in gaps(np.diff(values) == 0):
             lasts, fell = (high - low + 1) * record.step_s, fallen[high + 1] - fallen[low]
             if (
-                high - low + 1 >= _SAME_STEPS and lasts >= least_s
-                and (values[low] != 0 or column == "level")
-                and (fell >= _STUCK_RAIN or column == "rain")
+                high - low + 1 >= _SAME_STEPS and (values[low] != 0 or of_level)
+                and lasts >= (_RAIN_STUCK_S if of_rain else _STUCK_S)
+                and (fell >= _STUCK_RAIN or of_rain)
             ):
                 yield FINDINGS.make(
                     "sensor-stuck", "stuck", column,
-                    value=float(values[low]), unit="m" if column == "level" else "mm a step",
+                    value=float(values[low]), unit="m" if of_level else "mm a step",
                     hours=lasts / HOUR_S, since=record.time(low), fell=float(fell),
                 )
                 break
@@ -108,7 +119,7 @@ _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
-def _clock(record: Record, site: Site) -> Iterator[Finding]:
+def _clock(record: Record) -> Iterator[Finding]:
     """A roof that answers before it rains, or hours after.
 
     Its rises answer: how long a roof goes on after the rain says nothing about clocks. Those of a
@@ -119,9 +130,7 @@ def _clock(record: Record, site: Site) -> Iterator[Finding]:
         rises = np.diff(series, prepend=np.nan)
     else:
         count = max(1, round(1800 / record.step_s))
-        totals = np.concatenate((np.zeros(count), np.cumsum(np.nan_to_num(series))))
-        means = (totals[count:] - totals[:-count]) / count  # of the steps up to each
-        rises = np.append(means[count:] - means[:-count], np.full(count, np.nan))
+        rises = np.append(_rises(series, count)[1:], np.zeros(count))
     usual_s = (
         -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_LONGEST_DELAY_S, record.step_s),
     )
@@ -136,6 +145,17 @@ def _clock(record: Record, site: Site) -> Iterator[Finding]:
             span=f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h",
             side="before" if early else "after", best=best, usual=usual, lag_s=lag,
         )
+
+
+def _rises(values: Values, count: int) -> Values:
+    """Return the mean of so many values from each on, less that of as many before it.
+
+    What is not known counts as 0, what was before the first, too. Shape (values - count + 1,).
+    """
+    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(values))))
+    at = np.arange(len(total) - count)
+    before = np.maximum(at - count, 0)
+    return np.asarray((total[at + count] - 2 * total[at] + total[before]) / count)
 
 
 def _lag(
@@ -219,6 +239,11 @@ def _to_hold(record: Record, site: Site, low: int, high: int) -> float:
     return float(np.max(gained - np.minimum.accumulate(gained)))
 
 
+def _most_held(site: Site) -> float:
+    """Return what a roof holds at most before some of its water runs off (mm)."""
+    return max(_LEAVES_SOME, 1000 * site.z_soil)
+
+
 def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
     """A column of evapotranspiration that no place has: a day with too much, no day with enough.
 
@@ -246,7 +271,7 @@ def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _rain(record: Record, site: Site) -> Iterator[Finding]:
+def _rain(record: Record) -> Iterator[Finding]:
     rain, days = float(np.nansum(record.rain)), _days(record)
     if rain + float(np.nansum(record.pumped)) < _LEAST_RAIN:
         yield FINDINGS.make(
@@ -258,18 +283,16 @@ def _rain(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _level(record: Record, site: Site) -> Iterator[Finding]:
+def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
     """Levels above the soil, or that rise by much more or less than what storms bring.
 
     A storm's rise is from the mean of half an hour before its first rain to that after its last.
     """
-    if record.level is None:
-        return
-    highest = float(np.nanmax(record.level))
+    highest = float(np.nanmax(level))
     if highest > site.highest_roof_level:
         yield FINDINGS.make(
             "unit-error", "high level", "level",
-            highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(record.level))),
+            highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(level))),
         )
     beside = max(1, round(_BESIDE_S / record.step_s))
     water, rises = record.rain + record.pumped, []
@@ -280,8 +303,8 @@ def _level(record: Record, site: Site) -> Iterator[Finding]:
             continue
         came = float(np.sum(water[storm.first - beside:last + beside]))
         # Levels are of the beginnings of steps: the storm's first is before its rain.
-        before = record.level[storm.first + 1 - beside:storm.first + 1]
-        rise = 1000 * float(np.mean(record.level[last:last + beside]) - np.mean(before))
+        before = level[storm.first + 1 - beside:storm.first + 1]
+        rise = 1000 * float(np.mean(level[last:last + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             rises.append((came, rise))
     came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
@@ -292,75 +315,61 @@ def _level(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _runoff(record: Record, site: Site) -> Iterator[Finding]:
-    """Runoff that is more in all than what came, or next to nothing of it.
+def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
+    """Next to nothing of what came runs off.
 
-    Next to nothing is what a watered roof may leave, as long as its soil can hold the rest.
+    That is what a watered roof may leave, as long as its soil can hold the rest.
     """
-    if record.runoff is None:
-        return
-    both = ~np.isnan(record.runoff) & ~np.isnan(record.rain)
-    came, gone = float(np.sum(record.came[both])), float(np.sum(record.runoff[both]))
-    held = 1000 * site.z_soil
-    if gone > came + held:
-        yield FINDINGS.make(
-            "unit-error", "much runoff", "runoff", gone=gone, came=came, held=held,
-        )
+    both = ~np.isnan(runoff) & ~np.isnan(record.rain)
+    came, gone = float(np.sum(record.came[both])), float(np.sum(runoff[both]))
     if gone < 0.001 * came and (
         not _watered(record).any()
-        or _to_hold(record, site, 0, record.steps) > max(_LEAVES_SOME, held)
+        or _to_hold(record, site, 0, record.steps) > _most_held(site)
     ):
         code, case = ("unit-error", "little runoff") if gone > 0 else ("sensor-dead", "nothing")
         yield FINDINGS.make(code, case, "runoff", gone=gone, came=came)
 
 
-class _Answer(NamedTuple):
-    """A storm's first step, its water, and what ran off in it and the day after (mm)."""
-
-    first: int
-    came: float
-    gone: float
-
-
-def _storm_runoff(record: Record, site: Site) -> Iterator[Finding]:
+def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """Runoff that is more than what came storm by storm, or less than any roof lets off.
 
-    Storms with gaps do not count. From when on a roof leaves some of a storm nobody knows where it
-    is watered: a controller may make room for the storm.
+    What came and what ran off are of a storm and the day after (mm). Storms with gaps do not count.
+    From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
+    make room for the storm.
     """
-    if record.runoff is None:
+    water = record.rain + record.pumped
+    spans = storms(record)
+    first = np.array([one.first for one in spans], dtype=np.int64)
+    came, gone = (
+        np.array([np.sum(series[one.first:one.end]) for one in spans])
+        for series in (water, runoff)
+    )
+    known = ~np.isnan(came + gone)
+    first, came, gone = first[known], came[known], gone[known]
+    excess = float(np.sum(np.maximum(gone - came, 0.0)))
+    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * np.sum(gone)):
+        worst = int(np.argmax(gone - came))
+        yield FINDINGS.make(
+            "unit-error", "excess", "runoff", gone=float(gone[worst]), came=float(came[worst]),
+            when=record.time(int(first[worst])), excess=excess, storms=len(came),
+        )
+    held = 1000 * site.z_soil
+    kept = np.flatnonzero(gone < came - held - _HELD_BESIDES)
+    if len(kept):
+        one = int(kept[0])
+        yield FINDINGS.make(
+            "unit-error", "held", "runoff", gone=float(gone[one]), came=float(came[one]),
+            when=record.time(int(first[one])), held=held,
+        )
         return
-    water, held = record.rain + record.pumped, 1000 * site.z_soil
-    answers = [
-        one for one in (
-            _Answer(storm.first, *(float(np.sum(series[storm.first:storm.end]))
-                                   for series in (water, record.runoff)))
-            for storm in storms(record)
-        ) if not np.isnan(one.came + one.gone)
-    ]
-    gone = sum(one.gone for one in answers)
-    excess = sum(max(0.0, one.gone - one.came) for one in answers)
-    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * gone):
-        worst = max(answers, key=lambda one: one.gone - one.came)
-        yield FINDINGS.make(
-            "unit-error", "excess", "runoff",
-            gone=worst.gone, came=worst.came, when=record.time(worst.first), excess=excess,
-            storms=len(answers),
-        )
-    for one in answers:
-        if one.gone < one.came - held - _HELD_BESIDES:
+    large = (came >= _LARGE) & ~_watered(record)[first]
+    count = int(np.count_nonzero(large))
+    if count >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS:
+        share = float(np.max(gone[large] / came[large]))
+        if share < _LEAST_SHARE:
             yield FINDINGS.make(
-                "unit-error", "held", "runoff",
-                gone=one.gone, came=one.came, when=record.time(one.first), held=held,
+                "unit-error", "shares", "runoff", percent=100 * share, storms=count, large=_LARGE,
             )
-            return
-    watered = _watered(record)
-    large = [one for one in answers if one.came >= _LARGE and not watered[one.first]]
-    share = max((one.gone / one.came for one in large), default=1.0)
-    if len(large) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and share < _LEAST_SHARE:
-        yield FINDINGS.make(
-            "unit-error", "shares", "runoff", percent=100 * share, storms=len(large), large=_LARGE,
-        )
 
 
 # --- water that is missing ------------------------------------------------------------------------
@@ -373,11 +382,11 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 
-def _silence(record: Record, site: Site) -> Iterator[Finding]:
+def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """A flow meter that shows none of more water than soil and evapotranspiration can take."""
-    most = max(_LEAVES_SOME, 1000 * site.z_soil)
+    most = _most_held(site)
     came = np.concatenate(([0.0], np.cumsum(record.came)))
-    for low, high in [] if record.runoff is None else gaps(record.runoff == 0):
+    for low, high in gaps(runoff == 0):
         if came[high] - came[low] > most and _to_hold(record, site, low, high) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
@@ -392,12 +401,10 @@ def _wet(record: Record) -> Steps:
     return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 
-def _runoff_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+def _runoff_without_rain(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     since = math.ceil(_DRY_S / record.step_s)
-    spans = [] if record.runoff is None else gaps(~lately(_wet(record), since))
-    for low, high in spans:
-        assert record.runoff is not None
-        gone = float(np.nansum(record.runoff[low:high]))
+    for low, high in gaps(~lately(_wet(record), since)):
+        gone = float(np.nansum(runoff[low:high]))
         if low > 0 and gone > _UNEXPLAINED:
             yield FINDINGS.make(
                 "gauge-blocked", "runoff", "rain",
@@ -407,25 +414,24 @@ def _runoff_without_rain(record: Record, site: Site) -> Iterator[Finding]:
             return
 
 
-def _rise_without_rain(record: Record, site: Site) -> Iterator[Finding]:
+def _rise_without_rain(record: Record, site: Site, level: Values) -> Iterator[Finding]:
     count = max(_RISE_VALUES, round(_RISE_S / record.step_s))
     before = max(count, round(DAY_S / record.step_s))
-    if record.level is None or record.steps <= before + count:
+    if record.steps <= before + count:
         return
     at = np.arange(before, record.steps - count)
     there, rained = (
-        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(record.level), _wet(record))
+        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(level), _wet(record))
     )
-    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.level))))
     known = there[at + count] - there[at - count] == 2 * count
     dry = known & (rained[at + count] == rained[at - before])
-    rise = 1000 * (total[at + count] - 2 * total[at] + total[at - count]) / count
+    rise = 1000 * _rises(level, count)[at]
     most = int(np.argmax(np.where(dry, rise, 0.0)))
     fall = float(np.max(np.where(dry, -rise, 0.0)))
     if dry[most] and rise[most] > max(_RISE, _RISE_TO_FALL * fall):
         yield FINDINGS.make(
             "gauge-blocked", "rise", "rain",
-            dry=time_name(round(before * record.step_s)), when=record.time(int(at[most])),
+            dry=time_name(before * record.step_s), when=record.time(int(at[most])),
             rise=float(rise[most]),
         )
 
@@ -440,7 +446,7 @@ _LOOK_AT = (
 )
 
 
-def check_fit(rows: Sequence[ScoreRow]) -> list[Finding]:
+def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     """Return what speaks against a fit.
 
     It is refused where it is worse than the mean of what was measured, wherever one looks: an NSE
@@ -449,33 +455,29 @@ def check_fit(rows: Sequence[ScoreRow]) -> list[Finding]:
     NSE of days below 0, of hours (or longer steps) where there are too few days, or a volume that
     is wrong by more than half.
     """
-    known = [
-        {over_s: nse for over_s, nse in row.scores.nse.items()
-         if over_s >= HOUR_S and not math.isnan(nse)}
-        for row in rows
-    ]
-    if all(nses and max(nses.values()) < 0 for nses in known):
-        scores = "; ".join(
-            f"{row.quantity}, {row.part}: {' and '.join(map(_nse, nses.items()))}"
-            for row, nses in zip(rows, known, strict=True)
-        )
-        return [FINDINGS.make("no-fit", "no roof", "fit", scores=scores, look=_LOOK_AT)]
+    lines: list[str] = []
     worse, off = [], []
-    for row, nses in zip(rows, known, strict=True):
-        error = row.scores.volume_error
-        if row.part == "validation" and nses and nses[max(nses)] < 0:
-            worse.append(f"NSE of {row.quantity} {_nse((max(nses), nses[max(nses)]))}")
-        if row.part == "validation" and row.quantity == "runoff" and abs(error) > _VOLUME_OFF:
-            off.append(f"volume of runoff {100 * error:+.0f} %")
+    all_worse = True
+    for one in scores:
+        nses = {
+            over_s: nse for over_s, nse in one.nse.items()
+            if over_s >= HOUR_S and not math.isnan(nse)
+        }
+        names = [f"{nse:.2f} ({time_name(over_s)})" for over_s, nse in nses.items()]
+        lines.append(f"{one.quantity}, {one.part}: {' and '.join(names)}")
+        all_worse &= bool(nses) and max(nses.values()) < 0
+        if one.part == "validation":
+            if nses and nses[max(nses)] < 0:
+                worse.append(f"NSE of {one.quantity} {names[-1]}")
+            if one.quantity == "runoff" and abs(one.volume_error) > _VOLUME_OFF:
+                off.append(f"volume of runoff {100 * one.volume_error:+.0f} %")
+    if all_worse:
+        return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
     what = "worse than the mean of what was measured" if worse else "wrong by much"
     why = ", ".join(worse + off)
     return [FINDINGS.make("poor-fit", "poor", "fit", what=what, why=why, look=_LOOK_AT)]
-
-
-def _nse(one: tuple[int, float]) -> str:
-    return f"{one[1]:.2f} ({time_name(one[0])})"
 
 
 # --- level sensors --------------------------------------------------------------------------------

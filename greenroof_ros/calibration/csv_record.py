@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -13,85 +12,94 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import Record, Steps, Values, in_months
-from greenroof_ros.calibration.reference import reference_from_temperatures, through_short_gaps
-from greenroof_ros.calibration.scores import DAY_S, time_name
+from greenroof_ros.calibration.record import (
+    DAY_S,
+    HOUR_S,
+    Record,
+    Steps,
+    Values,
+    in_months,
+    time_name,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.table import Table, numbered_lines, read_table
+from greenroof_ros.formats.records import Limits, gaps
+from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
+_COURSE, _LEAST, _GREATEST = "temperature", "least temperature", "greatest temperature"
+# Of each quantity: unit, least and greatest believable value in it, and examples of what a column's
+# unit may be. Amounts are believable by the hour. More rain than that fell nowhere for a minute
+# (WMO: 31.2 mm, Unionville 1956), and no roof gives back more than its rain. A W/m2 evaporates
+# 0.0015 mm/h: more than 3 the sun's 1361 W/m2 cannot, with air that is warmer. So far a level
+# sensor's zero may be off, or its noise go.
+_WATER: Limits = ("mm/h", 0.0, 1900.0)
+_LEVEL: Limits = ("m", -0.1, 100.0)
+_TEMPERATURE: Limits = ("degC", -90.0, 60.0)
+_QUANTITIES: dict[str, tuple[Limits, str]] = {
+    "rain": (_WATER, "mm mm/h mm/5min"),
+    "runoff": (_WATER, "mm mm/5min l l/s m3/h"),
+    "pumped": (_WATER, "mm l l/s m3/h m3/s"),
+    REFERENCE: (("mm/h", 0.0, 3.0), "mm mm/h mm/day"),
+    "level": (_LEVEL, "m mm cm"),
+    "cistern level": (_LEVEL, "m mm cm"),
+    "pump state": (("1", 0.0, 1.0), "1 %"),
+    _COURSE: (_TEMPERATURE, "degC"),
+    _LEAST: (_TEMPERATURE, "degC"),
+    _GREATEST: (_TEMPERATURE, "degC"),
+}
+# How many of a unit are one m, 1 or degC.
+_PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}
 _RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
-# Greatest believable amount in a time (mm/h). More rain than that fell nowhere for a minute (WMO:
-# 31.2 mm, Unionville 1956), and no roof gives back more than its rain. A W/m2 evaporates 0.0015
-# mm/h: more than 3 the sun's 1361 W/m2 cannot, with air that is warmer.
-_MOST_MM_PER_H, _MOST_EVAPORATING = 1900.0, 3.0
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _FEWEST_ROWS = 100
 # Rows may be so much off a step (share of it) without being counted as off; and of those that are,
 # so many may be there (share of the rows): a clock that is set each week has two in a thousand.
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
-
-
-class _Quantity(NamedTuple):
-    """What a column may hold."""
-
-    units: dict[str, float]
-    """factor of each to m, 1 or degC; of an amount examples, whose factors are computed"""
-    low: float
-    high: float
-    """greatest believable value; of an amount in mm/h"""
-    unit: str
-    """of both"""
-    amount: bool = False
-
-
-def _amount(*examples: str, most: float = _MOST_MM_PER_H) -> _Quantity:
-    return _Quantity(dict.fromkeys(examples, 1.0), 0.0, most, " mm/h", amount=True)
-
-
-# So far a level sensor's zero may be off, or its noise go.
-_LEVEL = _Quantity({"m": 1.0, "mm": 0.001, "cm": 0.01}, -0.1, 100.0, " m")
-_TEMPERATURE = _Quantity({"degC": 1.0}, -90.0, 60.0, " degC")
-_QUANTITIES = {
-    "rain": _amount("mm", "mm/h", "mm/5min"),
-    "runoff": _amount("mm", "mm/5min", "l", "l/s", "m3/h"),
-    "pumped": _amount("mm", "l", "l/s", "m3/h", "m3/s"),
-    REFERENCE: _amount("mm", "mm/h", "mm/day", most=_MOST_EVAPORATING),
-    "level": _LEVEL,
-    "cistern level": _LEVEL,
-    "pump state": _Quantity({"1": 1.0, "%": 0.01}, 0.0, 1.0, ""),
-    "temperature": _TEMPERATURE,
-    "least temperature": _TEMPERATURE,
-    "greatest temperature": _TEMPERATURE,
-}
+# Of a day, so that its extremes are among them; and days without that take those beside them (d).
+_ENOUGH, _LONGEST_GAP = 0.75, 3
+# Temperatures further apart (s) miss a day's extremes: those three hours apart see 0.92 of a sine's
+# range at least, those six hours apart 0.71.
+_LONGEST_STEP_S = 3 * HOUR_S
 
 
 class _Column(NamedTuple):
     """A column of the file: its name there, and how its numbers become this package's."""
 
     name: str
-    quantity: _Quantity
-    factor: float
-    """to mm in a step, m, 1 or degC; of a rate to mm/s"""
-    rate: bool = False
+    limits: Limits
+    unit: Unit
+    rate_s: float = 0.0
+    """of a rate the time that its unit divides by (s)"""
+
+    def of_steps(self, step_s: float) -> _Column:
+        """Return the column by mm in a step, if it is one of mm/h."""
+        ours, low, high = self.limits
+        if ours != "mm/h":
+            return self
+        per_ours = self.unit.per_ours * (self.rate_s / step_s if self.rate_s else 1.0)
+        return self._replace(
+            limits=("mm", low, high * step_s / HOUR_S), unit=Unit(self.unit.name, per_ours)
+        )
 
     @property
     def adds_up(self) -> bool:
         """Whether the numbers of two rows of one step do, as amounts of their rows."""
-        return self.quantity.amount and not self.rate
+        return self.limits[0] == "mm" and not self.rate_s
 
 
-class _Cells(NamedTuple):
-    """The rows of a file: line, time, and the numbers of each quantity, NaN where empty."""
+class _Rows(NamedTuple):
+    """Which step each row of a file is of."""
 
-    lines: list[int]
+    table: Table
     times: list[datetime]
-    numbers: dict[str, Values]
+    steps: NDArray[np.int64]
+    """counted from the first row's"""
 
 
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record:
@@ -122,61 +130,54 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     """
     table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)))
     columns = _columns(table, site)
-    lines, times, numbers = _cells(table, columns, site)
+    clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
+
+    def on_clock(text: str) -> datetime:
+        time = parse_time(text)
+        return time.replace(tzinfo=time.tzinfo or clock)
+
+    times = table.times(
+        TIME, on_clock, "2015-06-01T14:05", ", or the site file must give utc_offset"
+    )
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
         )
-    slots, step_s = steps_of_rows(file, times, lines)
-    series = {}
-    last_decimal = 0.0
-    for quantity, column in columns.items():
-        of_rows = numbers[quantity]
-        values = (_sums if column.adds_up else _means)(of_rows, slots)
-        factor = column.factor * (step_s if column.rate else 1.0)
-        series[quantity] = values * factor
-        if quantity == "runoff":
-            last_decimal = _last_decimal(values) * factor
-        low, high, unit = column.quantity[1:4]
-        believed = series[quantity][slots] if column.adds_up else of_rows * factor
-        wrong = (believed < low) | (
-            believed > high * (step_s / 3600 if column.quantity.amount else 1.0)
+    steps, step_s = steps_of_rows(table, times)
+    rows = _Rows(table, times, steps)
+    columns = {quantity: column.of_steps(step_s) for quantity, column in columns.items()}
+    numbers = {
+        quantity: table.numbers(
+            column.name, column.limits, column.unit, ("",), "; is the unit of the column right?"
         )
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise ConfigurationError(
-                f"must be from {low:g} to {high:g}{unit}; is the unit of the column right?",
-                file=file, line=lines[row], key=column.name, value=float(of_rows[row]),
-            )
+        for quantity, column in columns.items()
+    }
+    series = {
+        quantity: (_sums if columns[quantity].adds_up else _means)(of_rows, steps)
+        for quantity, of_rows in numbers.items()
+    }
     record = Record(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
-        reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
-        runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
+        reference=np.zeros(steps[-1] + 1), pumped=_pumped(series, site, step_s),
+        runoff=series.get("runoff"), level=series.get("level"),
         cistern=series.get("cistern level"), command=series.get("pump state"),
     )
+    if record.runoff is not None:
+        per_ours = columns["runoff"].unit.per_ours
+        record = replace(record, last_decimal=_last_decimal(record.runoff * per_ours) / per_ours)
     counts = in_months(record, months)
     if REFERENCE in columns:
         record = replace(record, reference_column=columns[REFERENCE].name)
-        reference = through_short_gaps(
-            record, series[REFERENCE], times, lines, slots, counts=counts
-        )
+        reference = _through_short_gaps(record, rows, series[REFERENCE], counts)
     else:
-        days = np.array([time.date() for time in times], dtype="datetime64[D]")
-        temperatures = {name: one for name, one in numbers.items() if "temperature" in name}
-        reference = reference_from_temperatures(record, site, days, temperatures, counts=counts)
+        reference = _from_temperatures(record, site, rows, numbers, counts)
     return replace(record, reference=reference)
 
 
 def _columns(table: Table, site: Site) -> dict[str, _Column]:
     """Return the column of each quantity; refuse a header that cannot be understood."""
-    if table.header[0] != TIME:
-        raise table.refuse(f"the first column must be '{TIME}'", table.header[0])
     columns: dict[str, _Column] = {}
-    for name in table.header[1:]:
-        match = re.fullmatch(r"([^\[\]]+?)\s*\[([^\[\]]*)\]", name)
-        if match is None:
-            raise table.refuse("a column must be named like 'rain [mm]'", name)
-        quantity, unit = match.groups()
+    for name, quantity, unit in table.quantities("rain [mm]"):
         if quantity in columns:
             raise table.refuse(f"there is a column of {quantity} before this one", name)
         if quantity not in _QUANTITIES:
@@ -184,85 +185,41 @@ def _columns(table: Table, site: Site) -> dict[str, _Column]:
                 f"is not a known column; they are {', '.join(_QUANTITIES)}, each with its unit in "
                 "brackets", name,
             )
-        column = _column(name, _QUANTITIES[quantity], unit, site)
-        if column is None:
-            units = ", ".join(f"[{one}]" for one in _QUANTITIES[quantity].units)
-            raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
-        columns[quantity] = column
+        columns[quantity] = _column(table, name, quantity, unit, site)
     _require(table, columns)
     return columns
 
 
-def _column(name: str, quantity: _Quantity, unit: str, site: Site) -> _Column | None:
-    """Return a column by its unit; None where the quantity has no such unit."""
-    if not quantity.amount:
-        factor = quantity.units.get(unit)
-        return None if factor is None else _Column(name, quantity, factor)
-    rate = _RATE.fullmatch(unit)
-    if rate is None or ("l" not in quantity.units and rate["amount"] != "mm"):
-        return None
-    factor = {"mm": 1.0, "l": 1 / site.a2, "m3": 1000 / site.a2}[rate["amount"]]
-    if rate["time"]:
-        factor /= _SECONDS[rate["time"]] * int(rate["count"] or 1)
-    return _Column(name, quantity, factor, rate["time"] is not None)
+def _column(table: Table, name: str, quantity: str, unit: str, site: Site) -> _Column:
+    """Return a column by its unit; refuse one that the quantity cannot have."""
+    limits, text = _QUANTITIES[quantity]
+    examples = text.split()
+    rate = _RATE.fullmatch(unit) if limits[0] == "mm/h" else None
+    if rate and (rate["amount"] == "mm" or "l" in examples):
+        per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
+        rate_s = _SECONDS[rate["time"]] * int(rate["count"] or 1) if rate["time"] else 0.0
+        return _Column(name, limits, Unit(unit, per_ours), rate_s)
+    if limits[0] == "mm/h" or unit not in examples:
+        units = ", ".join(f"[{one}]" for one in examples)
+        raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
+    return _Column(name, limits, Unit(unit, _PER_OURS[unit]))
 
 
 def _require(table: Table, columns: Collection[str]) -> None:
     """Refuse a header that lacks what a fit needs."""
-    if "rain" not in columns:
-        raise table.refuse("there must be a column 'rain [mm]'")
-    if "runoff" not in columns and "level" not in columns:
-        raise table.refuse("there must be a column 'runoff [mm]' or 'level [m]'")
-    if not any(
-        set(needed) <= set(columns)
-        for needed in (
-            (REFERENCE,), ("temperature",), ("least temperature", "greatest temperature"),
-        )
+    for there, what in (
+        ("rain" in columns, "there must be a column 'rain [mm]'"),
+        ("runoff" in columns or "level" in columns,
+         "there must be a column 'runoff [mm]' or 'level [m]'"),
+        (REFERENCE in columns or _COURSE in columns or {_LEAST, _GREATEST} <= set(columns),
+         "there must be a column 'reference evapotranspiration [mm]', 'temperature [degC]', or "
+         "both 'least temperature [degC]' and 'greatest temperature [degC]'"),
+        ("pump state" not in columns or "cistern level" in columns,
+         "with 'pump state' there must be a column 'cistern level [m]', on which the pumps' flow "
+         "depends; or 'pumped [l]' in its place"),
     ):
-        raise table.refuse(
-            "there must be a column 'reference evapotranspiration [mm]', 'temperature [degC]', or "
-            "both 'least temperature [degC]' and 'greatest temperature [degC]'"
-        )
-    if "pump state" in columns and "cistern level" not in columns:
-        raise table.refuse(
-            "with 'pump state' there must be a column 'cistern level [m]', on which the pumps' "
-            "flow depends; or 'pumped [l]' in its place"
-        )
-
-
-def _cells(table: Table, columns: dict[str, _Column], site: Site) -> _Cells:
-    """Return times and numbers; a time without an offset is that of the site's clock."""
-    clock = timezone(timedelta(hours=site.utc_offset)) if site.utc_offset is not None else None
-    rows = range(len(table.lines))
-    return _Cells(
-        list(table.lines), [_time(table, row, clock) for row in rows],
-        {quantity: np.array([_number(table, row, column.name) for row in rows])
-         for quantity, column in columns.items()},
-    )
-
-
-def _time(table: Table, row: int, clock: timezone | None) -> datetime:
-    try:
-        time = parse_time(table.columns[TIME][row])
-    except ValueError:
-        raise table.refuse("must be a time such as 2015-06-01T14:05", TIME, row) from None
-    if time.utcoffset() is None and clock is None:
-        raise table.refuse(
-            "must say its offset from UTC, as in 2015-06-01T14:05+01:00, or the site file must "
-            "give utc_offset", TIME, row,
-        )
-    return time if time.utcoffset() is not None else time.replace(tzinfo=clock)
-
-
-def _number(table: Table, row: int, column: str) -> float:
-    text = table.columns[column][row]
-    try:
-        value = float(text or "nan")
-    except ValueError:
-        value = math.inf
-    if text and not math.isfinite(value):
-        raise table.refuse("must be a number, or empty where there is none", column, row)
-    return value
+        if not there:
+            raise table.refuse(what)
 
 
 def _last_decimal(values: Values) -> float:
@@ -274,23 +231,23 @@ def _last_decimal(values: Values) -> float:
     return float(10.0**-places)
 
 
-def _pumped(series: dict[str, Values], site: Site, step_s: float) -> Values:
+def _pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
     """Return what was pumped onto the roof (mm in a step), NaN where that is not known.
 
     While the pumps stand the cistern's level does not matter.
     """
     if "pumped" in series or "pump state" not in series:
         return series.get("pumped", np.zeros(len(series["rain"])))
-    levels = series["cistern level"]
+    levels, state = series["cistern level"], series["pump state"]
     most = np.array([maximum_pump_flow(site, x1) for x1 in levels * site.a1])
     most[np.isnan(levels)] = np.nan
-    state = series["pump state"]
     return np.where(state == 0, 0.0, state * most * step_s * 1000 / site.a2)
 
 
-def steps_of_rows(
-    file: Path, times: Sequence[datetime], lines: Sequence[int]
-) -> tuple[NDArray[np.int64], float]:
+# --- rows and steps -------------------------------------------------------------------------------
+
+
+def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.int64], float]:
     """Return the step that each row is of, counted from the first row, and its duration (s).
 
     The duration is the median of the rows' spacings. Each row is of the step that begins nearest to
@@ -298,9 +255,8 @@ def steps_of_rows(
     rows can be of one step then.
 
     Args:
-        file: for messages.
-        times: of the rows.
-        lines: of the rows in the file.
+        table: for messages.
+        times: of its rows.
 
     Raises:
         ConfigurationError: a time is not later than the one before, the rows are more than a day
@@ -308,45 +264,176 @@ def steps_of_rows(
     """
     since = np.array([time.timestamp() for time in times]) - times[0].timestamp()
     spacing = np.diff(since)
-
-    def error(row: int, text: str) -> ConfigurationError:
-        return ConfigurationError(
-            text, file=file, line=lines[row], key=TIME, value=times[row].isoformat()
-        )
-
     back = np.flatnonzero(spacing <= 0)
     if len(back):
-        raise error(int(back[0]) + 1, "must be later than the time of the row before")
+        raise table.refuse(
+            "must be later than the time of the row before", TIME, int(back[0]) + 1
+        )
     step_s = float(np.median(spacing))
     # A roof's drainage is of hours; of longer sums nothing can be told that rain does not say.
     if step_s > DAY_S:
-        raise error(
-            1, f"the rows are {time_name(round(step_s))} apart; they must be a day apart at most"
+        raise table.refuse(
+            f"the rows are {time_name(step_s)} apart; they must be a day apart at most", TIME, 1
         )
     counts = np.maximum(1.0, np.round(spacing / step_s))
     off = np.flatnonzero(np.abs(spacing / step_s - counts) > _LOOSENESS)
     if len(off) > _MOST_OFF * len(spacing):
-        row = int(off[0]) + 1
-        raise error(
-            row,
+        raise table.refuse(
             f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-            f"{spacing[row - 1]:g} s; so are {len(off)} of {len(times)} rows, more than clocks "
-            "that were set explain: write rows a regular step apart",
+            f"{spacing[off[0]]:g} s; so are {len(off)} of {len(times)} rows, more than clocks that "
+            "were set explain: write rows a regular step apart", TIME, int(off[0]) + 1,
         )
     return np.floor(since / step_s + 0.5).astype(np.int64), step_s
 
 
-def _sums(values: Values, slots: NDArray[np.int64]) -> Values:
+def _sums(values: Values, steps: NDArray[np.int64]) -> Values:
     """Add up the rows of each step; NaN where it has none, or one of them has no value."""
-    total = np.bincount(slots, values).astype(np.float64)
-    total[np.bincount(slots) == 0] = np.nan
+    total = np.bincount(steps, values).astype(np.float64)
+    total[np.bincount(steps) == 0] = np.nan
     return total
 
 
-def _means(values: Values, slots: NDArray[np.int64]) -> Values:
+def _means(values: Values, steps: NDArray[np.int64]) -> Values:
     """Average the values that the rows of each step have; NaN where there is none."""
-    there: Steps = ~np.isnan(values)
-    steps = int(slots[-1]) + 1
-    count = np.bincount(slots[there], minlength=steps)
-    total = np.bincount(slots[there], values[there], minlength=steps)
+    count = np.bincount(steps, ~np.isnan(values))
+    total = np.bincount(steps, np.nan_to_num(values))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+# --- reference evapotranspiration -----------------------------------------------------------------
+
+
+def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Steps) -> Values:
+    """Return reference evapotranspiration that is there in every step (mm), shape (steps,).
+
+    A roof dries while its sensors fail, too: a gap of an hour at most takes the straight line
+    between the steps beside it, and a longer one is refused. Rows' times measure a gap, not its
+    steps: where a clock was set on, a step can be without a row though hardly any time is missing.
+
+    Args:
+        record: its times, and the column's name.
+        rows: of the file.
+        values: of each step (mm), NaN where there is none.
+        counts: whether a step is fitted or judged, shape (steps,); a gap in which none is may be of
+            any length.
+
+    Raises:
+        ConfigurationError: another gap is longer, or it is 0 throughout.
+    """
+    column = record.reference_column
+    if not np.any(values > 0):
+        raise ConfigurationError(
+            "is 0 throughout: it must be there, or nothing of how the roof dries can be fitted",
+            file=record.source, key=column,
+        )
+    missing = np.isnan(values)
+    since = np.array([time.timestamp() for time in rows.times])
+    # Before the first row and after the last as if there were one more, so that gaps there count.
+    since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
+    for low, high in gaps(missing):
+        row, after = (int(one) for one in np.searchsorted(rows.steps, (low, high)))
+        gap_s = float(since[after + 1] - since[row]) - record.step_s
+        if gap_s > HOUR_S and counts[low:high].any():
+            empty = rows.steps[row] == low
+            what = "is empty" if empty else f"there is no row of {record.times[low]}"
+            raise ConfigurationError(
+                f"{what}, and none has a value for {time_name(gap_s)}: it may be missing for an "
+                "hour at most, as a roof dries in gaps of the sensors, too; write a day's value "
+                "into each of its rows, and add missing rows with time and this value, their other "
+                "cells empty", file=record.source, line=rows.table.lines[row], key=column,
+            )
+    steps = np.arange(len(values))
+    return np.interp(steps, steps[~missing], values[~missing])
+
+
+def _from_temperatures(
+    record: Record, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
+) -> Values:
+    """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
+
+    A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
+    have begun the day before, where the logger's clock was set. A step has the evapotranspiration
+    of the day that it begins in on the record's own clock. A day without temperatures, or with
+    those of part of it, takes the line between its neighbours', where it counts over three days at
+    most.
+
+    Args:
+        record: its times.
+        site: its place.
+        rows: of the file.
+        numbers: of each quantity, among them ``temperature``, or ``least temperature`` and
+            ``greatest temperature`` in any row of their day (degC), NaN where a row has none, shape
+            (rows,).
+        counts: whether a step is fitted or judged, shape (steps,).
+
+    Raises:
+        ConfigurationError: the site has no place, temperatures are too far apart to show a day's
+            extremes, or more days in a row have none.
+    """
+    if site.latitude is None or site.longitude is None:
+        raise ConfigurationError(
+            "evapotranspiration from temperatures needs latitude and longitude in the site file "
+            "(see config/site.yaml)"
+        )
+    if _COURSE in numbers and record.step_s > _LONGEST_STEP_S:
+        raise ConfigurationError(
+            f"its rows are {time_name(record.step_s)} apart, and show a day's extremes where they "
+            "are three hours apart at most; write columns 'least temperature [degC]' and 'greatest "
+            "temperature [degC]' instead", file=record.source, key=_COURSE,
+        )
+    enough = _ENOUGH * DAY_S / record.step_s if _COURSE in numbers else 1.0
+    dates, day = np.unique(
+        np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
+    )
+    extremes = []
+    for name, extreme in ((_LEAST, np.fmin), (_GREATEST, np.fmax)):
+        values = numbers[_COURSE if _COURSE in numbers else name]
+        of_days = np.full(len(dates), np.nan)
+        extreme.at(of_days, day, values)
+        of_days[np.bincount(day, ~np.isnan(values)) < enough] = np.nan
+        extremes.append(of_days)
+    least, greatest = extremes
+    crossed = np.flatnonzero(least > greatest)
+    if len(crossed):
+        raise ConfigurationError(
+            f"on {dates[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
+            f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
+        )
+    wanted, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
+    counted = np.unique(day_of_step[counts])
+    daily = hargreaves(
+        site.latitude, wanted.astype("datetime64[D]"),
+        *(_filled(record, wanted, counted, dates.astype(np.int64), one) for one in extremes),
+    )
+    east = site.longitude - record.offset_s / 240
+    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
+
+
+def _filled(
+    record: Record, days: NDArray[np.int64], counted: NDArray[np.intp], dates: NDArray[np.int64],
+    values: Values,
+) -> Values:
+    """Return the value of each day; of one without, that between its neighbours.
+
+    Args:
+        record: for messages.
+        days: wanted, since 1970.
+        counted: index of each of them that is fitted or judged, and must not be far from a value.
+        dates: of the values, since 1970.
+        values: NaN where there is none.
+
+    Raises:
+        ConfigurationError: one is.
+    """
+    there = ~np.isnan(values)
+    if not there.any():
+        raise ConfigurationError("no day has its temperatures", file=record.source)
+    nearest = np.abs(days[counted, None] - dates[there]).min(axis=1)
+    if nearest.max() > _LONGEST_GAP:
+        worst = days[counted[np.argmax(nearest > _LONGEST_GAP)]].astype("datetime64[D]")
+        raise ConfigurationError(
+            f"has no temperature within {_LONGEST_GAP} days of {worst}, from which "
+            "evapotranspiration is computed; add a row of each day without, its temperatures in it "
+            "and the other cells empty, or leave its month out with --months", file=record.source,
+        )
+    return np.interp(days, dates[there], values[there])

@@ -13,14 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, least_squares
 
-from greenroof_ros.calibration.record import TOGETHER, Record, Steps, Values
-from greenroof_ros.calibration.scores import time_name
-from greenroof_ros.calibration.simulation import (
-    Simulated,
-    least_reading,
-    simulate,
-    through_meter,
-)
+from greenroof_ros.calibration.record import TOGETHER, Record, Steps, Values, time_name
+from greenroof_ros.calibration.simulation import Simulated, least_reading, simulate
 from greenroof_ros.model.site import Site
 
 Tell = Callable[[str, float], None]
@@ -60,6 +54,8 @@ _HARDLY = 0.5
 _END = 0.005
 _CONFIDENCE = 0.95
 FILLED = "filled"
+# Of the available water, where nothing says how much was there.
+_HALF_FILLED = 0.5
 _DRAINAGE = "drainage_time"
 
 
@@ -72,14 +68,12 @@ class Range:
             roof when the record begins.
         low: least value.
         high: greatest value.
-        typical: where the search begins if a site has no such parameter.
         logarithmic: whether its ratios count, not its differences.
     """
 
     name: str
     low: float
     high: float
-    typical: float
     logarithmic: bool = False
 
     def share(self, value: float) -> float:
@@ -102,19 +96,18 @@ def ranges(site: Site, record: Record) -> list[Range]:
     point. That of the drainage layer's storage is not among them: its outflow k V^2 depends on
     storage times time constant alone, as long as it is not full.
     """
-    driest = 0.1
-    if record.level is not None:
-        driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
-    wilting = Range("wilting_point", 0.0, min(0.3, max(0.03, driest)), 0.02)
     if record.level is None:
-        wilting = replace(wilting, high=max(wilting.high, (site.wilting_point or 0.0) + 0.01))
+        most = max(0.1, (site.wilting_point or 0.0) + 0.01)
+    else:
+        driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
+        most = min(0.3, max(0.03, driest))
     return [
-        Range("field_capacity", wilting.high + 0.01, 0.9, max(0.35, wilting.high + 0.1)),
-        wilting,
-        Range("depletion_fraction", 0.0, 0.95, 0.5),
-        Range(_DRAINAGE, 10.0, 2e4, 600.0, logarithmic=True),
-        Range("crop_coefficient", 0.1, 2.5, 1.0),
-        Range(FILLED, 0.0, 1.0, 0.5),
+        Range("field_capacity", most + 0.01, 0.9),
+        Range("wilting_point", 0.0, most),
+        Range("depletion_fraction", 0.0, 0.95),
+        Range(_DRAINAGE, 10.0, 2e4, logarithmic=True),
+        Range("crop_coefficient", 0.1, 2.5),
+        Range(FILLED, 0.0, 1.0),
     ]
 
 
@@ -177,20 +170,9 @@ class Fit(NamedTuple):
     """A site fitted to a record."""
 
     site: Site
-    filled: float
     parameters: list[Parameter]
     simulated: Simulated
     """of the whole record, as its meter would show it"""
-
-
-def with_values(site: Site, values: dict[str, float]) -> tuple[Site, float]:
-    """Return a site with other parameters, and the share that is filled at first."""
-    own = {name: value for name, value in values.items() if name != FILLED}
-    field_capacity = own.get("field_capacity", site.field_capacity)
-    assert field_capacity is not None
-    # z_cap is what the field capacity makes it.
-    own["z_cap"] = site.a2 * site.z_soil * field_capacity
-    return replace(site, **own), values[FILLED]  # type: ignore[arg-type]
 
 
 class _Stages:
@@ -247,101 +229,85 @@ def fit(
     known = ranges(site, record)
     too_long = record.step_s > _TELLS_DRAINAGE_S
     every = [one for one in known if one.name != _DRAINAGE or not too_long]
-    start = {one.name: _begin(site, one) for one in every}
+    as_it_was = np.array([one.share(getattr(site, one.name, _HALF_FILLED)) for one in every])
+    at = np.clip(as_it_was, 0.01, 0.99)
     compare = _Comparison(record, steps)
     stages = _Stages(tell)
     least = least_reading(record)
 
-    def differences(values: dict[str, float], least: float = least) -> Values:
+    def simulated(shares: Values, least: float) -> tuple[Site, Simulated]:
+        values = {one.name: one.value(share) for one, share in zip(every, shares, strict=True)}
+        filled = values.pop(FILLED)
+        z_cap = site.a2 * site.z_soil * values["field_capacity"]
+        fitted = replace(site, z_cap=z_cap, **values)  # type: ignore[arg-type]
+        return fitted, simulate(fitted, record, filled, least)
+
+    def differences(shares: Values, least: float = least) -> Values:
         stages.simulated()
-        fitted, filled = with_values(site, values)
-        return compare(_shown(simulate(fitted, record, filled), least))
+        return compare(simulated(shares, least)[1])
 
-    def moved(free: Sequence[Range], shares: Values) -> dict[str, float]:
-        return start | {one.name: one.value(at) for one, at in zip(free, shares, strict=True)}
-
-    def without_meter(free: Sequence[Range], shares: Values) -> Values:
+    def without_meter() -> Values:
         """Return the Jacobian of a meter without a least reading.
 
         That reading makes steps of a smooth simulation: a short difference sees a few of them, and
         takes one parameter for well told, or equal columns for different ones.
         """
-        return _jacobian(lambda near: differences(moved(free, near), 0.0), shares)
+        return _jacobian(lambda near: differences(near, 0.0), at)
 
-    def tell_apart() -> tuple[list[Range], list[tuple[Range, str]]]:
+    def tell_apart() -> tuple[Steps, dict[str, str]]:
         stages.begin(1 + len(every))
-        shares = np.array([one.share(start[one.name]) for one in every])
-        return _tell_apart(every, without_meter(every, shares))
+        return _tell_apart([one.name for one in every], without_meter())
 
-    def solve(free: Sequence[Range]) -> OptimizeResult:
+    def solve() -> OptimizeResult:
+        def moved(shares: Values) -> Values:
+            near = at.copy()
+            near[free] = shares
+            return differences(near)
+
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
-        stages.begin(_MOST_EVALUATIONS * (1 + len(free)))
+        stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
         found = least_squares(
-            lambda shares: differences(moved(free, shares)),
-            [one.share(start[one.name]) for one in free],
-            bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1", f_scale=_ROBUST_FROM,
-            xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
+            moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
+            f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
         )
-        start.update({one.name: one.value(at) for one, at in zip(free, found.x, strict=True)})
+        at[free] = found.x
         return found
 
-    telling, _ = tell_apart()
-    tried = _beginnings(telling, start)
+    free, _ = tell_apart()
+    # A large store that evaporates little and a small one that evaporates much leave a ridge
+    # between them that no search from one side crosses.
+    grid = itertools.product(*(
+        _GRID.get(one.name, (share,)) if is_free else (share,)
+        for one, share, is_free in zip(every, at, free, strict=True)
+    ))
+    tried = [at, *map(np.array, grid)]
     stages.begin(len(tried))
-    start = min(tried, key=lambda values: _cost(differences(values)))
-    solve(telling)
+    at = min(tried, key=lambda shares: _cost(differences(shares)))
+    solve()
     # Once more where the roof now is: what tells there may differ from where the search began.
-    telling, held = tell_apart()
-    start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
-    found = solve(telling)
+    free, why = tell_apart()
+    at[~free] = as_it_was[~free]
+    found = solve()
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     robust = 1 + (found.fun / _ROBUST_FROM) ** 2
-    untold = [one for one, _ in held]
-    shares = np.array([one.share(start[one.name]) for one in (*telling, *untold)])
-    rows = without_meter([*telling, *untold], shares) * robust[:, None] ** -0.75
-    own, others = rows[:, :len(telling)], rows[:, len(telling):]
-    half = half_intervals(moves(own, found.fun * robust**0.25, compare.weeks))
-    half = np.hypot(half, _moved_by_held(own, others, shares[len(telling):]))
-    parameters = [
-        _judged(one, share, width)
-        for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
-    ] + [Parameter(one.name, start[one.name], np.nan, np.nan, why) for one, why in held]
+    rows = without_meter() * robust[:, None] ** -0.75
+    half = np.full(len(every), np.nan)
+    half[free] = np.hypot(
+        half_intervals(moves(rows[:, free], found.fun * robust**0.25, compare.weeks)),
+        _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
+    )
+    parameters = {
+        one.name: _judged(one, share, width, why.get(one.name, ""))
+        for one, share, width in zip(every, at.tolist(), half.tolist(), strict=True)
+    }
     if too_long:
         assert site.drainage_time is not None
-        why = f"steps of {time_name(round(record.step_s))} are too long to tell it"
-        parameters.append(Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, why))
-    order = [one.name for one in known]
-    parameters.sort(key=lambda one: order.index(one.name))
-    fitted, filled = with_values(site, start)
-    simulated = _shown(simulate(fitted, record, filled), least)
+        words = f"steps of {time_name(record.step_s)} are too long to tell it"
+        parameters[_DRAINAGE] = Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words)
+    fitted, shown = simulated(at, least)
     tell("done", 1.0)
-    return Fit(fitted, filled, parameters, simulated)
-
-
-def _shown(simulated: Simulated, least: float) -> Simulated:
-    return simulated._replace(runoff=through_meter(simulated.runoff, least))
-
-
-def _begin(site: Site, one: Range) -> float:
-    """Return where the search begins: within the range, not at its ends."""
-    share = one.share(max(one.low, getattr(site, one.name, one.typical)))
-    return one.value(min(max(share, 0.01), 0.99))
-
-
-def _beginnings(telling: Sequence[Range], start: dict[str, float]) -> list[dict[str, float]]:
-    """Return where the search may begin: the start, and the values of a coarse grid.
-
-    A large store that evaporates little and a small one that evaporates much leave a ridge between
-    them that no search from one side crosses.
-    """
-    known = {one.name: one for one in telling}
-    grid = [
-        [known[name].value(share) for share in shares] if name in known else [start[name]]
-        for name, shares in _GRID.items()
-    ]
-    tried = [start | dict(zip(_GRID, values, strict=True)) for values in itertools.product(*grid)]
-    return [start, *tried]
+    return Fit(fitted, [parameters[one.name] for one in known], shown)
 
 
 def _cost(residuals: Values) -> float:
@@ -385,31 +351,25 @@ def _jacobian(residuals: Callable[[Values], Values], shares: Values) -> Values:
     return np.column_stack(columns)
 
 
-def _tell_apart(
-    every: Sequence[Range], jacobian: Values
-) -> tuple[list[Range], list[tuple[Range, str]]]:
-    """Split parameters into those that the data tell, and those they do not, with the reason."""
+def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, dict[str, str]]:
+    """Return which parameters the data tell, and why they do not tell the others, by name."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
     # Fewer residuals than parameters tell no more of these than there are of those.
-    size = np.zeros(len(every))
-    size[:len(triangle)] = np.abs(np.diag(triangle))
-    telling = [every[place] for place in order[size > _TELLS_NOTHING * size[0]]]
-    held = []
+    size = np.zeros(len(names))
+    size[order[:len(triangle)]] = np.abs(np.diag(triangle))
+    free = size > _TELLS_NOTHING * size.max()
     lengths = np.linalg.norm(jacobian, axis=0)
-    for place in order[size <= _TELLS_NOTHING * size[0]]:
-        if lengths[place] <= _TELLS_NOTHING * size[0]:
-            why = "the data do not depend on it"
-        else:
-            names = [one.name for one in telling]
-            columns = jacobian[:, [every.index(one) for one in telling]]
-            weights = np.linalg.lstsq(columns, jacobian[:, place], rcond=None)[0]
-            parts = np.abs(weights) * np.linalg.norm(columns, axis=0)
-            with_whom = [name for name, part in zip(names, parts, strict=True)
-                         if part > 0.1 * lengths[place]]
-            why = f"the data cannot tell it apart from {' and '.join(with_whom)}"
-        held.append((every[place], why))
-    telling.sort(key=every.index)
-    return telling, held
+    why = {}
+    for place in np.flatnonzero(~free).tolist():
+        if lengths[place] <= _TELLS_NOTHING * size.max():
+            why[names[place]] = "the data do not depend on it"
+            continue
+        weights = np.linalg.lstsq(jacobian[:, free], jacobian[:, place], rcond=None)[0]
+        parts = np.zeros(len(names))
+        parts[free] = np.abs(weights) * lengths[free]
+        others = [names[other] for other in np.flatnonzero(parts > 0.1 * lengths[place]).tolist()]
+        why[names[place]] = f"the data cannot tell it apart from {' and '.join(others)}"
+    return free, why
 
 
 def _moved_by_held(own: Values, others: Values, shares: Values) -> Values:
@@ -428,9 +388,18 @@ def _moved_by_held(own: Values, others: Values, shares: Values) -> Values:
     return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
-def _judged(one: Range, share: float, half: float) -> Parameter:
-    """Return a parameter with its interval, and in words what is wrong with it."""
+def _judged(one: Range, share: float, half: float, why: str) -> Parameter:
+    """Return a parameter with its interval, and in words what is wrong with it.
+
+    Args:
+        one: the parameter.
+        share: of its range, where it is.
+        half: of its interval, likewise; NaN where the data do not tell it.
+        why: they do not.
+    """
     value = one.value(share)
+    if math.isnan(half):
+        return Parameter(one.name, value, half, half, why)
     low, high = (one.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
     words = ""
     if not _END < share < 1 - _END:

@@ -44,60 +44,6 @@ _BELIEVABLE = 10.0
 _HARDLY = 0.5
 
 
-class Runs(NamedTuple):
-    """The levels of each run, from before its beginning to after its end, one run after another."""
-
-    step: NDArray[np.int64]
-    """that each level is at the beginning of, shape (n,)"""
-    level: Values
-    """m, shape (n,)"""
-    number: NDArray[np.int64]
-    """of the run that each level is of, from 0"""
-    counts: Steps
-    """whether a level counts in the fit, shape (n,)"""
-
-    @property
-    def sizes(self) -> NDArray[np.int64]:
-        """How many levels of each run count."""
-        return np.bincount(self.number, self.counts).astype(np.int64)
-
-    @property
-    def between(self) -> Values:
-        """Mean of each level and the next (m); at the end of a run that level itself."""
-        last = np.append(self.number[1:] != self.number[:-1], True)
-        return np.where(last, self.level, (self.level + np.append(self.level[1:], 0.0)) / 2)
-
-    def only(self, kept: Steps) -> Runs:
-        """Return the runs that are kept, numbered from 0 on; ``kept`` has an entry for each run."""
-        here = kept[self.number]
-        number = (np.cumsum(kept) - 1)[self.number[here]]
-        return Runs(self.step[here], self.level[here], number, self.counts[here])
-
-    def without(self, levels: Steps) -> Runs:
-        """Return runs in which these levels do not count, those of three others at least."""
-        fewer = self._replace(counts=self.counts & ~levels)
-        return fewer.only(fewer.sizes >= _FEWEST_LEVELS)
-
-    def less_means(self, values: Values) -> Values:
-        """Return values of levels, less their mean over each run; 0 where they do not count."""
-        means = np.bincount(self.number, values * self.counts) / self.sizes
-        return np.where(self.counts, values - means[self.number], 0.0)
-
-    def typical(self, residuals: Values) -> Values:
-        """Return the standard deviation in each run of what :meth:`less_means` has left."""
-        return np.sqrt(np.bincount(self.number, residuals**2) / (self.sizes - 1))
-
-    def lasting(self, command: Values) -> Values:
-        """Return of each run in how many steps the pumps ran."""
-        return np.asarray(np.bincount(self.number, command[self.step] > 0))
-
-    def rises(self) -> Values:
-        """Return by how much in each run a level is above an earlier one, at most (m)."""
-        ends = np.cumsum(np.bincount(self.number))[:-1]
-        each = np.split(self.level, ends)
-        return np.array([np.max(one - np.minimum.accumulate(one)) for one in each])
-
-
 def standing_steps(step_s: float) -> int:
     """Return from how many steps before a run to how many after it levels count.
 
@@ -107,35 +53,32 @@ def standing_steps(step_s: float) -> int:
     return max(_STANDING_STEPS, round(_STANDING_S / step_s))
 
 
-def find_runs(site: Site, record: Record, command: Values, cistern: Values) -> Runs:
+def find_runs(
+    site: Site, record: Record, command: Values, cistern: Values
+) -> list[NDArray[np.int64]]:
     """Return the runs in which nothing but the pumps moves the cistern.
 
-    A run counts as far as it did not rain for an hour, the level is between the outlet and the
+    Each is the steps at whose beginnings its levels are, from before its beginning to after its
+    end. A run counts as far as it did not rain for an hour, the level is between the outlet and the
     lowest at which pumps and mains leave it, and all is known. Where two runs are near each other,
     each has half of the levels between them.
     """
     standing = standing_steps(record.step_s)
     quiet = _quiet(site, record, command, cistern, standing)
     found = gaps(quiet & (command > 0))
-    still = quiet & (command == 0)
-    levels = []
+    moving = ~(quiet & (command == 0))
+    runs = []
     for place, (first, end) in enumerate(found):
         low, high = max(0, first - standing), min(end + standing, record.steps - 1)
         if place > 0:
             low = max(low, (found[place - 1][1] + first + 1) // 2)
         if place + 1 < len(found):
             high = min(high, (end + found[place + 1][0] - 1) // 2)
-        busy_before = np.flatnonzero(~still[low:first])
-        busy_after = np.flatnonzero(~still[end:high])
-        low += busy_before[-1] + 1 if len(busy_before) else 0
-        high = end + busy_after[0] if len(busy_after) else high
-        levels.append(np.arange(low, high + 1))
-    if not levels:
-        empty = np.zeros(0, dtype=np.int64)
-        return Runs(empty, np.zeros(0), empty, empty > 0)
-    step = np.concatenate(levels)
-    number = np.repeat(np.arange(len(levels)), [len(one) for one in levels])
-    return Runs(step, cistern[step], number, step >= 0)
+        before, after = np.flatnonzero(moving[low:first]), np.flatnonzero(moving[end:high])
+        low += before[-1] + 1 if len(before) else 0
+        high = end + after[0] if len(after) else high
+        runs.append(np.arange(low, high + 1))
+    return runs
 
 
 def _quiet(
@@ -151,17 +94,15 @@ def _quiet(
 
 
 class _Solution(NamedTuple):
-    """A fit: shares, or the values that follow from them."""
+    """A fit of shares."""
 
     shares: Values
     others: Values
     """what each run would make of them by its absence, shape (runs, shares)"""
     freedom: Values
     """degrees of each share's interval"""
-    size: Values
-    """typical residual of each run (m), of those that do not count, too"""
-    most: float
-    """of which the flow is a share (m3/s)"""
+    size: float
+    """residual of the median run (m), of those that do not count, too"""
 
     @property
     def half(self) -> Values:
@@ -176,13 +117,22 @@ class _Fall:
     there is a third, 1 / H as a share of the site's. Without it ``a_hat`` makes it.
     """
 
-    def __init__(self, site: Site, record: Record, command: Values, runs: Runs) -> None:
-        self._site = site
-        self._runs = runs
-        self._between = runs.between
-        self._step_s = record.step_s
+    def __init__(
+        self, site: Site, step_s: float, command: Values, cistern: Values,
+        runs: Sequence[NDArray[np.int64]], counts: Steps,
+    ) -> None:
+        """Take the levels of all runs (m), and of each step whether its level counts."""
+        self._site, self._step_s = site, step_s
+        self._step = np.concatenate(runs)
+        self._number = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
+        self._counts = counts[self._step]
+        self._sizes = np.bincount(self._number, self._counts)
+        self._level = level = cistern[self._step]
+        # Mean of each level and the next; at the end of a run that level itself.
+        last = np.append(self._number[1:] != self._number[:-1], True)
+        self._between = np.where(last, level, (level + np.append(level[1:], 0.0)) / 2)
         self._total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(command))))
-        self.middle = float(np.average(self._between, weights=command[runs.step]))
+        self.middle = float(np.average(self._between, weights=command[self._step]))
         self.most = maximum_pump_flow(site, self.middle * site.a1)
         self._head = self.middle + site.c_hat - site.d
 
@@ -192,10 +142,12 @@ class _Fall:
         head = np.sqrt(np.maximum(1 + slope * (self._between - self.middle), 0.0))
         steps = np.arange(len(self._total))
         begin, end = (
-            np.interp(self._runs.step + later + shares[0], steps, self._total) for later in (0, 1)
+            np.interp(self._step + later + shares[0], steps, self._total) for later in (0, 1)
         )
         taken = self.most * shares[1] * head * (end - begin) * self._step_s / self._site.a1
-        return self._runs.less_means(self._runs.level + np.cumsum(taken) - taken)
+        put_back = self._level + np.cumsum(taken) - taken
+        means = np.bincount(self._number, put_back * self._counts) / self._sizes
+        return np.where(self._counts, put_back - means[self._number], 0.0)
 
     def jacobian(self, shares: Values) -> Values:
         """Return how residuals change with the shares, shape (n, shares).
@@ -228,27 +180,28 @@ class _Fall:
         low = np.array([-latest, *[_LEAST_SHARE] * 2])[:shares]
         high = np.array([latest, *[1 / _LEAST_SHARE] * 2])[:shares]
         at = np.array([0.0, 1.0, 1.0])[:shares]
-        weights = np.ones(len(self._runs.sizes))
+        weights = np.ones(len(self._sizes))
         for rounds in range(_MOST_ROUNDS):
-            root = np.sqrt(weights)[self._runs.number]
+            root = np.sqrt(weights)[self._number]
             found: OptimizeResult = least_squares(
                 lambda near, root=root: root * self.residuals(near), at,
                 jac=lambda near, root=root: root[:, None] * self.jacobian(near),
                 bounds=(low, high),
             )
             at = found.x
-            size = self._runs.typical(self.residuals(at))
-            relative = size / max(float(np.median(size)), _LEAST_M)
+            squares = np.bincount(self._number, self.residuals(at) ** 2)
+            size = np.sqrt(squares / (self._sizes - 1))
+            typical = max(float(np.median(size)), _LEAST_M)
+            relative = size / typical
             before, weights = weights, np.maximum(1 - (relative / _BIWEIGHT) ** 2, 0.0) ** 2
             if rounds < _HUBER_ROUNDS:
                 weights = 1 / np.maximum(relative, 1.0)
             elif np.max(np.abs(weights - before)) < _SETTLED:
                 break
         counts = root > 0
-        jacobian, groups = found.jac[counts], self._runs.number[counts]
+        jacobian, groups = found.jac[counts], self._number[counts]
         return _Solution(
-            at, at + moves(jacobian, found.fun[counts], groups), freedom(jacobian, groups), size,
-            self.most,
+            at, at + moves(jacobian, found.fun[counts], groups), freedom(jacobian, groups), typical
         )
 
 
@@ -297,25 +250,30 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
         return PumpFit(site, (), ())
     unseen = PumpFit(site, (), [FINDINGS.make("pumps", "unseen", "pumps")])
     runs = find_runs(site, record, command, cistern)
-    if len(runs.sizes) < _FEWEST_RUNS:
+    if len(runs) < _FEWEST_RUNS:
         return unseen
     standing = standing_steps(record.step_s)
-    coarse = _Fall(site, record, command, runs).solve(3, standing + 1)
-    doubts = _doubts(record, coarse, standing)
+    all_count = np.full(record.steps, True)
+    fall = _Fall(site, record.step_s, command, cistern, runs, all_count)
+    coarse = fall.solve(3, standing + 1)
+    doubts = _doubts(record, coarse, fall.most, standing)
     if doubts:
         return PumpFit(site, (), doubts)
     late = round(coarse.shares[0])
     # The command as it was so many steps earlier.
     command = np.pad(command, abs(late), constant_values=np.nan)[abs(late) + late:][:len(command)]
-    runs = find_runs(site, record, command, cistern)
     # The levels at which pumps start or stop do not count: the least part of a step by which the
     # pump state is late moves one of both, whichever the noise prefers, and the flow is too large.
-    runs = runs.without(np.append(False, np.diff(command > 0))[runs.step])
-    every = len(runs.sizes)
-    runs = runs.only(runs.rises() <= _RISE * max(float(np.median(coarse.size)), _LEAST_M))
-    if len(runs.sizes) < _FEWEST_RUNS:
+    counts = ~np.append(False, np.diff(command > 0))
+    runs = [
+        run for run in find_runs(site, record, command, cistern)
+        if np.count_nonzero(counts[run]) >= _FEWEST_LEVELS
+    ]
+    every = len(runs)
+    runs = [run for run in runs if _rise(cistern[run]) <= _RISE * coarse.size]
+    if len(runs) < _FEWEST_RUNS:
         return unseen
-    fall = _Fall(site, record, command, runs)
+    fall = _Fall(site, record.step_s, command, cistern, runs, counts)
     found = fall.solve(3, 1)
     told = fall.derived(found.shares)[1] < 0 and found.half[2] < _HARDLY * min(found.shares[2], 1.0)
     if not told:
@@ -340,7 +298,14 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     return PumpFit(replace(site, a_hat=shape.value, c_hat=c_hat), [shape, height], findings)
 
 
-def _logger(record: Record, command: Values, runs: Runs, late: float) -> list[Finding]:
+def _rise(level: Values) -> float:
+    """Return by how much a level is above an earlier one, at most (m)."""
+    return float(np.max(level - np.minimum.accumulate(level)))
+
+
+def _logger(
+    record: Record, command: Values, runs: Sequence[NDArray[np.int64]], late: float
+) -> list[Finding]:
     """Return what the logger does: it is late or early, or too coarse for the runs.
 
     A logger that writes what it sees once a step makes runs longer or shorter by up to a step; and
@@ -352,19 +317,25 @@ def _logger(record: Record, command: Values, runs: Runs, late: float) -> list[Fi
             "pumps", "shifted", "pumps", minutes=abs(late) * record.step_s / 60,
             side="late" if late > 0 else "early",
         ))
-    steps = float(np.quantile(runs.lasting(command), 0.9))
+    steps = float(np.quantile([np.count_nonzero(command[run] > 0) for run in runs], 0.9))
     if steps <= _SHORT:
         findings.append(FINDINGS.make("pumps", "short", "pumps", steps=steps))
     return findings
 
 
-def _doubts(record: Record, found: _Solution, standing: int) -> list[Finding]:
-    """Return why a fall is not that of these pumps, or not at the time that they run."""
+def _doubts(record: Record, found: _Solution, most: float, standing: int) -> list[Finding]:
+    """Return why a fall is not that of these pumps, or not at the time that they run.
+
+    Args:
+        record: its steps.
+        found: by the fall.
+        most: flow by the site's curve (m3/s).
+        standing: see :func:`standing_steps`.
+    """
     late, share = found.shares[:2].tolist()
     if not 1 / _BELIEVABLE < share < _BELIEVABLE:
         return [FINDINGS.make(
-            "unit-error", "pump", "cistern level", flow=1000 * found.most * share,
-            curve=1000 * found.most,
+            "unit-error", "pump", "cistern level", flow=1000 * most * share, curve=1000 * most,
         )]
     if abs(late) > standing + 0.5 and found.half[1] < _HARDLY * share:
         return [FINDINGS.make(

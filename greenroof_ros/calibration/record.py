@@ -16,10 +16,11 @@ from greenroof_ros.common.errors import ConfigurationError
 
 Values = NDArray[np.float64]
 Steps = NDArray[np.bool_]
+HOUR_S, DAY_S = 3600, 86400
 
 # So long without rain parts two storms, and so long after it the roof still answers (s). That long
 # without water ends the half before, too.
-_APART_S, _AFTER_S = 6 * 3600, 24 * 3600
+_APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,16 @@ class Record:
         return len(self.rain)
 
     @property
-    def seconds(self) -> NDArray[np.int64]:
-        """Start of each step on the record's own clock, in seconds since 1970-01-01 there."""
+    def offset_s(self) -> float:
+        """By how much the record's own clock is ahead of UTC (s)."""
         offset = self.start.utcoffset()
         assert offset is not None
-        first = round(self.start.timestamp() + offset.total_seconds())
+        return offset.total_seconds()
+
+    @property
+    def seconds(self) -> NDArray[np.int64]:
+        """Start of each step on the record's own clock, in seconds since 1970-01-01 there."""
+        first = round(self.start.timestamp() + self.offset_s)
         return first + np.round(self.step_s * np.arange(self.steps)).astype(np.int64)
 
     @property
@@ -111,6 +117,17 @@ class Record:
         missing = np.any([np.isnan(one) for one in series], axis=0)
         beside = np.convolve(missing, np.ones(3), "same") > 0
         return np.asarray(~beside)
+
+
+def time_name(seconds: float) -> str:
+    """Name a time of whole seconds: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
+    seconds = round(seconds)
+    if seconds >= 2 * DAY_S and seconds % DAY_S == 0:
+        return f"{seconds // DAY_S} days"
+    for unit, size in (("day", DAY_S), ("h", HOUR_S), ("min", 60)):
+        if seconds % size == 0:
+            return f"{seconds // size} {unit}"
+    return f"{seconds} s"
 
 
 def sums(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
@@ -183,14 +200,7 @@ def comparable(record: Record) -> Steps:
     return steps
 
 
-class Halves(NamedTuple):
-    """Two parts of a record, each in one piece but for its gaps."""
-
-    earlier: Steps
-    later: Steps
-
-
-def halve(record: Record, steps: Steps) -> Halves:
+def halve(record: Record, steps: Steps) -> dict[str, Steps]:
     """Split steps on the first dry day after half of the rain and of what was pumped has come.
 
     Water is what tells something about a roof: halves of the time may have all storms in one. And a
@@ -200,11 +210,14 @@ def halve(record: Record, steps: Steps) -> Halves:
     Args:
         record: its rain.
         steps: that count at all.
+
+    Returns:
+        The steps of each half, by what it is for: ``fit``, the earlier, and ``validation``.
     """
     total = np.cumsum(np.where(steps, record.came, 0.0))
     dry = ~lately(record.came > 0, math.ceil(_AFTER_S / record.step_s))
     later = np.cumsum((total >= total[-1] / 2) & dry) > 0
-    return Halves(steps & ~later, steps & later)
+    return {"fit": steps & ~later, "validation": steps & later}
 
 
 def month_numbers(span: str) -> list[int]:

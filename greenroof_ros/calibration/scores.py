@@ -7,44 +7,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import TOGETHER, Values
-
-HOUR_S, DAY_S = 3600, 86400
-PARTS = ("fit", "validation")
-"""The halves of a record, by what they are for."""
+from greenroof_ros.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
 
 
 class Scores(NamedTuple):
-    """Of one series.
+    """Of one series in one half of a record.
 
     The efficiencies are those of sums of runoff, or means of levels, over a time (s), by that time:
     1 is perfect, and an NSE of 0 no better than the mean of what was measured.
     """
 
+    quantity: str
+    """``runoff`` or ``level``"""
+    part: str
+    """``fit`` or ``validation``"""
     nse: dict[int, float]
     """Nash and Sutcliffe 1970, doi:10.1016/0022-1694(70)90255-6, Eq. 3"""
     kge: dict[int, float]
     """Gupta et al. 2009, doi:10.1016/j.jhydrol.2009.08.003, Eq. 9"""
     volume_error: float
     """what is simulated too much in all, as a share of what was measured"""
-
-
-class ScoreRow(NamedTuple):
-    """A line of the table of scores."""
-
-    quantity: str
-    part: str
-    scores: Scores
-
-
-def time_name(seconds: int) -> str:
-    """Name a time: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
-    if seconds >= 2 * DAY_S and seconds % DAY_S == 0:
-        return f"{seconds // DAY_S} days"
-    for unit, size in (("day", 86400), ("h", 3600), ("min", 60)):
-        if seconds % size == 0:
-            return f"{seconds // size} {unit}"
-    return f"{seconds} s"
 
 
 def efficiency(simulated: Values, measured: Values) -> float:
@@ -71,30 +53,27 @@ def kling_gupta(simulated: Values, measured: Values) -> float:
     return float(1 - np.sqrt((correlation - 1) ** 2 + (spread - 1) ** 2 + (mean - 1) ** 2))
 
 
-def score_times(step_s: float) -> list[int]:
-    """Return over which times (s) steps are scored: their own, and each longer of hour and day."""
-    step = round(step_s)
-    return [step, *(time for time in (HOUR_S, DAY_S) if time > step)]
-
-
 def score(
-    quantity: str, simulated: Values, measured: Values, seconds: NDArray[np.int64], step_s: float
+    quantity: str, part: str, simulated: Values, measured: Values, seconds: NDArray[np.int64],
+    step_s: float,
 ) -> Scores:
     """Score a series by its steps, and by the hours and days that are longer.
 
     Args:
         quantity: ``runoff`` or ``level``.
+        part: of the record.
         simulated: shape (n,).
         measured: the same steps, without NaN.
         seconds: start of each on a clock, since 1970-01-01.
         step_s: duration of a step (s).
     """
+    step = round(step_s)
     nses, kges = {}, {}
-    for over_s in score_times(step_s):
+    for over_s in (step, *(time for time in (HOUR_S, DAY_S) if time > step)):
         ours, theirs = (
             TOGETHER[quantity](series, seconds, over_s) for series in (simulated, measured)
         )
         nses[over_s], kges[over_s] = efficiency(ours, theirs), kling_gupta(ours, theirs)
     total = float(np.sum(measured))
     error = float(np.sum(simulated)) / total - 1 if total > 0 else np.nan
-    return Scores(nses, kges, error)
+    return Scores(quantity, part, nses, kges, error)

@@ -29,7 +29,7 @@ class Simulated(NamedTuple):
     """of the water in the substrate at the beginning of each step (m), shape (steps,)"""
 
 
-def simulate(site: Site, record: Record, filled: float) -> Simulated:
+def simulate(site: Site, record: Record, filled: float, least: float = 0.0) -> Simulated:
     """Follow a measured roof through a record's steps.
 
     It is the roof of :class:`greenroof_ros.model.plant.Plant` with short ticks: how much percolates
@@ -42,6 +42,7 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
         site: with a ``field_capacity``.
         record: rain, pumped water and reference evapotranspiration.
         filled: share of the available water that is there at first, 0 to 1.
+        least: runoff of a step (mm) below which a meter shows none.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
     came = record.came
@@ -72,6 +73,7 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
             layer = max(0.0, layer + seconds * (percolated - drained))
         x2 = max(0.0, x2 + seconds * (comes - percolated - evaporated))
     runoff = np.add.reduceat(flows * durations, starts) * 1000 / site.a2
+    runoff = np.where(runoff < least, 0.0, runoff)
     return Simulated(runoff, volumes[starts] / site.a2)
 
 
@@ -104,8 +106,3 @@ def _counted(readings: Values, last_decimal: float) -> bool:
         if low > high:
             return False
     return True
-
-
-def through_meter(runoff: Values, least: float) -> Values:
-    """Return what a meter shows of a runoff (mm in each step): none of what is below its least."""
-    return np.where(runoff < least, 0.0, runoff)

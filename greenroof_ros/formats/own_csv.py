@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -74,13 +73,7 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
     """Return the column of each quantity, and the method of evapotranspiration."""
     columns: dict[str, str] = {}
     method = ""
-    if table.header[0] != "time":
-        raise table.refuse("the first column must be 'time'", table.header[0])
-    for column in table.header[1:]:
-        match = re.fullmatch(r"([^\[\]]+?)\s*\[([^\[\]]*)\]", column)
-        if not match:
-            raise table.refuse("a column must be named like 'precipitation [mm/h]'", column)
-        name, unit = match.groups()
+    for column, name, unit in table.quantities(_FORECAST[PRECIPITATION]):
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
         if quantity not in QUANTITIES:
             known = ", ".join(f"{key} [{value[0]}]" for key, value in QUANTITIES.items())

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Container, Iterable, Sequence
+import re
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -90,8 +91,26 @@ class Table:
             if self.header.count(column) > 1:
                 raise self.refuse("is the name of two columns", column)
 
+    def quantities(self, example: str) -> Iterator[tuple[str, str, str]]:
+        """Yield each column after the first, which is ``time``, with its quantity and unit.
+
+        Args:
+            example: of a column's name, for messages.
+
+        Raises:
+            ConfigurationError: the first column is another, or one is not named like the example.
+        """
+        if self.header[0] != "time":
+            raise self.refuse("the first column must be 'time'", self.header[0])
+        for column in self.header[1:]:
+            match = re.fullmatch(r"([^\[\]]+?)\s*\[([^\[\]]*)\]", column)
+            if match is None:
+                raise self.refuse(f"a column must be named like '{example}'", column)
+            yield column, match[1], match[2]
+
     def numbers(
-        self, column: str, limits: Limits, unit: Unit | None = None, missing: Container[str] = ()
+        self, column: str, limits: Limits, unit: Unit | None = None, missing: Container[str] = (),
+        hint: str = "",
     ) -> NDArray[np.float64]:
         """Return a column's values in our unit, shape (rows,).
 
@@ -100,6 +119,7 @@ class Table:
             limits: our unit, and the believable range.
             unit: of the column; ours unless given.
             missing: texts that stand for a missing value, which is NaN.
+            hint: what ends the message about a wrong value.
 
         Raises:
             ConfigurationError: a cell is not a number, or not a believable one.
@@ -118,7 +138,7 @@ class Table:
                 ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
                 raise self.refuse(
                     f"must be a number from {' to '.join(ends)} {unit.name}"
-                    + (", or empty" if "" in missing else ""),
+                    + (", or empty" if "" in missing else "") + hint,
                     column, row,
                 )
             values[row] = value
@@ -126,7 +146,7 @@ class Table:
 
     def times(
         self, column: str, parse: Callable[[str], datetime] = parse_time,
-        example: str = DEFAULT_START,
+        example: str = DEFAULT_START, hint: str = "",
     ) -> list[datetime]:
         """Return a column's times.
 
@@ -135,6 +155,7 @@ class Table:
             parse: raises ValueError where a text is no time; ISO 8601 with an offset from UTC
                 unless given.
             example: of a time, for messages.
+            hint: what ends the message about a missing offset.
 
         Raises:
             ConfigurationError: a cell is no time, or says no offset from UTC.
@@ -149,7 +170,7 @@ class Table:
                 ) from None
             if time.utcoffset() is None:
                 raise self.refuse(
-                    f"must say its offset from UTC, as in {DEFAULT_START}", column, row
+                    f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
                 )
             times.append(time)
         return times

@@ -195,3 +195,34 @@ def hover_points(lines: alt.Chart) -> alt.Chart:
 def short(value: float) -> float:
     """Return a value with as many digits as a figure can show."""
     return float(f"{value:.7g}")
+
+
+def series_panel(
+    lines: alt.Chart, field: str, names: list[str], title: str, *, legend: str = "",
+    below: Sequence[alt.Chart] = (), height: int = 190, zoom: bool = False,
+) -> Panel:
+    """Return a panel of lines, which the pointer finds and the legend switches on and off.
+
+    Args:
+        lines: with axes, and what the pointer shows.
+        field: by which lines are told apart.
+        names: of the lines, in it.
+        title: of the panel.
+        legend: its title.
+        below: charts that lie below the lines.
+        height: see :class:`Panel`.
+        zoom: see :class:`Panel`.
+    """
+    lines = lines.encode(**distinct(field, names, legend))
+    return Panel(
+        alt.layer(*below, lines) if below else lines, title, height, hover_points(lines), field,
+        zoom,
+    )
+
+
+def reference_line(points: Rows, x: alt.X, y: alt.Y) -> alt.Chart:
+    """Return a thin grey line, such as that on which a perfect forecast lies."""
+    line: alt.Chart = alt.Chart(alt.InlineData(points)).mark_line(
+        color="#888888", strokeWidth=1
+    ).encode(x=x, y=y)
+    return line

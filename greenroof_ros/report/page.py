@@ -32,6 +32,20 @@ def environment(package: str) -> jinja2.Environment:
     )
 
 
+def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
+    """Return a package's ``page.html``, which extends ``figures.html``.
+
+    Args:
+        package: its name.
+        figures: in the order in which they appear.
+        values: that the template uses besides.
+    """
+    return environment(package).get_template("page.html").render(
+        figures=figures, versions=versions_text(versions()), library=library(),
+        payload=payload(figures), **values,
+    )
+
+
 def render(report: Report, figures: Sequence[Figure]) -> str:
     """Return the page.
 

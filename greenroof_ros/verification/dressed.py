@@ -55,31 +55,30 @@ def worth(
     Raises:
         ConfigurationError: an issue has too few analogs.
     """
-    reach = dressing.edges[-1]
-    sums = sorted({min(hours, reach) for hours in _SUMS})
-    whole = dressing.fell[~np.isnan(dressing.fell).any(axis=1)]
-    climate = dict(zip(sums, (whole[:, :hours].sum(axis=1) for hours in sums), strict=True))
-    found: dict[int, list[tuple[float, ...]]] = {hours: [] for hours in sums}
+    rain, longest = weather.precipitation, dressing.edges[-1]
+    found: dict[int, list[list[float]]] = {
+        hours: [] for hours in sorted({min(hours, longest) for hours in _SUMS})
+    }
     for issue in archive.issues:
         begin = (issue.issued - weather.rain_from) // HOUR
-        fell = {
-            hours: float(weather.precipitation[begin : begin + hours].sum()) for hours in sums
-            if 0 <= begin <= len(weather.precipitation) - hours and hours <= issue.hours
-        }
-        fell = {hours: rain for hours, rain in fell.items() if not np.isnan(rain)}
-        if fell:
+        known = [
+            hours for hours in found
+            if hours <= issue.hours and 0 <= begin <= len(rain) - hours
+            and not np.isnan(rain[begin : begin + hours]).any()
+        ]
+        if known:
             issued = hours_since_1970(issue.issued)
-            members = dressing.members(issued, issue.rain)
-            usable = dressing.usable(issued)
-        for hours, rain in fell.items():
             ensembles = (
-                issue.rain[:, :hours].sum(axis=1), members[:, :hours].sum(axis=1),
-                climate[hours][usable],
+                issue.rain, dressing.members(issued, issue.rain),
+                dressing.fell[dressing.usable(issued)],
             )
-            found[hours].append((
-                rain, *(float(each.mean()) for each in ensembles),
-                *(float(crps(each[:, None], np.array([rain]))[0]) for each in ensembles),
-            ))
+        for hours in known:
+            fell = float(rain[begin : begin + hours].sum())
+            sums = [each[:, :hours].sum(axis=1) for each in ensembles]
+            found[hours].append([
+                fell, *(float(each.mean()) for each in sums),
+                *(float(crps(each[:, None], np.array([fell]))[0]) for each in sums),
+            ])
         done(1)
     results = []
     for hours, rows in found.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 
@@ -17,6 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.records import Key, keys
 from greenroof_ros.forecast.climate import Climate, NormalRecords
 from greenroof_ros.forecast.skill import REAL, Errors, Skill, read_skill
+from greenroof_ros.formats.records import gaps
 from greenroof_ros.verification.pairs import Class, Sum
 from greenroof_ros.verification.scores import Tally
 
@@ -68,8 +68,8 @@ def fit_skill(
     sums = list(dict.fromkeys(one.sum for one in tallies))
     goals = {}
     for low in dict.fromkeys(one.low for one in tallies):
-        of_lead = {one.sum: tally for one, tally in tallies.items() if one.low == low}
-        scores = np.array([of_lead[each].scores()[2:5] for each in sums])
+        of_lead = [tally for one, tally in tallies.items() if one.low == low]
+        scores = np.array([tally.scores()[2:5] for tally in of_lead])
         if not np.isnan(scores).any():
             goals[low + step / 2 + older] = scores[None]
     if len(goals) < 2:
@@ -86,12 +86,10 @@ def fit_skill(
 
 def _spells(observed: Array, step: int) -> list[Array]:
     """Return the records between missing hours, each of whole steps (h)."""
-    bounds = np.flatnonzero(np.isnan(np.concatenate(([np.nan], observed, [np.nan]))))
-    spells = [
-        observed[low : low + (high - low - 1) // step * step]
-        for low, high in itertools.pairwise(bounds)
+    return [
+        observed[low : low + (high - low) // step * step]
+        for low, high in gaps(~np.isnan(observed)) if high - low >= step
     ]
-    return [spell for spell in spells if len(spell)]
 
 
 def fit_climate(spells: Sequence[Array], tip: float) -> Climate:

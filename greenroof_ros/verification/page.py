@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import altair as alt
+import numpy as np
 
 from greenroof_ros.common.quality import Finding
-from greenroof_ros.common.versions import versions, versions_text
-from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
-from greenroof_ros.report.page import environment, library, payload
-from greenroof_ros.verification.issued import IssuedForecasts
-from greenroof_ros.verification.pairs import Class, Sum
+from greenroof_ros.report.drawing import (
+    Figure,
+    Panel,
+    Rows,
+    pointed,
+    reference_line,
+    series_panel,
+    short,
+)
+from greenroof_ros.report.page import page_of
+from greenroof_ros.verification.pairs import Class, IssuedForecasts, Sum
 from greenroof_ros.verification.scores import SHOWN, TENTHS, Tally
 
 # Name in Scores, title of its panel, and of its axis.
@@ -43,25 +50,30 @@ def render(
     figures = [_by_lead(tallies)]
     if forecasts.members > 1:
         figures += [_reliability(tallies), _ranks(tallies)]
-    return environment(__package__).get_template("page.html").render(
-        forecasts=forecasts, records=records, findings=findings, shown=SHOWN, figures=figures,
+    return page_of(
+        __package__, figures, forecasts=forecasts, records=records, findings=findings, shown=SHOWN,
         rows=[(one, tally.scores()) for one, tally in tallies.items()],
-        versions=versions_text(versions()), library=library(), payload=payload(figures),
     )
 
 
 def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
     scores = {one: tally.scores() for one, tally in tallies.items()}
-    names = list(dict.fromkeys(_sum_name(one.sum) for one in tallies))
+    names = list(dict.fromkeys(f"{one.sum.hours} h" for one in tallies))
     leads = list(dict.fromkeys(one.lead for one in tallies))
     data: dict[str, Rows] = {}
     panels = []
     for name, title, axis in _BY_LEAD:
         data[f"verification-{name}"] = [
-            {"lead": one.lead, "sum": _sum_name(one.sum), "v": short(getattr(values, name))}
+            {"lead": one.lead, "sum": f"{one.sum.hours} h", "v": short(getattr(values, name))}
             for one, values in scores.items() if not math.isnan(getattr(values, name))
         ]
-        panels.append(_lines(f"verification-{name}", title, axis, leads, names))
+        base = alt.Chart(alt.NamedData(f"verification-{name}"))
+        lines = base.mark_line(point=True, strokeWidth=1.5).encode(
+            x=alt.X("lead:N", title="lead", sort=leads, axis=alt.Axis(labelAngle=0)),
+            y=alt.Y("v:Q", title=axis),
+            tooltip=pointed("lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")),
+        )
+        panels.append(series_panel(lines, "sum", names, title, legend="sum of"))
     events = ", ".join(
         dict.fromkeys(f"{one.sum.event:g} mm in {one.sum.hours} h" for one in tallies)
     )
@@ -72,102 +84,86 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
     return Figure("verification-leads", "Scores by lead", caption, tuple(panels), 2, data)
 
 
-def _sum_name(one: Sum) -> str:
-    return f"{one.hours} h"
-
-
-def _lines(data: str, title: str, axis: str, leads: list[str], names: list[str]) -> Panel:
-    lines = alt.Chart(alt.NamedData(data)).mark_line(point=True, strokeWidth=1.5).encode(
-        x=alt.X("lead:N", title="lead", sort=leads, axis=alt.Axis(labelAngle=0)),
-        y=alt.Y("v:Q", title=axis),
-        tooltip=pointed("lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")),
-        **distinct("sum", names, "sum of"),
-    )
-    return Panel(lines, title, hover=hover_points(lines), toggle="sum")
-
-
-def _of_sums(tallies: Mapping[Class, Tally]) -> dict[Sum, list[tuple[str, Tally]]]:
-    """Return the leads of each sum that are drawn, spread evenly, and what adds up in them."""
-    found: dict[Sum, list[tuple[str, Tally]]] = {}
-    for one, tally in tallies.items():
-        found.setdefault(one.sum, []).append((one.lead, tally))
-    return {one: _spread(leads) for one, leads in found.items()}
-
-
-def _spread(leads: Sequence[tuple[str, Tally]]) -> list[tuple[str, Tally]]:
-    if len(leads) <= _MOST_LEADS:
-        return list(leads)
-    last = len(leads) - 1
-    return [leads[round(number * last / (_MOST_LEADS - 1))] for number in range(_MOST_LEADS)]
-
-
 def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
-    data: dict[str, Rows] = {}
-    panels = []
-    for one, leads in _of_sums(tallies).items():
-        name = f"verification-reliability-{one.hours}"
-        data[name] = [
-            {"lead": lead, "p": short(total / count), "o": short(events / count), "n": int(count)}
-            for lead, tally in leads
+    scale = alt.Scale(domain=[0, 1])
+    perfect = reference_line([{"v": 0}, {"v": 1}], alt.X("v:Q"), alt.Y("v:Q"))
+
+    def rows(tally: Tally) -> Rows:
+        return [
+            {"p": short(total / count), "o": short(events / count), "n": int(count)}
             for count, total, events in tally.reliability.tolist() if count
         ]
-        panels.append(_diagram(name, one, [lead for lead, _ in leads]))
+
+    def panel(data: alt.Chart, one: Sum, leads: list[str]) -> Panel:
+        lines = data.mark_line(point=True, strokeWidth=1.5).encode(
+            x=alt.X("p:Q", title="probability that was forecast", scale=scale),
+            y=alt.Y("o:Q", title="share of events", scale=scale),
+            tooltip=pointed("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
+                            alt.Tooltip("o:Q", title="observed", format=".2f"),
+                            alt.Tooltip("n:Q", title="forecasts")),
+        )
+        return series_panel(
+            lines, "lead", leads, f"{one.hours} h, {one.event:g} mm and more", legend="lead",
+            below=[perfect], height=280,
+        )
+
     caption = (
         f"How often the event came, by the probability that was forecast, in {TENTHS} steps: of a "
         "reliable ensemble as often as forecast, on the grey line. Below it the event is "
         "forecast too often. The pointer shows how many forecasts a point stands for."
     )
-    return Figure("verification-reliability", "Reliability", caption, tuple(panels), 2, data)
-
-
-def _diagram(data: str, one: Sum, leads: list[str]) -> Panel:
-    scale = alt.Scale(domain=[0, 1])
-    perfect = alt.Chart(alt.InlineData([{"v": 0}, {"v": 1}])).mark_line(
-        color="#888888", strokeWidth=1
-    ).encode(x=alt.X("v:Q"), y=alt.Y("v:Q"))
-    lines = alt.Chart(alt.NamedData(data)).mark_line(point=True, strokeWidth=1.5).encode(
-        x=alt.X("p:Q", title="probability that was forecast", scale=scale),
-        y=alt.Y("o:Q", title="share of events", scale=scale),
-        tooltip=pointed("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
-                 alt.Tooltip("o:Q", title="observed", format=".2f"),
-                 alt.Tooltip("n:Q", title="forecasts")),
-        **distinct("lead", leads, "lead"),
-    )
-    return Panel(
-        alt.layer(perfect, lines), f"{one.hours} h, {one.event:g} mm and more", height=280,
-        hover=hover_points(lines), toggle="lead",
-    )
+    return _by_sum("reliability", "Reliability", caption, tallies, rows, panel)
 
 
 def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
-    data: dict[str, Rows] = {}
-    panels = []
-    for one, leads in _of_sums(tallies).items():
-        name = f"verification-ranks-{one.hours}"
-        data[name] = [
-            {"lead": lead, "rank": rank, "v": short(count * len(tally.ranks) / tally.ranks.sum())}
-            for lead, tally in leads if tally.ranks.sum()
-            for rank, count in enumerate(tally.ranks.tolist())
-        ]
-        panels.append(_histogram(name, one, [lead for lead, _ in leads]))
+    even = alt.Chart(alt.InlineData([{"v": 1}])).mark_rule(color="#888888").encode(y=alt.Y("v:Q"))
+
+    def rows(tally: Tally) -> Rows:
+        total = tally.ranks.sum()
+        shares = (tally.ranks * len(tally.ranks) / total).tolist() if total else []
+        return [{"rank": rank, "v": short(share)} for rank, share in enumerate(shares)]
+
+    def panel(data: alt.Chart, one: Sum, leads: list[str]) -> Panel:
+        steps = data.mark_line(interpolate="step", strokeWidth=1.5).encode(
+            x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
+            y=alt.Y("v:Q", title="over an even share", scale=alt.Scale(zero=True)),
+            tooltip=pointed(
+                "lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")
+            ),
+        )
+        title = f"Sums of {one.hours} h"
+        return series_panel(steps, "lead", leads, title, legend="lead", below=[even])
+
     caption = (
         "How often so many members were below what was observed, over how often that would be if "
         "members and observation could be one another, the grey line. High at both ends: the "
         "ensemble is too narrow; high at the left: it forecasts too much."
     )
-    return Figure("verification-ranks", "Rank histogram", caption, tuple(panels), 2, data)
+    return _by_sum("ranks", "Rank histogram", caption, tallies, rows, panel)
 
 
-def _histogram(data: str, one: Sum, leads: list[str]) -> Panel:
-    even = alt.Chart(alt.InlineData([{"v": 1}])).mark_rule(color="#888888").encode(y=alt.Y("v:Q"))
-    steps = alt.Chart(alt.NamedData(data)).mark_line(
-        interpolate="step", strokeWidth=1.5
-    ).encode(
-        x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
-        y=alt.Y("v:Q", title="over an even share", scale=alt.Scale(zero=True)),
-        tooltip=pointed("lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")),
-        **distinct("lead", leads, "lead"),
-    )
-    return Panel(
-        alt.layer(even, steps), f"Sums of {one.hours} h", hover=hover_points(steps), toggle="lead"
-    )
+def _by_sum(
+    name: str, title: str, caption: str, tallies: Mapping[Class, Tally],
+    rows: Callable[[Tally], Rows], panel: Callable[[alt.Chart, Sum, list[str]], Panel],
+) -> Figure:
+    """Return a figure with a panel for each sum, and in it a line for each lead, five at most.
+
+    Args:
+        name: of the figure.
+        title: of the figure.
+        caption: of the figure.
+        tallies: what adds up in each class.
+        rows: of a line, without its lead.
+        panel: of a sum, by its data and the leads that are drawn, which are spread evenly.
+    """
+    data: dict[str, Rows] = {}
+    panels = []
+    for one in dict.fromkeys(each.sum for each in tallies):
+        leads = [(each.lead, tally) for each, tally in tallies.items() if each.sum == one]
+        places = np.linspace(0, len(leads) - 1, _MOST_LEADS).round().astype(int)
+        shown = [leads[place] for place in np.unique(places)]
+        dataset = f"verification-{name}-{one.hours}"
+        data[dataset] = [{"lead": lead, **row} for lead, tally in shown for row in rows(tally)]
+        base = alt.Chart(alt.NamedData(dataset))
+        panels.append(panel(base, one, [lead for lead, _ in shown]))
+    return Figure(f"verification-{name}", title, caption, tuple(panels), 2, data)

@@ -20,42 +20,33 @@ Array = NDArray[np.float64]
 TENTHS = 10
 
 
-class Contingency(NamedTuple):
-    """How often an event was forecast and observed; each is a number of pairs."""
+def event_scores(
+    hits: int, false_alarms: int, misses: int, correct_negatives: int
+) -> tuple[float, float, float]:
+    """Return POD, FAR and ETS of an event that was forecast and observed so often.
 
-    hits: int
-    """forecast and observed"""
-    false_alarms: int
-    """forecast, not observed"""
-    misses: int
-    """not forecast, observed"""
-    correct_negatives: int
-    """neither"""
+    The probability of detection is hits over observed events, the false alarm ratio false alarms
+    over forecast events (Wilks 2011, Sect. 8.2.2). The equitable threat score (Sect. 8.2.3, Gilbert
+    skill score) is hits over all that was forecast or observed, both without the hits that chance
+    would have:
 
-    @property
-    def pod(self) -> float:
-        """Probability of detection: hits over observed events (Wilks 2011, Sect. 8.2.2)."""
-        return _ratio(self.hits, self.hits + self.misses)
+        (hits - a) / (hits + misses + false alarms - a),
+        a = (hits + misses) (hits + false alarms) / n
 
-    @property
-    def far(self) -> float:
-        """False alarm ratio: false alarms over forecast events (Wilks 2011, Sect. 8.2.2)."""
-        return _ratio(self.false_alarms, self.hits + self.false_alarms)
+    It is 1 for a perfect forecast, and 0 for one without skill.
 
-    @property
-    def ets(self) -> float:
-        """Equitable threat score (Wilks 2011, Sect. 8.2.3, Gilbert skill score).
-
-        Hits over all that was forecast or observed, both without the hits that chance would have:
-
-            (hits - a) / (hits + misses + false alarms - a),
-            a = (hits + misses) (hits + false alarms) / n
-
-        It is 1 for a perfect forecast, and 0 for one without skill.
-        """
-        observed, forecast = self.hits + self.misses, self.hits + self.false_alarms
-        chance = _ratio(observed * forecast, sum(self))
-        return _ratio(self.hits - chance, observed + self.false_alarms - chance)
+    Args:
+        hits: pairs with the event both forecast and observed.
+        false_alarms: forecast, not observed.
+        misses: not forecast, observed.
+        correct_negatives: neither.
+    """
+    observed, forecast = hits + misses, hits + false_alarms
+    chance = _ratio(observed * forecast, observed + false_alarms + correct_negatives)
+    return (
+        _ratio(hits, observed), _ratio(false_alarms, forecast),
+        _ratio(hits - chance, observed + false_alarms - chance),
+    )
 
 
 class Scores(NamedTuple):
@@ -97,6 +88,7 @@ class Tally:
     """What adds up of pairs, so that any number of them takes no memory.
 
     Attributes:
+        table: how many pairs are hits, false alarms, misses and correct negatives, shape (4,).
         ranks: how often the observation had each rank among the members, shape (members + 1,);
             where it equals some of them, its rank is shared out among those that it could have.
         reliability: of forecasts of each tenth of a probability, 0 to 10 of them: their number, the
@@ -112,8 +104,8 @@ class Tally:
         """
         self._event = event
         self._moments = np.zeros(5)
-        self._table = np.zeros(4, dtype=np.int64)
-        self._squares = self._crps = 0.0
+        self._errors = np.zeros(2)
+        self.table = np.zeros(4, dtype=np.int64)
         self.ranks = np.zeros(members + 1)
         self.reliability = np.zeros((TENTHS + 1, 3))
 
@@ -132,27 +124,20 @@ class Tally:
             for term in (single, observed, single**2, observed**2, single * observed)
         ]
         event, warned = observed >= self._event, single >= self._event
-        self._table += [
+        self.table += [
             np.count_nonzero(cases)
             for cases in (event & warned, ~event & warned, event & ~warned, ~event & ~warned)
         ]
         probability = np.mean(forecast >= self._event, axis=0)
-        self._squares += float(np.sum((probability - event) ** 2))
-        self._crps += float(np.sum(crps(forecast, observed)))
+        self._errors += [np.sum((probability - event) ** 2), np.sum(crps(forecast, observed))]
         self.ranks += rank_counts(forecast, observed)
         tenth = np.rint(TENTHS * probability).astype(np.intp)
         for column, weights in enumerate((np.ones_like(probability), probability, event)):
             self.reliability[:, column] += np.bincount(tenth, weights, TENTHS + 1)
 
-    @property
-    def contingency(self) -> Contingency:
-        """How often the event was forecast and observed."""
-        return Contingency(*map(int, self._table))
-
     def scores(self) -> Scores:
         """Return the scores of all pairs that were added."""
-        table = self.contingency
-        n = sum(table)
+        n = int(self.table.sum())
         if not n:
             return Scores(0, *[math.nan] * 7)
         forecast, observed, forecast_2, observed_2, product = self._moments / n
@@ -160,9 +145,10 @@ class Tally:
         # What is left of a series that does not vary is rounding.
         varies = variances > 1e-12 * (forecast_2 * observed_2)
         r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
+        brier, error = (self._errors / n).tolist()
         return Scores(
-            n, _ratio(forecast, observed), float(r), table.pod, table.far, table.ets,
-            self._squares / n, self._crps / n,
+            n, _ratio(forecast, observed), float(r), *event_scores(*self.table.tolist()), brier,
+            error,
         )
 
 

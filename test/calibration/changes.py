@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime, timezone
 from functools import cache
+from pathlib import Path
 
+import numpy as np
 from twins import TWIN, record_rows
+
+from greenroof_ros.calibration.record import Record
 
 DAY = 288
 Rows = list[list[str]]
@@ -18,6 +23,16 @@ TIME, RAIN, RUNOFF, LEVEL, LEAST = range(5)
 def twin(days: int, seed: int) -> Rows:
     """The rows of a twin without gaps, made when the first test needs them."""
     return record_rows(TWIN, days, seed, gaps=False)
+
+
+def a_record(
+    rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
+) -> Record:
+    """A record from the beginning of a month on; of what is not given there is nothing."""
+    nothing = np.zeros(len(rain))
+    given = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
+    start = datetime(2021, month, 1, tzinfo=timezone.utc)
+    return Record(Path("roof.csv"), start, step_s, rain, **given)
 
 
 def same(rows: Rows) -> Rows:

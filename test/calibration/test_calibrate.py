@@ -12,13 +12,12 @@ from typing import Any
 import pytest
 import yaml
 from browsers import started_browser
-from changes import DAY, LEVEL, RAIN, both, cell, from_row, twin
+from changes import DAY, LEVEL, RAIN, Change, both, cell, from_row, twin
 from commands import run_command
 from graphs import environment
 from twins import TWIN, record_rows, write
 
 from greenroof_ros.calibration.site_file import Entry, edited_site_file
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import read_site
 
@@ -129,16 +128,6 @@ def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
     assert (site.a_hat, site.c_hat) == (-1e6, 50.0)
 
 
-def test_pumps_that_lift_no_water_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "low.csv").write_text("flow [m3/s],head [m]\n0,15\n0.004,9\n")
-    ended = calibrate(tmp_path, "--pump-data", "low.csv", "-o", "pumped.yaml")
-    assert ended.returncode == 2
-    assert ended.stderr == (
-        "error: low.csv: the curve has 15 m at no flow; it must exceed d - z_pump - z_H = 15.25 m "
-        "of the site, or the pumps never lift water to the roof (Eq. 3e)\n"
-    )
-
-
 NEW = {"c_hat": Entry(50.0, "new"), "z_veg": Entry(0.04, "new"), "wilting_point": Entry(0.05, "w"),
        "field_capacity": Entry(0.3, "f"), "depletion_fraction": Entry(0.5, "p")}
 
@@ -187,29 +176,58 @@ def test_all_else_in_a_site_file_stays(tmp_path: Path) -> None:
     ]
 
 
-def test_what_would_be_no_site_is_refused() -> None:
-    with pytest.raises(ConfigurationError) as error:
-        edited_site_file(PAPER, {"c_hat": Entry(5.0, "new")}, [])
-    assert str(error.value).startswith(
-        f"{PAPER}: with what was fitted it is no site, and nothing is written: c_hat = 5: must"
-    )
+SHEET = "flow [m3/s],head [m]\n"
+STUCK = both(from_row(5 * DAY, LEVEL, "0.0300"), from_row(5 * DAY, RAIN, "0.1000", 6 * DAY))
+NO_YAML = "must be the name of a file that ends in .yaml or .yml"
+# What is written beside the record, the arguments before -o, and what the message has.
+WRONG: dict[str, tuple[Change | str, tuple[str, ...], tuple[str, ...]]] = {
+    "cell": (
+        cell(7, RAIN, "wet"), ("in.csv",),
+        ("error: in.csv, line 8: rain [mm] = 'wet': must be a number",)),
+    "sensors": (
+        STUCK, ("in.csv",),
+        ("error: in.csv: level: is 0.03 m for 6", "[sensor-stuck]\n", "rain: is 0.1 mm a step for",
+         "where this is right all the same: --accept ")),
+    "no lift": (
+        SHEET + "0,15\n0.004,9\n", ("--pump-data", "in.csv"),
+        ("error: in.csv: the curve has 15 m at no flow; it must exceed d - z_pump - z_H = 15.25 m "
+         "of the site, or the pumps never lift water to the roof (Eq. 3e)\n",)),
+    "head": (
+        SHEET + "0,1e300\n0.004,9\n", ("--pump-data", "in.csv"),
+        ("error: in.csv, line 2: '0,1e300': must be a flow from 0 to 0.5 m3/s and a head from 0 to "
+         "500 m; are they in other units",)),
+    "litres": (
+        SHEET + "0,55\n4,46\n8,20\n", ("--pump-data", "in.csv"),
+        ("error: in.csv, line 3: '4,46': must be a flow from 0 to 0.5 m3/s", "such as l/s")),
+    "steep": (
+        SHEET + "0,50\n1e-8,9\n", ("--pump-data", "in.csv"),
+        ("site.yaml: with what was fitted it is no site, and nothing is written: a_hat = -4.1e+17: "
+         "must be from",)),
+    "months": (
+        "", ("none.csv", "--months", "April"),
+        ("error: --months = 'April': must be the first and the last",)),
+    "nothing": ("", (), ("error: MEASURED: must be given, or --pump-data alone\n",)),
+    "no name": ("", ("none.csv", "-o", "."), (f"error: --output = '.': {NO_YAML}\n",)),
+    "root": ("", ("none.csv", "-o", "/"), (f"error: --output = '/': {NO_YAML}\n",)),
+    "page": ("", ("none.csv", "-o", "a.html"), (f"error: --output = 'a.html': {NO_YAML}\n",)),
+    "nowhere": (
+        "", ("none.csv", "-o", "no/site.yaml"),
+        ("error: --output = 'no/site.yaml': must be in a directory that exists and can be ",)),
+}
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        (cell(7, RAIN, "wet"), ["line 8: rain [mm] = 'wet': must be a number"]),
-        (both(from_row(5 * DAY, LEVEL, "0.0300"), from_row(5 * DAY, RAIN, "0.1000", 6 * DAY)),
-         ["level: is 0.03 m for 6", "[sensor-stuck]", "rain: is 0.1 mm a step for 24 h",
-          "where this is right all the same: --accept "]),
-    ],
-)
-def test_a_wrong_record_ends_it_with_2(changed: Any, message: list[str], tmp_path: Path) -> None:
-    """A line for each finding, and how all are accepted; nothing is written."""
-    file = write(changed(twin(30, 1)), tmp_path / "wrong.csv")
-    ended = calibrate(tmp_path, str(file), "-o", "fitted.yaml")
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_use_ends_it_with_2(name: str, tmp_path: Path) -> None:
+    """Before the record is read where it can; a line for each finding; nothing is written."""
+    content, arguments, message = WRONG[name]
+    file = tmp_path / "in.csv"
+    if isinstance(content, str):
+        file.write_text(content)
+    else:
+        write(content(twin(30, 1)), file)
+    ended = calibrate(tmp_path, *(() if "-o" in arguments else ("-o", "new.yaml")), *arguments)
     assert ended.returncode == 2
-    assert ended.stderr.startswith(f"error: {file}")
+    assert ended.stderr.startswith("error: ")
     for part in message:
         assert part in ended.stderr
     assert list(tmp_path.iterdir()) == [file]
@@ -233,54 +251,6 @@ def test_a_finding_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -
     unknown = calibrate(tmp_path, *arguments, "--accept", "everything")
     assert unknown.returncode == 2
     assert "invalid choice: 'everything'" in unknown.stderr
-
-
-@pytest.mark.parametrize(
-    ("output", "why"),
-    [(".", "must be the name of a file that ends in .yaml or .yml"),
-     ("/", "must be the name of a file that ends in .yaml or .yml"),
-     ("site.html", "must be the name of a file that ends in .yaml or .yml"),
-     ("nowhere/site.yaml", "must be in a directory that exists and can be written to")],
-)
-def test_an_output_that_cannot_be_written_is_refused_before_the_fit(
-    output: str, why: str, tmp_path: Path
-) -> None:
-    """That there is no such record is found after it."""
-    ended = calibrate(tmp_path, "none.csv", "-o", output)
-    assert ended.returncode == 2
-    assert ended.stderr == f"error: --output = '{output}': {why}\n"
-
-
-def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,1e300\n0.004,9\n")
-    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
-    assert ended.returncode == 2
-    assert ended.stderr.startswith(
-        "error: wild.csv, line 2: '0,1e300': must be a flow from 0 to 0.5 m3/s and a head from 0 "
-        "to 500 m; are they in other units"
-    )
-    (tmp_path / "litres.csv").write_text("flow [m3/s],head [m]\n0,55\n4,46\n8,20\n")
-    ended = calibrate(tmp_path, "--pump-data", "litres.csv", "-o", "pumped.yaml")
-    assert ended.returncode == 2
-    assert "error: litres.csv, line 3: '4,46': must be a flow from 0 to 0.5 m3/s" in ended.stderr
-    assert "such as l/s" in ended.stderr
-    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,50\n1e-8,9\n")
-    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
-    assert ended.returncode == 2
-    assert "nothing is written: a_hat = -4.1e+17: must be from" in ended.stderr
-
-
-def test_months_that_are_none_are_refused_before_the_record_is_read(tmp_path: Path) -> None:
-    ended = calibrate(tmp_path, "none.csv", "-o", "fitted.yaml", "--months", "April")
-    assert ended.returncode == 2
-    assert ended.stderr.startswith("error: --months = 'April': must be the first and the last")
-    assert ended.stderr.count("\n") == 1
-
-
-def test_something_must_be_given(tmp_path: Path) -> None:
-    ended = calibrate(tmp_path, "-o", "fitted.yaml")
-    assert ended.returncode == 2
-    assert ended.stderr == "error: MEASURED: must be given, or --pump-data alone\n"
 
 
 def test_it_writes_over_nothing(fitted: Path) -> None:

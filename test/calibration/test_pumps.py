@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import datetime, timezone
-from pathlib import Path
 
 import numpy as np
 import pytest
+from changes import a_record
 from twins import NOISE_M, STEP_S, TWIN, storms
 
 from greenroof_ros.calibration.pumps import PumpFit, fit_pumps
@@ -53,12 +52,8 @@ def twin(
             pumped = float(command[now]) * maximum_pump_flow(site, plant.x1)
             plant.step(precipitation, plant.flows(precipitation, 0.0, pumped))
             plant.x1 += float(delivered[now]) * TICK_S / STEP_S
-    nothing = np.zeros(len(rain))
-    return Record(
-        Path("record.csv"), datetime(2021, 5, 1, tzinfo=timezone.utc), float(STEP_S), rain,
-        nothing, nothing, None, None,
-        cistern=np.array(level) + random.normal(0, NOISE_M, len(level)), command=command,
-    )
+    cistern = np.array(level) + random.normal(0, NOISE_M, len(level))
+    return a_record(rain, float(STEP_S), cistern=cistern, command=command)
 
 
 def later(record: Record, steps: int) -> Record:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
-from pathlib import Path
 
 import numpy as np
 import pytest
+from changes import a_record
 
 from greenroof_ros.calibration.record import (
     Record,
@@ -24,19 +24,15 @@ HOUR = 12
 DAY = 24 * HOUR
 
 
-def a_record(days: int, rain: dict[int, float]) -> Record:
+def of_rain(days: int, rain: dict[int, float]) -> Record:
     """A record of five-minute steps with rain and without runoff in some of them."""
-    depths, runoff = np.zeros(days * DAY), np.zeros(days * DAY)
-    for step, depth in rain.items():
-        depths[step] = depth
-    return Record(
-        Path("none"), datetime(2021, 5, 1, tzinfo=timezone.utc), 300.0, depths,
-        np.zeros(days * DAY), np.zeros(days * DAY), runoff, None,
-    )
+    depths = np.zeros(days * DAY)
+    depths[list(rain)] = list(rain.values())
+    return a_record(depths, runoff=np.zeros(days * DAY))
 
 
 def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
-    record = a_record(6, {
+    record = of_rain(6, {
         10: 1.0, 10 + 6 * HOUR: 2.0,  # six hours later: the same storm
         20 + 13 * HOUR: 4.0,  # more than six hours later: the next
     })
@@ -47,22 +43,22 @@ def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
 
 def test_wet_days_in_a_row_are_one_storm() -> None:
     """Of daily sums: a dry day parts two, and the day after the last rain is a storm's still."""
-    record = replace(a_record(1, {}), step_s=86400.0, rain=np.array([0, 2.0, 3, 0, 4, 0, 0, 1, 0]))
+    record = replace(of_rain(1, {}), step_s=86400.0, rain=np.array([0, 2.0, 3, 0, 4, 0, 0, 1, 0]))
     assert storms(record) == [Storm(1, 4, 5.0), Storm(4, 6, 4.0), Storm(7, 9, 1.0)]
 
 
 def test_without_rain_there_is_none() -> None:
-    assert storms(a_record(1, {})) == []
+    assert storms(of_rain(1, {})) == []
 
 
 def test_the_last_storm_ends_with_the_record() -> None:
-    assert storms(a_record(1, {DAY - 5: 3.0})) == [Storm(DAY - 5, DAY, 3.0)]
+    assert storms(of_rain(1, {DAY - 5: 3.0})) == [Storm(DAY - 5, DAY, 3.0)]
 
 
 @pytest.mark.parametrize("what", ["rain", "pumped", "runoff"])
 def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) -> None:
     """On another day the step and those beside it."""
-    record = a_record(6, {100: 5.0, 4 * DAY: 5.0})
+    record = of_rain(6, {100: 5.0, 4 * DAY: 5.0})
     series = getattr(record, what).copy()
     series[[120, 3 * DAY]] = np.nan
     steps = comparable(replace(record, **{what: series}))
@@ -74,21 +70,20 @@ def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) ->
 
 def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
     """Half has come on the second day of the first long storm; the dry day after it parts."""
-    record = a_record(8, {10: 1.0, DAY: 2.0, DAY + HOUR: 3.0, 5 * DAY: 4.0})
+    record = of_rain(8, {10: 1.0, DAY: 2.0, DAY + HOUR: 3.0, 5 * DAY: 4.0})
     steps = np.arange(record.steps) != 7
-    earlier, later = halve(record, steps)
+    earlier, later = halve(record, steps).values()
     assert not np.any(earlier & later)
     assert np.array_equal(earlier | later, steps)
     assert int(np.argmax(later)) == 2 * DAY + HOUR
-    rainy = a_record(8, dict.fromkeys(range(0, 8 * DAY, HOUR), 1.0))
-    assert not halve(rainy, steps).later.any()
+    rainy = of_rain(8, dict.fromkeys(range(0, 8 * DAY, HOUR), 1.0))
+    assert not halve(rainy, steps)["validation"].any()
 
 
 YEAR = np.zeros(365 * 24)
 # On a clock of UTC+1, on which months begin; an hour before it is July in UTC.
-SINCE_JULY = Record(
-    Path("roof.csv"), datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1))), 3600.0, YEAR, YEAR,
-    YEAR, YEAR, None,
+SINCE_JULY = replace(
+    a_record(YEAR, 3600.0), start=datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1)))
 )
 
 
@@ -114,9 +109,9 @@ def test_what_is_no_span_of_months_is_refused(text: str) -> None:
 
 
 def test_a_record_of_other_months_is_refused() -> None:
-    april = replace(a_record(20, {}), start=datetime(2021, 4, 1, tzinfo=timezone.utc))
+    april = replace(of_rain(20, {}), start=datetime(2021, 4, 1, tzinfo=timezone.utc))
     with pytest.raises(ConfigurationError) as error:
         in_months(april, "5-10")
     assert str(error.value) == (
-        "none: has no row in the months 5-10 of --months: it is from 2021-04-01 to 2021-04-20"
+        "roof.csv: has no row in the months 5-10 of --months: it is from 2021-04-01 to 2021-04-20"
     )

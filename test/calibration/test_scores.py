@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenroof_ros.calibration.scores import efficiency, kling_gupta, score, time_name
+from greenroof_ros.calibration.record import time_name
+from greenroof_ros.calibration.scores import efficiency, kling_gupta, score
 
 
 def test_nash_and_sutcliffe_kling_and_gupta() -> None:
@@ -36,7 +37,7 @@ def test_longer_sums_forgive_a_delay() -> None:
     measured = np.zeros(4 * 24)
     measured[[10, 60]] = 5.0, 2.0
     seconds = 3600 * np.arange(96)
-    scores = score("runoff", np.roll(measured, 1), measured, seconds, 3600.0)
+    scores = score("runoff", "fit", np.roll(measured, 1), measured, seconds, 3600.0)
     assert scores.nse[3600] < 0
     assert scores.nse[86400] == 1.0
     assert scores.volume_error == 0.0
@@ -48,7 +49,7 @@ def test_gaps_say_nothing_of_a_level() -> None:
     days = np.array([0, 0, 0, 0, 1, 2, 2])
     measured = np.array([0.01, 0.03, 0.02])[days]
     seconds = 86400 * days + 3600 * np.array([0, 1, 2, 3, 5, 0, 9])
-    scores = score("level", np.full(7, 0.02), measured, seconds, 3600.0)
+    scores = score("level", "fit", np.full(7, 0.02), measured, seconds, 3600.0)
     assert scores.nse[86400] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -59,13 +60,14 @@ def test_gaps_say_nothing_of_a_level() -> None:
 def test_sums_shorter_than_a_step_are_not_scored(step_s: int, times: list[int]) -> None:
     seconds = step_s * np.arange(200)
     measured = np.random.default_rng(1).random(200)
-    scores = score("runoff", 0.9 * measured, measured, seconds, float(step_s))
+    scores = score("runoff", "fit", 0.9 * measured, measured, seconds, float(step_s))
     assert list(scores.nse) == list(scores.kge) == times
 
 
 def test_volume() -> None:
     seconds = 300 * np.arange(4)
-    scores = score("runoff", np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0]), seconds, 300.0)
+    simulated, measured = np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0])
+    scores = score("runoff", "fit", simulated, measured, seconds, 300.0)
     assert scores.volume_error == pytest.approx(0.3)
 
 

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import datetime, timezone
-from pathlib import Path
 
 import numpy as np
 import pytest
+from changes import a_record
 from twins import TWIN, storms
 
 from greenroof_ros.calibration.record import Record
-from greenroof_ros.calibration.simulation import least_reading, simulate, through_meter
+from greenroof_ros.calibration.simulation import least_reading, simulate
 from greenroof_ros.model.plant import Plant
 
 TICK_S = 5.0
-
-
-def a_record(step_s: float, rain: np.ndarray, reference: np.ndarray, pumped: np.ndarray) -> Record:
-    return Record(
-        Path("none"), datetime(2021, 5, 1, tzinfo=timezone.utc), step_s, rain, reference, pumped,
-        np.zeros(len(rain)), None,
-    )
 
 
 def by_the_plant(record: Record, filled: float) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +48,7 @@ def test_the_plant_does_the_same(step_s: float, days: int, times: float) -> None
     rain = times * np.resize(storms(20, random)[1000:], steps)
     reference = np.maximum(0.0, random.normal(3e-5, 3e-5, steps)) * step_s
     pumped = np.where(random.random(steps) < max(0.01, 3 / steps), 1.5, 0.0)
-    record = a_record(step_s, rain, reference, pumped)
+    record = a_record(rain, step_s, reference=reference, pumped=pumped)
     simulated = simulate(TWIN, record, 0.7)
     runoff, level = by_the_plant(record, 0.7)
     assert pumped.any()
@@ -75,8 +67,7 @@ def test_a_cloudburst_runs_off_whatever_the_step(step_s: float) -> None:
     steps = round(6 * 3600 / step_s)
     rain = np.zeros(steps)
     rain[:steps // 6] = 20 / (steps // 6)
-    nothing = np.zeros(steps)
-    record = a_record(step_s, rain, nothing, nothing)
+    record = a_record(rain, step_s)
     hours = simulate(TWIN, record, 0.5).runoff.reshape(6, -1).sum(axis=1)
     true = by_the_plant(record, 0.5)[0].reshape(6, -1).sum(axis=1)
     assert hours.sum() == pytest.approx(true.sum(), rel=0.002)
@@ -88,8 +79,7 @@ def test_water_is_kept() -> None:
     steps = 5000
     rain = np.zeros(steps)
     rain[:50] = 1.0
-    nothing = np.zeros(steps)
-    simulated = simulate(TWIN, a_record(3600.0, rain, nothing, nothing), 0.0)
+    simulated = simulate(TWIN, a_record(rain, 3600.0), 0.0)
     gained = 1000 * (simulated.level[-1] - simulated.level[0])
     assert simulated.runoff.sum() > 10
     # The layer's last is 1 / (k t) per m2: 0.02 * 900 / (4950 * 3600) m.
@@ -97,11 +87,7 @@ def test_water_is_kept() -> None:
 
 
 def of_runoff(runoff: np.ndarray | None, last_decimal: float = 0.0) -> Record:
-    nothing = np.zeros(6)
-    return Record(
-        Path("none"), datetime(2021, 5, 1, tzinfo=timezone.utc), 300.0, nothing, nothing, nothing,
-        runoff, None, last_decimal,
-    )
+    return replace(a_record(np.zeros(6), runoff=runoff), last_decimal=last_decimal)
 
 
 def test_a_counter_of_tips_misses_nothing() -> None:
@@ -131,12 +117,14 @@ def test_a_flow_meter_shows_nothing_below_its_least() -> None:
     readings = np.array([0, 0.00605509, 0.01215386, 0.01829655, 0.02448339, 0.03071464])
     least = least_reading(of_runoff(readings))
     assert least == pytest.approx(0.00605509)
-    assert through_meter(np.array([0.001, 0.006, 0.0061, 0.5]), least).tolist() == [
-        0.0, 0.0, 0.0061, 0.5,
-    ]
+    record = a_record(np.where(np.arange(600) == 5, 20.0, 0.0))
+    runoff, shown = (simulate(TWIN, record, 1.0, each).runoff for each in (0.0, least))
+    small = (runoff > 0) & (runoff < least)
+    assert small.any()
+    assert not shown[small].any()
+    assert np.array_equal(shown[~small], runoff[~small])
 
 
 def test_without_a_meter_nothing_is_lost() -> None:
     assert least_reading(of_runoff(None)) == 0.0
     assert least_reading(of_runoff(np.zeros(6))) == 0.0
-    assert through_meter(np.array([1e-9]), 0.0).tolist() == [1e-9]

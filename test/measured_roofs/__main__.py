@@ -30,7 +30,7 @@ from greenroof_ros.calibration import simulation  # noqa: E402
 from greenroof_ros.calibration.fit import fit, measured_roof  # noqa: E402
 from greenroof_ros.calibration.record import comparable, halve, storms  # noqa: E402
 from greenroof_ros.calibration.scores import score  # noqa: E402
-from greenroof_ros.calibration.simulation import least_reading, through_meter  # noqa: E402
+from greenroof_ros.calibration.simulation import least_reading  # noqa: E402
 from greenroof_ros.common.files import shared_directory  # noqa: E402
 from greenroof_ros.model.site import read_site  # noqa: E402
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel  # noqa: E402
@@ -61,15 +61,16 @@ def judge(roof, directory, scratch):
     record = read_roof(roof, directory, site, scratch)
     theirs = swmm(roof, directory, record, scratch)
     counted = comparable(record) & warm(record) & ~np.isnan(theirs)
-    halves = halve(record, counted)
+    halves = tuple(halve(record, counted).values())
     names = ("earlier", "later")
     rows, storm_rows, notes = [], [], []
     for fitted_on, judged_on in ((0, 1), (1, 0)):
         fitted = fit(site, record, halves[fitted_on])
+        simple = bucket(record, halves[fitted_on])
         least = least_reading(record)
         models = {
-            OURS: fitted.simulated.runoff, SWMM: through_meter(theirs, least),
-            BUCKET: through_meter(bucket(record, halves[fitted_on]), least),
+            OURS: fitted.simulated.runoff, SWMM: np.where(theirs < least, 0.0, theirs),
+            BUCKET: np.where(simple < least, 0.0, simple),
         }
         for one in fitted.parameters:
             notes.append(
@@ -80,8 +81,8 @@ def judge(roof, directory, scratch):
         steps = halves[judged_on]
         for model, runoff in models.items():
             scores = score(
-                "runoff", runoff[steps], record.runoff[steps], record.seconds[steps],
-                record.step_s,
+                "runoff", names[judged_on], runoff[steps], record.runoff[steps],
+                record.seconds[steps], record.step_s,
             )
             rows.append((roof.name, names[judged_on], model, scores))
         for storm in whole_storms(record, steps):
@@ -123,7 +124,7 @@ def parts(roof, directory, scratch):
     """Yield a row of what each part of the model buys."""
     site = start_site(roof)
     record = read_roof(roof, directory, site, scratch)
-    earlier, later = halve(record, comparable(record) & warm(record))
+    earlier, later = halve(record, comparable(record) & warm(record)).values()
     for part in PARTS:
         with left_out(part):
             runoff = fit(site, record, earlier).simulated.runoff
@@ -132,14 +133,14 @@ def parts(roof, directory, scratch):
     if shipped.exists():
         site = read_site(shipped)
         # Half full at first, as the meter would show it.
-        runoff = through_meter(simulation.simulate(site, record, 0.5).runoff, least_reading(record))
+        runoff = simulation.simulate(site, record, 0.5, least_reading(record)).runoff
         yield part_row(roof, shipped.name, record, runoff, later)
 
 
 def part_row(roof, model, record, runoff, steps):
     """Return a row of the scores of a runoff."""
     scores = score(
-        "runoff", runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+        "runoff", model, runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
     )
     nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
     return f"| {roof.name} | {model} | {nse} | {1 + scores.volume_error:.2f} |"

@@ -281,6 +281,14 @@ WRONG = {
         "--output = 'page.pdf': must be the name of a file that ends in .html or .csv",
     ),
     "exists": (["errors", "-o", "there.csv"], "--output = 'there.csv': exists; name another file"),
+    "skill": (
+        ["errors", "--fit", "mine.csv"],
+        "--fit = 'mine.csv': must be the name of a file that ends in .yaml",
+    ),
+    "month": (
+        ["errors", "--fit", "mine.yaml", "-o", "mine.csv"],
+        "--fit: needs at least 1000 h of records",
+    ),
     "lead": (
         [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
         f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
@@ -308,3 +316,4 @@ def test_wrong_use(tmp_path: Path, name: str) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {reason}")
     assert (tmp_path / "there.csv").read_text() == "mine"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["half.csv", "there.csv"]
