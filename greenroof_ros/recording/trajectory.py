@@ -92,33 +92,16 @@ def read_parquet(path: Path) -> Trajectory:
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
     try:
-        metadata = polars.read_parquet_metadata(io.BytesIO(content))
-        table = polars.read_parquet(io.BytesIO(content))
-    except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
+        start = datetime.fromisoformat(polars.read_parquet_metadata(io.BytesIO(content))["start"])
+        table = polars.read_parquet(io.BytesIO(content), columns=list(_COLUMNS.values()))
+        if start.utcoffset() is None or table.is_empty() or set(table.dtypes) != {polars.Float64}:
+            raise ValueError
+    except (
+        polars.exceptions.PolarsError, polars.exceptions.PanicException, KeyError, ValueError
+    ) as error:
         raise ConfigurationError(
-            "is empty, cut short or no parquet file; make the run again", file=path
+            "is empty, cut short or no trajectory; make the run again", file=path
         ) from error
-    wrong = [
-        column
-        for column in _COLUMNS.values()
-        if column not in table.columns or table.schema[column] != polars.Float64
-    ]
-    if wrong:
-        raise ConfigurationError(
-            f"is no trajectory: it has no column of floats named {', '.join(wrong)}", file=path
-        )
-    try:
-        start = datetime.fromisoformat(metadata["start"])
-    except (KeyError, ValueError) as error:
-        raise ConfigurationError(
-            "is no trajectory: its metadata have no 'start' in ISO 8601", file=path
-        ) from error
-    if start.utcoffset() is None:
-        raise ConfigurationError(
-            "must say its offset from UTC", file=path, key="start", value=metadata["start"]
-        )
-    if not len(table) or any(table[column].null_count() for column in _COLUMNS.values()):
-        raise ConfigurationError("is no trajectory: it has no samples, or gaps", file=path)
     return Trajectory(
         start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
     )

@@ -68,20 +68,16 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
     import polars
 
     whole = Trajectory(start=START, **dict.fromkeys(NAMES, np.arange(100.0))).to_parquet()
-    for keep in (0, 3, 100, -1):
-        (tmp_path / "cut").write_bytes(whole[:keep])
-        with pytest.raises(ConfigurationError, match="is empty, cut short or no parquet"):
-            read_parquet(tmp_path / "cut")
-    polars.DataFrame({"time_s": [1.0], "frost": [1]}).write_parquet(tmp_path / "other")
-    with pytest.raises(ConfigurationError, match=r"cistern_m3.*frost"):
-        read_parquet(tmp_path / "other")
-    polars.read_parquet(whole).write_parquet(tmp_path / "no-start")
-    with pytest.raises(ConfigurationError, match="'start'"):
-        read_parquet(tmp_path / "no-start")
-    none = Trajectory(start=START, **dict.fromkeys(NAMES, np.array([])))
-    (tmp_path / "none").write_bytes(none.to_parquet())
-    with pytest.raises(ConfigurationError, match="no samples"):
-        read_parquet(tmp_path / "none")
+    contents = [whole[:keep] for keep in (0, 3, 100, -1)]
+    tables = (polars.DataFrame({"time_s": [1.0], "frost": [1]}), polars.read_parquet(whole))
+    for table in tables:
+        table.write_parquet(tmp_path / "other")
+        contents.append((tmp_path / "other").read_bytes())
+    contents.append(Trajectory(start=START, **dict.fromkeys(NAMES, np.array([]))).to_parquet())
+    for content in contents:
+        (tmp_path / "file").write_bytes(content)
+        with pytest.raises(ConfigurationError, match="is empty, cut short or no trajectory"):
+            read_parquet(tmp_path / "file")
 
 
 # --- bags of others ------------------------------------------------------------------------------
