@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import yaml
 
 from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
-from greenroof_ros.bringup.live_site import LiveSite, live_site, make_parser
+from greenroof_ros.bringup.live_site import LiveSite, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.disk import DISK, Newest
@@ -463,7 +463,7 @@ def _write_configuration(
 def main() -> int:
     """Bring the site up, and keep it up until it is stopped."""
     arguments = parse_run_arguments(make_parser())
-    site = live_site(arguments)
+    site = LiveSite(arguments)
     return bring_up(arguments, site.site_file, partial(run_live, site, arguments))
 
 

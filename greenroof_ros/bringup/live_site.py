@@ -18,7 +18,6 @@ from greenroof_ros.bringup.drive import (
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
@@ -47,7 +46,6 @@ class LiveNode:
     parameters: dict[str, Any]
 
 
-@dataclass(frozen=True)
 class LiveSite:
     """What bringup keeps up on a live site.
 
@@ -66,17 +64,51 @@ class LiveSite:
         bag_limit: size of the bag beyond which the oldest of it is removed (MB); None for no bag.
     """
 
-    site_file: Path
-    controller: ControllerChoice
-    parameters: dict[str, float]
-    sensors: Path | None
-    weather: bool
-    forecast: Path | str | None
-    fetch_model: str
-    fetch_url: str
-    dressed: Path | None
-    drive: DriveChoice | None
-    bag_limit: float | None
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        """Take what a command line asks for.
+
+        Raises:
+            ConfigurationError: an option, or a file that it names, is wrong, or one is missing.
+        """
+        self.site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+        self.controller, self.parameters = controller_from_arguments(
+            arguments, read_site(self.site_file)
+        )
+        self.drive = drive = chosen_drive(arguments)
+        others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
+        refuse(
+            (arguments.sensors is None, "--sensors FILE", None,
+             "is missing: live, it says where the levels are read; or --sensors external, where "
+             "nodes of your own publish /cistern/level and /roof/level"),
+            (drive is None and not arguments.pump, "--drive NAME", None,
+             "is missing: live, it says which drive the pump has, and --drive-at where; or --pump "
+             "external, where a node of your own takes /pump/command"),
+            (others_weather and has_forecast, "--forecast", arguments.forecast,
+             "is of the weather node, which --weather external leaves to somebody else"),
+            (arguments.dressed is not None and not has_forecast, "--dressed", arguments.dressed,
+             "is for forecasts of --forecast FILE.csv"),
+            (not others_weather and not has_forecast and self.controller.needs_forecast,
+             "--forecast FILE.csv", None,
+             f"is missing: live, it is what {self.controller.name} knows of the weather to "
+             "come; or --weather external, where a node of your own publishes it; or --controller "
+             "onoff, which needs none"),
+            (not others_weather and not has_forecast and arguments.thermometer is None,
+             "--thermometer external", None,
+             "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
+             "frost; let a node of your own publish /gauge/temperature (degC) and give "
+             "--thermometer external, or give a forecast"),
+        )
+        self.sensors = None
+        if arguments.sensors != EXTERNAL:
+            self.sensors = _readable(arguments.sensors, "--sensors")
+            if drive is not None:
+                _refuse_shared_line(drive, self.sensors)
+        self.weather = not others_weather
+        self.forecast = _forecast(arguments)
+        self.fetch_model: str = arguments.fetch_model
+        self.fetch_url: str = arguments.fetch_url
+        self.dressed = _readable(arguments.dressed, "--dressed") if arguments.dressed else None
+        self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
         """Return the files that it is started with, but for the forecast, which is replaced."""
@@ -211,58 +243,6 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add_graph_arguments(parser)
     return parser
-
-
-def live_site(arguments: argparse.Namespace) -> LiveSite:
-    """Return the site that a command line asks for.
-
-    Raises:
-        ConfigurationError: an option, or a file that it names, is wrong, or one is missing.
-    """
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-    controller, parameters = controller_from_arguments(arguments, read_site(site_file))
-    drive = chosen_drive(arguments)
-    others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
-    refuse(
-        (arguments.sensors is None, "--sensors FILE", None,
-         "is missing: live, it says where the levels are read; or --sensors external, where "
-         "nodes of your own publish /cistern/level and /roof/level"),
-        (drive is None and not arguments.pump, "--drive NAME", None,
-         "is missing: live, it says which drive the pump has, and --drive-at where; or --pump "
-         "external, where a node of your own takes /pump/command"),
-        (others_weather and has_forecast, "--forecast", arguments.forecast,
-         "is of the weather node, which --weather external leaves to somebody else"),
-        (arguments.dressed is not None and not has_forecast, "--dressed", arguments.dressed,
-         "is for forecasts of --forecast FILE.csv"),
-        (not others_weather and not has_forecast and controller.needs_forecast,
-         "--forecast FILE.csv", None,
-         f"is missing: live, it is what {controller.name} knows of the weather to come; or "
-         "--weather external, where a node of your own publishes it; or --controller onoff, "
-         "which needs none"),
-        (not others_weather and not has_forecast and arguments.thermometer is None,
-         "--thermometer external", None,
-         "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
-         "frost; let a node of your own publish /gauge/temperature (degC) and give "
-         "--thermometer external, or give a forecast"),
-    )
-    sensors = None
-    if arguments.sensors != EXTERNAL:
-        sensors = _readable(arguments.sensors, "--sensors")
-        if drive is not None:
-            _refuse_shared_line(drive, sensors)
-    return LiveSite(
-        site_file=site_file,
-        controller=controller,
-        parameters=parameters,
-        sensors=sensors,
-        weather=not others_weather,
-        forecast=_forecast(arguments),
-        fetch_model=arguments.fetch_model,
-        fetch_url=arguments.fetch_url,
-        dressed=_readable(arguments.dressed, "--dressed") if arguments.dressed else None,
-        drive=drive,
-        bag_limit=None if arguments.no_record else arguments.bag_limit,
-    )
 
 
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:

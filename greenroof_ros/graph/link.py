@@ -23,7 +23,6 @@ from rclpy.time import Time
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
-from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import DISCOVERY_S, Input, Inputs, Publishers
 from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
@@ -152,8 +151,7 @@ class LinkedNode(Node):
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(file.resolve())}
         site = read_site(file)
-        if isinstance(self._trigger, Live):
-            self._trigger.act_every(site.tau)
+        self._trigger.act_every(site.tau)
         return site
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
@@ -207,13 +205,8 @@ class LinkedNode(Node):
             publishers, self.get_logger(), optional=optional, tolerates_second=tolerates_second
         )
         self.inputs.by_name[name] = entry
-        if isinstance(self._trigger, Live):
-            self._open(publishers, self._trigger.judge_by_rules(entry, level, callback))
-            return entry
-        if callback is None:
-            self._open(publishers, self._trigger.await_input(entry))
-        else:
-            self._open(publishers, callback if raw else entry.hand_on_to(callback))
+        own = callback if raw else None
+        self._open(publishers, own or self._trigger.receiver(entry, level, callback))
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
@@ -274,8 +267,7 @@ class LinkedNode(Node):
     @property
     def good(self) -> bool:
         """Whether no input's present value was refused, or, live, breaks another rule."""
-        if isinstance(self._trigger, Live):
-            self._trigger.judge()
+        self._trigger.judge()
         return all(one.good for one in self.inputs.by_name.values() if not one.optional)
 
     def refuse(self, name: str, why: str) -> None:
@@ -285,8 +277,7 @@ class LinkedNode(Node):
             name: of the topic in the interface.
             why: a clause.
         """
-        if isinstance(self._trigger, Live):
-            self._trigger.refuse(name, why)
+        cast(Live, self._trigger).refuse(name, why)
 
     def diagnose(
         self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
@@ -332,9 +323,7 @@ class LinkedNode(Node):
 
     def listen_s(self) -> float:
         """How long the node may wait for the next message (s)."""
-        if isinstance(self._trigger, Live):
-            return min(self.on_idle(), max(0.0, self._trigger.due - boot_time()))
-        return self.on_idle()
+        return min(self.on_idle(), self._trigger.due_in)
 
     def check(self) -> None:
         """Look at the wall clock: say how the node is, and act where it is time to.
@@ -347,18 +336,14 @@ class LinkedNode(Node):
         if self.error is not None:
             raise self.error
         now = time.monotonic()
-        if isinstance(self._trigger, Live):
-            self._trigger.act_if_due()
+        self._trigger.look(now)
         if now - self._looked < LISTEN_S:  # a message costs little; asking ROS, milliseconds
             return
         self._looked = now
-        if isinstance(self._trigger, Lockstep):
-            self._trigger.look(now)
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        begun = self._trigger.has_begun if isinstance(self._trigger, Live) else True
-        if not self.ready and begun and not self.inputs.absent():
+        if not self.ready and self._trigger.has_begun and not self.inputs.absent():
             self.reports.state = READY
             self._report(now)
         if now - self._reported > _REPORT_S:

@@ -127,7 +127,6 @@ class Live:
     That clock goes on while the machine is suspended: what came before is then too old.
 
     Attributes:
-        due: when the node acts next (s since the machine started).
         has_begun: whether it has acted, if it acts by itself: before that it has judged nothing.
     """
 
@@ -144,7 +143,7 @@ class Live:
         self._node, self._act, self._diagnose = node, act, diagnose
         self._inputs: dict[str, tuple[Input, InputRules]] = {}
         self._period = math.inf
-        self.due = math.inf
+        self._due = math.inf
         self.has_begun = True
         self._looked = boot_time()
         self._deaf_until = self._looked
@@ -152,9 +151,9 @@ class Live:
     def act_every(self, period: float) -> None:
         """Let the node act from now on every period (s), and first after a second at most."""
         self._period, self.has_begun = period, False
-        self.due = boot_time() + min(period, _FIRST_S)
+        self._due = boot_time() + min(period, _FIRST_S)
 
-    def judge_by_rules(
+    def receiver(
         self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
         """Judge an input by the rules of a live graph; returns what receives its messages.
@@ -206,13 +205,18 @@ class Live:
     def _judge(self, entry: Input, rules: InputRules) -> None:
         entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
 
-    def act_if_due(self) -> None:
+    @property
+    def due_in(self) -> float:
+        """In what time the node acts next (s)."""
+        return max(0.0, self._due - boot_time())
+
+    def look(self, _now: float) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
         now = boot_time()
         self._note_pause(now)
-        if now < self.due:
+        if now < self._due:
             return
-        self.due += (math.floor((now - self.due) / self._period) + 1) * self._period
+        self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         before = suspended_time()
         self.judge()
         self._say()

@@ -4,7 +4,7 @@ Each topic of a tick has exactly one message per tick, k = 0..N, and but for ``/
 of its tick: none is needed, since no node publishes tick k + 1 before it has acted on tick k. The
 rule, for every node but the recorder, which only counts:
 
-1. *wait*: a message arrives, and its input is awaited no more (:meth:`Lockstep.await_input`);
+1. *wait*: a message arrives, and its input is awaited no more (:meth:`Lockstep.receiver`);
 2. *act*: no input is awaited; from here on all are, of the next tick (:meth:`Lockstep.act`);
 3. *publish*: the node says its own messages of the tick, one on each topic.
 
@@ -33,6 +33,7 @@ from greenroof_ros.graph.inputs import Input, Inputs, root_causes
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.supervision import FINISHED
+from greenroof_ros.pumping.input_rules import LevelRule
 
 CLOCK, RUN = "/clock", "/run"
 PLANT = "plant"
@@ -67,7 +68,6 @@ class LockstepNode(Protocol):
     role: str
     acted: bool
     over: bool
-    error: Exception | None
     inputs: Inputs
     interface: dict[str, Topic]
     reports: Reports
@@ -94,7 +94,11 @@ class Lockstep:
     Attributes:
         run: the one that the node takes part in; None before the plant has said it.
         tick: on which the node acts next.
+        has_begun: true: what it waits for before it is ready are its peers alone.
+        due_in: no time (s): it acts on messages.
     """
+
+    has_begun, due_in = True, math.inf
 
     def __init__(self, node: LockstepNode) -> None:
         """Begin before the run.
@@ -113,8 +117,18 @@ class Lockstep:
 
     # --- a tick -----------------------------------------------------------------------------
 
-    def await_input(self, entry: Input) -> Callable[[bytes], None]:
-        """Have the node act on an input; returns what receives its messages."""
+    def receiver(
+        self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
+    ) -> Callable[[bytes], None]:
+        """Have the node act on an input; returns what receives its messages.
+
+        Args:
+            entry: the input.
+            level: for a live graph.
+            callback: has its values instead, and nothing waits for them.
+        """
+        if callback is not None:
+            return entry.hand_on_to(callback)
         name, awaited = entry.topic.name, self._awaited
         self._of_tick.add(name)
         awaited.add(name)
@@ -122,12 +136,11 @@ class Lockstep:
         def receive(message: bytes) -> None:
             """Take a message, and act where it was the last that was awaited."""
             if name not in awaited and not entry.tolerates_second:
-                self._refuse(
+                raise self._refusal(
                     f"{entry.name} came twice in tick {self.tick} "
                     f"({', '.join(entry.publishers.names())}); another publisher, or nodes of an "
                     "earlier run, are in this graph"
                 )
-                return
             entry.receive(message)
             awaited.discard(name)
             if not awaited:
@@ -146,25 +159,34 @@ class Lockstep:
     # --- the run ----------------------------------------------------------------------------
 
     def hear_run(self, values: array[float]) -> None:
-        """Take part in a run; with another plant another run begins, and this one has ended."""
+        """Take part in a run.
+
+        Raises:
+            LockstepError: with another plant another run begins, and this one has ended; or it is
+                of another version.
+        """
         if len(values) != len(RunIdentity._fields):
-            self._node.error = self._node.error or LockstepError(
+            raise LockstepError(
                 f"{RUN} has {len(values)} numbers and not {len(RunIdentity._fields)}: the plant is "
                 "of another version"
             )
-            return
-        run = RunIdentity(*values)
-        if self.run is not None and self.run != run:
-            self._node.error = self._node.error or LockstepError(
+        before, self.run = self.run, RunIdentity(*values)
+        if before not in (None, self.run):
+            raise LockstepError(
                 "the plant was started again, or there are two; a run ends with its plant"
             )
-        self.run = run
 
     def _is_over(self) -> bool:
         """Whether the node has acted on the last tick; the plant finds that out by itself."""
         return self.run is not None and self.tick > self.run.last_tick and (
             self._node.role != PLANT
         )
+
+    def act_every(self, period: float) -> None:
+        """Act on messages all the same."""
+
+    def judge(self) -> None:
+        """Leave the inputs as they are: no time passes for them."""
 
     def look(self, now: float) -> None:
         """Count publishers, say who is missing, and end with the run.
@@ -193,7 +215,7 @@ class Lockstep:
         for entry in node.inputs.by_name.values():
             publishers = entry.publishers
             if not entry.tolerates_second and publishers.count > 1 and publishers.heard > 1:
-                self._refuse(publishers.said(now))
+                raise self._refusal(publishers.said(now))
         if self._is_over():  # what the plant says of the run came behind the last tick
             node.finish()
             return
@@ -206,10 +228,9 @@ class Lockstep:
         clock = self._node.inputs.by_name.get(CLOCK)
         return clock is not None and clock.publishers.count == 0
 
-    def _refuse(self, message: str) -> None:
+    def _refusal(self, message: str) -> Exception:
         """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
-        kind = LockstepError if self._node.acted else OccupiedError
-        self._node.error = self._node.error or kind(message)
+        return LockstepError(message) if self._node.acted else OccupiedError(message)
 
     # --- who is missing ---------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from places import CHECKOUT
 
 from greenroof_ros.bringup import live
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
-from greenroof_ros.bringup.live_site import live_site
+from greenroof_ros.bringup.live_site import LiveSite
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
@@ -40,7 +40,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
     monkeypatch.setattr(sys, "argv", [way, *words])
     try:
         if way == "live":
-            live_site(live_site_parser().parse_args())
+            LiveSite(live_site_parser().parse_args())
         else:
             arguments = make_parser().parse_args()
             chosen_drive(arguments)
