@@ -83,7 +83,7 @@ class RecorderNode(LinkedNode):
             except OSError as error:
                 self._closed = True  # closing would only fail again
                 raise self._damaged(error) from error
-            if self._bag.safe == self._bag.ticks:
+            if self._bag.safe == self._bag.written:
                 self._report_written()
             self.set_time(now)
 
@@ -101,7 +101,7 @@ class RecorderNode(LinkedNode):
             return LISTEN_S
         self._looked_at = now
         came = {
-            topic.name: self._bag.ticks + len(queue)
+            topic.name: self._bag.written + len(queue)
             for topic, queue in zip(self._topics, self._queues, strict=True)
         }
         ticks = self.run_length + 1
@@ -109,7 +109,7 @@ class RecorderNode(LinkedNode):
             return LISTEN_S
         if self._ending_since is None:
             self._ending_since = now
-        if self._bag.ticks == ticks and max(came.values()) == ticks:
+        if self._bag.written == ticks and max(came.values()) == ticks:
             self._close()
             self._report_written()
             self.finish()
@@ -125,7 +125,7 @@ class RecorderNode(LinkedNode):
 
     def summary(self) -> dict[str, Any]:
         """Return how many messages of each topic are in the bag."""
-        return {"messages": {topic.name: self._bag.ticks for topic in self._in_bag}}
+        return {"messages": {topic.name: self._bag.written for topic in self._in_bag}}
 
     def _close(self) -> None:
         self._closed = True

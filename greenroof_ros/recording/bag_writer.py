@@ -51,59 +51,6 @@ _METADATA_VERSION = 9
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
-class BagWriter:
-    """Writes the bag of a simulation, tick by tick, into one file."""
-
-    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
-        """Make the bag's directory and write the head of its file.
-
-        Args:
-            directory: must not exist.
-            topics: those of each tick, in the order in which they are written.
-
-        Raises:
-            FileExistsError: the directory exists.
-            OSError: it cannot be written.
-        """
-        self.directory = directory
-        directory.mkdir(parents=True)
-        self._file = BagFile(directory / f"{directory.name}_0.mcap", topics)
-
-    @property
-    def ticks(self) -> int:
-        """How many ticks were written."""
-        return self._file.written
-
-    @property
-    def safe(self) -> int:
-        """How many of them a killed process would leave behind."""
-        return self._file.safe
-
-    def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
-        """Write one tick.
-
-        Args:
-            time_ns: its simulated time, nanoseconds since 1970.
-            messages: the serialised (CDR) message of each topic, in the order of the topics.
-
-        Raises:
-            OSError: for instance on a full disk; the file then ends with the safe ticks.
-        """
-        self._file.write(time_ns, enumerate(messages))
-        if self.ticks % _TICKS_PER_CHUNK == 0:
-            self._file.flush()
-
-    def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``.
-
-        Raises:
-            OSError: for instance on a full disk; ``greenroof recover`` then restores
-                the safe ticks.
-        """
-        self._file.close()
-        write_metadata(self.directory, [read_index(self._file.path)])
-
-
 class LiveBag:
     """Writes the bag of a live site: what comes, as it comes, in files by size and day, for months.
 
@@ -355,6 +302,53 @@ class BagFile:
         except OSError:
             self.cut()
             raise
+
+
+class BagWriter(BagFile):
+    """Writes the bag of a simulation, tick by tick, into one file; `written` counts ticks.
+
+    Attributes:
+        directory: the bag.
+    """
+
+    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
+        """Make the bag's directory and write the head of its file.
+
+        Args:
+            directory: must not exist.
+            topics: those of each tick, in the order in which they are written.
+
+        Raises:
+            FileExistsError: the directory exists.
+            OSError: it cannot be written.
+        """
+        self.directory = directory
+        directory.mkdir(parents=True)
+        super().__init__(next_file([], directory), topics)
+
+    def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
+        """Write one tick.
+
+        Args:
+            time_ns: its simulated time, nanoseconds since 1970.
+            messages: the serialised (CDR) message of each topic, in the order of the topics.
+
+        Raises:
+            OSError: for instance on a full disk; the file then ends with the safe ticks.
+        """
+        self.write(time_ns, enumerate(messages))
+        if self.written % _TICKS_PER_CHUNK == 0:
+            self.flush()
+
+    def close(self) -> None:
+        """Finish the file and write ``metadata.yaml``.
+
+        Raises:
+            OSError: for instance on a full disk; ``greenroof recover`` then restores
+                the safe ticks.
+        """
+        super().close()
+        write_metadata(self.directory, [read_index(self.path)])
 
 
 def start_writer(stream: BinaryIO) -> Writer:

@@ -46,7 +46,7 @@ class Run:
 
     def ticks(self, count: int) -> None:
         for _ in range(count):
-            tick = self.writer.ticks
+            tick = self.writer.written
             time_ns = self._start_ns + tick * 10**9
             messages = []
             for topic in self.topics:
