@@ -7,8 +7,9 @@ import os
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -40,20 +41,8 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.site import Site
 
 
-class NodeParser(argparse.ArgumentParser):
+class _Parser(argparse.ArgumentParser):
     """Reads a node's own arguments, those before ``--ros-args``; a mistake is one line."""
-
-    def __init__(self) -> None:
-        super().__init__(add_help=False, allow_abbrev=False)
-        self.add_argument("-h", "--help", action="store_true")
-
-    def own_arguments(self) -> argparse.Namespace:
-        """Parse the process's command line."""
-        try:
-            own = remove_ros_args(sys.argv)
-        except RuntimeError as error:  # of rcl: arguments that it cannot read
-            self.error(" ".join(str(error).split()))
-        return self.parse_args(own[1:])
 
     def error(self, message: str) -> NoReturn:
         """End the process with a mistake's one line."""
@@ -61,25 +50,39 @@ class NodeParser(argparse.ArgumentParser):
 
 
 def node_command(
-    make: Callable[[], LinkedNode],
-    module: str,
-    role: str,
-    purpose: str | None,
-    parameters: Callable[[Site], Iterable[Parameter]],
-    example: str,
-    *,
-    always_live: bool = False,
+    make: Callable[..., LinkedNode], help_of: Callable[..., str], option: str = "",
+    choices: Sequence[str] = (), value: str | None = None,
 ) -> Callable[[], NoReturn]:
-    """Return the executable of a node that has no arguments of its own; see :func:`node_help`."""
+    """Return the executable of a node.
+
+    Args:
+        make: returns the node.
+        help_of: returns the text of ``--help``; like ``make`` it is called with the value of the
+            option, which may be missing for a help, if there is an option.
+        option: that the node must have, such as ``--tank``; empty for none.
+        choices: what its value may be; empty for anything.
+        value: what it is where the command line has no such option.
+    """
 
     @command
     def main() -> int:
         """Run the node, or print its help."""
-        if not NodeParser().own_arguments().help:
-            return run_node(make)
-        declared = parameters(default_site())
-        print(node_help(module, role, purpose, declared, example, always_live=always_live))
-        return EXIT_DONE
+        parser = _Parser(add_help=False, allow_abbrev=False)
+        parser.add_argument("-h", "--help", action="store_true")
+        if option and value is None:
+            parser.add_argument(option, dest="value", choices=choices or None)
+        try:
+            own = remove_ros_args(sys.argv)
+        except RuntimeError as error:  # of rcl: arguments that it cannot read
+            parser.error(" ".join(str(error).split()))
+        given = parser.parse_args(own[1:], argparse.Namespace(value=value))
+        of = [given.value] if option else []
+        if given.help:
+            print(help_of(*of))
+            return EXIT_DONE
+        if of == [None]:
+            parser.error(": ".join(filter(None, (f"{option} is missing", " or ".join(choices)))))
+        return run_node(partial(make, *of))
 
     return main
 
@@ -88,7 +91,7 @@ def node_help(
     module: str,
     role: str,
     purpose: str | None,
-    parameters: Iterable[Parameter],
+    parameters: Callable[[Site], Iterable[Parameter]],
     example: str,
     outputs: Collection[str] = (),
     *,
@@ -100,7 +103,7 @@ def node_help(
         module: its module, and arguments that it must have.
         role: what the interface calls it.
         purpose: what it is for.
-        parameters: all that it declares.
+        parameters: returns all that it declares at a site.
         example: arguments of a start.
         outputs: the optional topics that it publishes.
         always_live: whether it is for live graphs alone.
@@ -109,7 +112,7 @@ def node_help(
     topics = [topic for topic in read_topics().values() if topic.live or not always_live]
     sections = {
         "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
-            (one.name, _about(one), one.description) for one in parameters
+            (one.name, _about(one), one.description) for one in parameters(default_site())
         ],
         **{
             heading: [

@@ -19,7 +19,6 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.disk import Kept
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
@@ -29,7 +28,7 @@ from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import learned_by, set_learned
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.executable import NodeParser, node_help, run_node
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import RECOVERY, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
@@ -72,11 +71,20 @@ class ControllerNode(LinkedNode):
     forecasts stays, over restarts of the node too, in the file ``state_file``.
     """
 
-    def __init__(self, choice: ControllerChoice) -> None:
-        """Declare the controller's parameters and open the topics."""
+    def __init__(self, controller: str) -> None:
+        """Declare the controller's parameters and open the topics.
+
+        Args:
+            controller: a registered name, or ``package.module:Class``.
+
+        Raises:
+            ConfigurationError: there is no such controller.
+        """
+        choice = find_controller(controller)
+        _ = choice.kind  # before there is a node
         super().__init__(choice.name, "controller")
-        self._site = site = self.declare_site()
         self._choice = choice
+        self._site = site = self.declare_site()
         self._values = declare(self, choice.parameters_on(site))
         live = declare(self, LIVE_PARAMETERS)
         self._controller = choice.make(site, self._values)
@@ -305,43 +313,25 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _run(controller: str | None) -> int:
-    """Run the node.
-
-    Args:
-        controller: which; that of the command line's ``--controller`` if None.
-
-    Raises:
-        ConfigurationError: there is no such controller.
-    """
-    parser = NodeParser()
-    if controller is None:
-        parser.add_argument("--controller", metavar="NAME")
-    else:
-        parser.set_defaults(controller=controller)
-    arguments = parser.own_arguments()
-    choice = None if arguments.controller is None else find_controller(arguments.controller)
-    if arguments.help:
-        name, own = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
-        start = f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"
-        print(node_help(
-            f"controller --controller {name}", "controller",
-            f"{__doc__}\nRegistered are {', '.join(controller_names())}.", parameters(choice),
-            f"--ros-args {start}", () if choice is None else choice.outputs,
-        ))
-        return EXIT_DONE
-    if choice is None:
-        parser.error("--controller NAME is missing")
-    _ = choice.kind
-    return run_node(partial(ControllerNode, choice))
+def _help(controller: str | None) -> str:
+    choice = None if controller is None else find_controller(controller)
+    name, own = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
+    start = f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"
+    return node_help(
+        f"controller --controller {name}", "controller",
+        f"{__doc__}\nRegistered are {', '.join(controller_names())}.",
+        lambda _: parameters(choice), f"--ros-args {start}",
+        () if choice is None else choice.outputs,
+    )
 
 
-main = command(partial(_run, None))
+_executable = partial(node_command, ControllerNode, _help, "--controller")
+main = _executable()
 # The executables of this package's controllers.
-mpc = command(partial(_run, "mpc"))
-onoff = command(partial(_run, "onoff"))
-anticipating_onoff = command(partial(_run, "anticipating_onoff"))
-lookahead = command(partial(_run, "lookahead"))
+mpc = _executable(value="mpc")
+onoff = _executable(value="onoff")
+anticipating_onoff = _executable(value="anticipating_onoff")
+lookahead = _executable(value="lookahead")
 
 
 if __name__ == "__main__":

@@ -8,15 +8,13 @@ published, and /diagnostics says why: who acts on the level finds it too old.
 from __future__ import annotations
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.sensor_file import TANKS, default_sensors, read_sensors
-from greenroof_ros.graph.executable import NodeParser, node_help, run_node
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.parameters import declare
@@ -85,23 +83,15 @@ class LevelSensorNode(LinkedNode):
         self._reader.close()
 
 
-@command
-def main() -> int:
-    """Run the node."""
-    parser = NodeParser()
-    parser.add_argument("--tank", choices=TANKS)
-    arguments = parser.own_arguments()
-    tank = arguments.tank
-    if arguments.help:
-        print(node_help(
-            f"level_sensor --tank {tank or 'TANK'}", f"{tank or TANKS[0]}_sensor",
-            f"{__doc__}\nTANK is {' or '.join(TANKS)}.", parameters(),
-            "--ros-args -p sensors_file:=my_sensors.yaml",
-        ))
-        return EXIT_DONE
-    if tank is None:
-        parser.error(f"--tank is missing: {' or '.join(TANKS)}")
-    return run_node(partial(LevelSensorNode, tank))
+def _help(tank: str | None) -> str:
+    return node_help(
+        f"level_sensor --tank {tank or 'TANK'}", f"{tank or TANKS[0]}_sensor",
+        f"{__doc__}\nTANK is {' or '.join(TANKS)}.", parameters,
+        "--ros-args -p sensors_file:=my_sensors.yaml",
+    )
+
+
+main = node_command(LevelSensorNode, _help, "--tank", TANKS)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from typing import Any
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
@@ -109,10 +109,10 @@ class LiveRecorderNode(LinkedNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-main = node_command(
-    LiveRecorderNode, "live_recorder", "recorder", __doc__, parameters,
+main = node_command(LiveRecorderNode, partial(
+    node_help, "live_recorder", "recorder", __doc__, parameters,
     "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", always_live=True,
-)
+))
 
 
 if __name__ == "__main__":

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import secrets
 import time
+from functools import partial
 from typing import Any
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
@@ -238,10 +239,10 @@ class PlantNode(LinkedNode):
         }
 
 
-main = node_command(
-    PlantNode, "plant", "plant", __doc__, parameters,
+main = node_command(PlantNode, partial(
+    node_help, "plant", "plant", __doc__, parameters,
     "--ros-args -p record:=true -p run_length:=3600",
-)
+))
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
 from greenroof_ros.drives.modbus_line import parse_drive_address
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
     ACTIVE,
@@ -717,10 +717,10 @@ def _fault(status: DriveStatus | None) -> str:
     return "" if status is None or status.timed_out else status.fault
 
 
-main = node_command(
-    PumpNode, "pump", "pump", __doc__, parameters,
+main = node_command(PumpNode, partial(
+    node_help, "pump", "pump", __doc__, parameters,
     "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
-)
+))
 
 
 if __name__ == "__main__":

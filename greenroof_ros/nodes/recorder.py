@@ -13,7 +13,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, decode_clock
@@ -147,10 +147,10 @@ class RecorderNode(LinkedNode):
             self._close()
 
 
-main = node_command(
-    RecorderNode, "recorder", "recorder", __doc__, parameters,
+main = node_command(RecorderNode, partial(
+    node_help, "recorder", "recorder", __doc__, parameters,
     "--ros-args -p directory:=my_bag -p controller:=mpc",
-)
+))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import math
 from array import array
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ from greenroof_ros.forecast.service import (
 )
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
@@ -405,9 +406,9 @@ class WeatherNode(LinkedNode):
             )
 
 
-main = node_command(
-    WeatherNode, "weather", "weather", __doc__, parameters, "--ros-args -p forecast:=persistence",
-)
+main = node_command(WeatherNode, partial(
+    node_help, "weather", "weather", __doc__, parameters, "--ros-args -p forecast:=persistence",
+))
 
 
 if __name__ == "__main__":

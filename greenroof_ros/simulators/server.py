@@ -12,7 +12,7 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from pymodbus import FramerType
@@ -154,34 +154,25 @@ class _Connection(ServerRequestHandler):
             self.transport.write(data)  # type: ignore[attr-defined]
 
 
+@dataclass
 class Server:
     """Devices on a TCP port or a serial line, which can be closed and opened again.
 
     Attributes:
-        address: where it is; its port is known when it was opened.
+        address: TCP port or serial line; port 0 takes a free one, which is known when it was
+            opened.
+        devices: that are there, by unit identifier or slave address.
+        line: settings of a serial line; not needed on TCP.
+        fault: of the wire.
+        identity: maker and product that function 43/14 names; one for all servers of a process.
     """
 
-    def __init__(
-        self,
-        address: Address,
-        devices: Mapping[int, Device],
-        line: Serial | None = None,
-        fault: StandingFault | None = None,
-        identity: tuple[str, str] | None = None,
-    ) -> None:
-        """Prepare it; nothing is opened yet.
-
-        Args:
-            address: TCP port or serial line; port 0 takes a free one.
-            devices: that are there, by unit identifier or slave address.
-            line: settings of a serial line; not needed on TCP.
-            fault: of the wire; never any if None.
-            identity: maker and product that function 43/14 names; one for all servers of a process.
-        """
-        self.address, self._line, self._devices = address, line, devices
-        self._fault = fault or StandingFault()
-        self._identity = identity
-        self._server: ModbusTcpServer | ModbusSerialServer | None = None
+    address: Address
+    devices: Mapping[int, Device]
+    line: Serial | None = None
+    fault: StandingFault = field(default_factory=StandingFault)
+    identity: tuple[str, str] | None = None
+    _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
     async def be_open(self, wanted: bool) -> None:
         """Open or close the port, if it is not so already; a serial line stays open.
@@ -195,26 +186,26 @@ class Server:
             self.close()
 
     async def _open(self) -> None:
-        devices = [device.on_wire(number) for number, device in self._devices.items()]
+        devices = [device.on_wire(number) for number, device in self.devices.items()]
         named = None
-        if self._identity is not None:
+        if self.identity is not None:
             named = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
-                dict(enumerate(self._identity))
+                dict(enumerate(self.identity))
             )
         server: ModbusTcpServer | ModbusSerialServer
         if self.address.line:
-            assert self._line is not None
+            assert self.line is not None
             server = ModbusSerialServer(
                 devices, framer=FramerType.RTU, port=self.address.line, identity=named,
-                baudrate=self._line.baud_rate, parity=self._line.parity_letter(self.address.line),
-                stopbits=self._line.stop_bits, bytesize=8,
+                baudrate=self.line.baud_rate, parity=self.line.parity_letter(self.address.line),
+                stopbits=self.line.stop_bits, bytesize=8,
             )
         else:
             server = ModbusTcpServer(
                 devices, address=(self.address.host, self.address.port or 0), identity=named
             )
         server.callback_new_connection = (  # type: ignore[method-assign]
-            lambda: _Connection(server, self._devices, self._fault)
+            lambda: _Connection(server, self.devices, self.fault)
         )
         if not await server.listen():
             raise ConfigurationError(
