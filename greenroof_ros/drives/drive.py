@@ -57,14 +57,11 @@ class DriveStatus:
         return abs(self.speed) <= STANDS
 
     def __str__(self) -> str:
-        parts = [f"speed {self.speed:.1%}", "running" if self.running else "off"]
-        if not self.remote:
-            parts.append("local control")
-        if self.fault:
-            parts.append(f"fault: {self.fault}")
-        if self.warning:
-            parts.append(f"warning: {self.warning}")
-        return ", ".join(parts)
+        return ", ".join(filter(None, (
+            f"speed {self.speed:.1%}", "running" if self.running else "off",
+            "" if self.remote else "local control", self.fault and f"fault: {self.fault}",
+            self.warning and f"warning: {self.warning}",
+        )))
 
 
 class Drive:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -28,6 +28,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.domain import (
     TAKING_DOWN_S,
     begin_to_listen,
@@ -176,17 +177,9 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
         graph is there.
     """
     choose_transport()
-    stopping = False
-
-    def on_signal(signum: int, frame: Any) -> None:
-        nonlocal stopping
-        stopping = True
-
     # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
     # last word.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, on_signal)
+    signals = Signals()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of rcl: arguments that it cannot read
@@ -202,7 +195,8 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             _run_in_batches()
         executor = SingleThreadedExecutor() if node.live else make_executor()
         begin_to_listen(executor, node)
-        while not (stopping or node.over):
+        while not node.over:
+            signals.check()
             executor.spin_once(timeout_sec=node.listen_s())
             node.check()
     except ConfigurationError as error:
@@ -210,7 +204,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
         code, failure = exit_code(error), str(error)
     except (LockstepError, OSError) as error:
         code, failure = _failed(node, error)
-    except ExternalShutdownException:
+    except (InterruptedRun, ExternalShutdownException):
         pass
     finally:
         if node is not None:

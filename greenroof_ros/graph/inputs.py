@@ -51,7 +51,7 @@ class Publishers:
             node: subscribes to it.
             topic: the interface's.
             live: whether its graph is live.
-            recorded: live: the node only keeps what is published, and all of it.
+            recorded: the node only keeps what is published, and all of it.
         """
         self.topic = topic
         self.full_name: str = node.resolve_topic_name(topic.graph_name)

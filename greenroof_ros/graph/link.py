@@ -185,16 +185,14 @@ class LinkedNode(Node):
         publisher.publish(encode(value))
 
     def subscribe(
-        self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
-        optional: bool = False, level: LevelRule | None = None,
-        tolerates_second: bool = False,
+        self, name: str, callback: Callable[[Any], None] | None = None, *,
+        optional: bool = False, level: LevelRule | None = None, tolerates_second: bool = False,
     ) -> Input:
         """Open an input and return it; in lockstep it is awaited, unless a callback has its values.
 
         Args:
             name: of the topic in the interface.
             callback: called with each value as it comes; the node does not wait for it to act.
-            raw: the callback gets the serialised message: the node only keeps what is published.
             optional: the node acts without it, too; only in a live graph.
             level: what else holds for a level in a live graph.
             tolerates_second: a second publisher ends nothing in lockstep, either; the node looks
@@ -205,18 +203,22 @@ class LinkedNode(Node):
             publishers, self.get_logger(), optional=optional, tolerates_second=tolerates_second
         )
         self.inputs.by_name[name] = entry
-        own = callback if raw else None
-        self._open(publishers, own or self._trigger.receiver(entry, level, callback))
+        self._open(publishers, self._trigger.receiver(entry, level, callback))
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
-        """Keep what comes on a topic of a live graph, whatever its type; nothing waits for it.
+        """Keep what comes on a topic, whatever its type; only its publisher is waited for, once.
+
+        In a live graph nothing is.
 
         Args:
             name: of the topic in the interface.
             callback: called with each message, serialised.
         """
-        self._open(Publishers(self, self.interface[name], live=True, recorded=True), callback)
+        publishers = Publishers(self, self.interface[name], live=self.live, recorded=True)
+        if not self.live:
+            self.inputs.by_name[name] = Input(publishers, self.get_logger())
+        self._open(publishers, callback)
 
     def _open(self, publishers: Publishers, callback: Callable[[bytes], None]) -> None:
         topic = publishers.topic

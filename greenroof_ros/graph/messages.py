@@ -93,11 +93,9 @@ def lacks(offered: QoSProfile, required: Qos) -> list[str]:
 
 def requirements(qos: Qos) -> str:
     """Return a profile in words."""
-    words = f"{qos.reliability.replace('_', ' ')}, {qos.durability.replace('_', ' ')}, "
-    words += f"keep last {qos.depth}"
-    if math.isfinite(qos.lease_s):
-        words += f", with a liveliness lease of {qos.lease_s:g} s"
-    return words
+    words = f"{qos.reliability}, {qos.durability}, keep last {qos.depth}".replace("_", " ")
+    lease = f", with a liveliness lease of {qos.lease_s:g} s"
+    return words + lease if math.isfinite(qos.lease_s) else words
 
 
 def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any], bytes]:

@@ -48,12 +48,12 @@ class RecorderNode(LinkedNode):
         self._limit = values["peer_limit"]
         try:
             controller = find_controller(values["controller"])
-            self._topics = recorded_topics(controller.outputs)
+            topics = recorded_topics(controller.outputs)
         except ConfigurationError as error:
             raise ConfigurationError(f"parameter controller of recorder: {error}") from error
         self._in_bag = [
             replace(topic, name=self.resolve_topic_name(topic.graph_name))
-            for topic in self._topics
+            for topic in topics
         ]
         self.inputs.names["controller"] = controller.name
         try:
@@ -66,20 +66,19 @@ class RecorderNode(LinkedNode):
         self._looked_at = 0.0
         self._ending_since: float | None = None
         self.open_outputs("/recorder/written")
-        self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
-        for topic, queue in zip(self._topics, self._queues, strict=True):
-            self.subscribe(topic.name, partial(self._take, queue), raw=True)
-        self._clock_index = [topic.name for topic in self._topics].index(CLOCK)
+        self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
+        self._every_queue = self._queues.values()
+        for name, queue in self._queues.items():
+            self.record(name, partial(self._take, queue))
 
     def _take(self, queue: deque[bytes], message: bytes) -> None:
         """Keep a message of a topic, and write every tick that is whole by it."""
         queue.append(message)
-        while all(self._queues):
+        while all(self._every_queue):
             self.acted = True
-            messages = [one.popleft() for one in self._queues]
-            now = decode_clock(messages[self._clock_index])
+            now = decode_clock(self._queues[CLOCK][0])
             try:
-                self._bag.write_tick(now, messages)
+                self._bag.write_tick(now, [one.popleft() for one in self._every_queue])
             except OSError as error:
                 self._closed = True  # closing would only fail again
                 raise self._damaged(error) from error
@@ -100,10 +99,7 @@ class RecorderNode(LinkedNode):
         if self._closed or self.run_length is None or now - self._looked_at < LISTEN_S:
             return LISTEN_S
         self._looked_at = now
-        came = {
-            topic.name: self._bag.written + len(queue)
-            for topic, queue in zip(self._topics, self._queues, strict=True)
-        }
+        came = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
         ticks = self.run_length + 1
         if max(came.values()) < ticks:
             return LISTEN_S
