@@ -18,6 +18,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, parse_drive_address
+from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import no_ros
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import StopDrive
@@ -90,12 +91,8 @@ class DriveChoice:
                 ) from error
             name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
             kept = state_directory() / f"{name}.json"
-        try:
+        with writable(kept.parent, "--state"):
             kept.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigurationError(
-                f"cannot be written: {error.strerror}", key="--state", value=str(kept.parent)
-            ) from error
         return kept
 
     def parameters(self, state_file: Path) -> dict[str, Any]:

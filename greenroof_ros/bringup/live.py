@@ -11,19 +11,16 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
-
-import yaml
 
 from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.disk import DISK, Newest
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,
@@ -40,9 +37,11 @@ from greenroof_ros.experiment.incidents import (
     PROCESS,
     IncidentLog,
     parts_in,
+    wall_time,
     with_incidents,
 )
 from greenroof_ros.experiment.options import parse_run_arguments
+from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
@@ -253,7 +252,7 @@ class _Record:
                 f"{getattr(error, 'strerror', None) or error}"
             ),
         )
-        self._began = _now()
+        self._began = wall_time()
         self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
@@ -307,7 +306,7 @@ class _Record:
             "status": status,
             "reason": reason,
             "began": self._began,
-            "ended": None if status == summary.RUNNING else _now(),
+            "ended": None if status == summary.RUNNING else wall_time(),
             "last_time": self._last_time,
             "incident_count": self.log.count,
             "incidents": self.log.as_dicts(),
@@ -361,10 +360,6 @@ def _last_time(state: Path) -> dict[str, Any] | None:
     return None
 
 
-def _now() -> str:
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-
-
 @contextmanager
 def _state_directory(path: Path) -> Iterator[Path]:
     """Make the directory of a site, and lock it.
@@ -374,17 +369,14 @@ def _state_directory(path: Path) -> Iterator[Path]:
         OccupiedError: another bringup has it.
     """
     try:
-        (path / "log").mkdir(parents=True, exist_ok=True)
-        lock = take_lock(path / "bringup.lock")
+        with writable(path, "--state"):
+            (path / "log").mkdir(parents=True, exist_ok=True)
+            lock = take_lock(path / "bringup.lock")
     except LockedError:
         raise OccupiedError(
             "is of a bringup that runs; end it, or take another directory",
             key="--state", value=str(path),
         ) from None
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--state", value=str(path)
-        ) from error
     with lock:
         yield path.resolve()
 
@@ -449,13 +441,7 @@ def _write_configuration(
             (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
         else:
             shutil.copyfile(file, directory / name / file.name)
-    parameters = {
-        f"/**/{node.name}": {"ros__parameters": node.parameters}
-        for node in site.nodes(state, place)
-    }
-    (directory / "parameters.yaml").write_text(
-        yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8"
-    )
+    write_parameters(directory, {one.name: one.parameters for one in site.nodes(state, place)})
     return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own)]
 
 

@@ -173,7 +173,7 @@ class IncidentLog:
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
-        self._began = _now()
+        self._began = wall_time()
         self._before = 0  # number of the last incident that the file has of before
         self._say = say
         self._file = file
@@ -233,7 +233,7 @@ class IncidentLog:
     def _suspect(self, about: tuple[str, str], part: Part, tick: int | None) -> None:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
-        cause, began = part.said["message"], _now()
+        cause, began = part.said["message"], wall_time()
         if tick is None and about not in self._good:
             cause, began = f"since the start: {cause}", self._began
         seen, incident = self._pending.setdefault(about, (now, Incident(
@@ -248,7 +248,7 @@ class IncidentLog:
     def fail(self, node: str, cause: str) -> None:
         """Begin the incident of a node's own process; one that lasts ends."""
         self.end(node, PROCESS)
-        self._begin(Incident(0, node, PROCESS, cause, _now(), code="node_failed"))
+        self._begin(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
 
     def _begin(self, incident: Incident) -> None:
         self.count += 1
@@ -264,7 +264,7 @@ class IncidentLog:
         before = self._open.pop((node, part), None)
         if before is None:
             return
-        incident = replace(before, ended=_now(), ended_tick=tick)
+        incident = replace(before, ended=wall_time(), ended_tick=tick)
         if before in self.incidents:
             self.incidents[self.incidents.index(before)] = incident
         self._keep(incident)
@@ -295,5 +295,6 @@ def with_incidents(text: str, count: int) -> str:
     return f"{text}, with {count} incident{'s' if count > 1 else ''}"
 
 
-def _now() -> str:
+def wall_time() -> str:
+    """Return the time as an incident has it (UTC, ISO 8601)."""
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -27,7 +27,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
     Raises:
         ConfigurationError: it holds something already, or cannot be made or written.
     """
-    with _writable(output or _RUNS):
+    with writable(output or _RUNS):
         directory = output or _make_dated_directory(controller)
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
@@ -40,13 +40,18 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
 
 
 @contextmanager
-def _writable(directory: Path) -> Iterator[None]:
-    """Make what cannot be written a :class:`ConfigurationError`, which names the directory."""
+def writable(directory: Path, option: str = "--output") -> Iterator[None]:
+    """Make what cannot be written a :class:`ConfigurationError`, which names the directory.
+
+    Args:
+        directory: that is written to.
+        option: which names it.
+    """
     try:
         yield
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+            f"cannot be written: {error.strerror}", key=option, value=str(directory)
         ) from error
 
 
@@ -81,7 +86,7 @@ def write_configuration(
         ConfigurationError: the directory cannot be written.
     """
     configuration = directory / "configuration"
-    with _writable(directory):
+    with writable(directory):
         site_file = configuration / "site.yaml"
         site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
         weather_files: list[str] = []
@@ -122,15 +127,20 @@ def write_configuration(
             },
             **{name: {**common, **values} for name, values in (others or {}).items()},
         }
-        file = configuration / "parameters.yaml"
-        file.write_text(
-            yaml.safe_dump(
-                {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()},
-                sort_keys=False,
-            ),
-            encoding="utf-8",
-        )
-        return file
+        return write_parameters(configuration, parameters)
+
+
+def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> Path:
+    """Write the ROS 2 parameter file of some nodes, and return it.
+
+    Args:
+        directory: that it is in.
+        parameters: of each node, by its name.
+    """
+    file = directory / "parameters.yaml"
+    of_nodes = {f"/**/{name}": {"ros__parameters": own} for name, own in parameters.items()}
+    file.write_text(yaml.safe_dump(of_nodes, sort_keys=False), encoding="utf-8")
+    return file
 
 
 def _copy(source: Path, copy: Path) -> Path:

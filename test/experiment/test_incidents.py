@@ -33,7 +33,7 @@ def says(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, A
 def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With ticks and wall time, kept at each change; what lasts has no end."""
     now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
-    monkeypatch.setattr(incidents, "_now", lambda: now.isoformat())
+    monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
     said: list[str] = []
     log = IncidentLog(said.append, tmp_path / INCIDENTS)
     log.look(says("pump", drive="OK"), 1)
@@ -164,7 +164,7 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
 def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not since a minute later, when it is no longer waited for."""
     now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
-    monkeypatch.setattr(incidents, "_now", lambda: now.isoformat())
+    monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
     said: list[str] = []
     log = IncidentLog(said.append)
     now += timedelta(seconds=60)
