@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import command, print_findings, within
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.graph.domain import no_ros
+from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
@@ -81,10 +81,8 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Check the driver that the command line names."""
     arguments = make_parser().parse_args()
-    try:
+    with importing_ros():
         from greenroof_ros.graph.pump_check import Limits, check_pump
-    except ImportError as error:
-        raise no_ros(error) from error
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
     limits = Limits(command=arguments.command, **times)

@@ -19,7 +19,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, parse_drive_address
 from greenroof_ros.experiment.run_directory import writable
-from greenroof_ros.graph.domain import no_ros
+from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
@@ -303,10 +303,8 @@ def own_parameters(
     if file is None:
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
-    try:
+    with importing_ros():
         from greenroof_ros.graph.parameters import refuse_unknown_in
-    except ImportError as error:
-        raise no_ros(error) from error
     whole = {f"{arguments.namespace}/{name}": module for name, module in nodes.items()}
     refuse_unknown_in(file, whole, controller, _OF_BRINGUP)
     return [file]

