@@ -146,13 +146,12 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
         reason, last_lines, code = error.reason, error.last_lines, error.code
     elif not isinstance(error, InterruptedRun):
         reason = f"{type(error).__name__}: {error}"
+        last_lines = "".join(traceback.format_exception(error)).rstrip()
     reason = "; ".join(filter(None, (reason, supervisor.may_run)))
     record.write(summary.FAILED, reason)
     record.wait()
     notify(f"STATUS={reason}")
     say("\n".join(filter(None, (f"error: {reason}", last_lines))))
-    if not isinstance(error, (InterruptedRun, NodeFailed)):
-        say("".join(traceback.format_exception(error)).rstrip())
     return EXIT_FAILED if supervisor.may_run else code
 
 
@@ -191,32 +190,25 @@ class _Start:
             part for part in parts_in(reports) if part.is_lost and part.said["level"] != "WARN"
         ]
         causes = {part.rule.stops_pump for part in lost if not part.rule.follows}
-        listed = [
-            part for part in lost if not (part.rule.follows and part.rule.stops_pump in causes)
-        ]
-        missing: list[tuple[str, ...]] = [
-            (part.node, part.name, part.said["code"]) for part in listed
-        ]
-        lines = [
-            f"  {part.node}: {part.name}: {part.said['message']}. "
-            f"{self._advice(part.node, part.said['code'])}"
-            for part in listed
-        ]
+        missing: dict[tuple[str, ...], str] = {
+            (part.node, part.name, part.said["code"]): f"  {part.node}: {part.name}: "
+            f"{part.said['message']}. {self._advice(part.node, part.said['code'])}"
+            for part in lost if not (part.rule.follows and part.rule.stops_pump in causes)
+        }
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = inhibit or (pump.get("active") is False and str(pump.get("pump")))
-        stopped = any(part.rule.stops_pump for part in listed)
+        stopped = any(part.rule.stops_pump for part in lost)
         if why and not stopped:
-            missing.append((why,))
-            lines.append(f"  the pump is kept off: {why}")
+            missing[why,] = f"  the pump is kept off: {why}"
         self._over = not (stopped or why or None in _levels(reports).values())
-        now = time.monotonic()
-        if missing != self._seen[0]:
-            self._seen = missing, now
+        codes, now = list(missing), time.monotonic()
+        if codes != self._seen[0]:
+            self._seen = codes, now
         title = "missing:" if self._said is None else "still missing:"
         stands = self._said is None or self._over or now - self._seen[1] > _LISTED_S
-        if missing and missing != self._said and stands:
-            self._said = missing
-            say("\n".join([title, *lines]))
+        if missing and codes != self._said and stands:
+            self._said = codes
+            say("\n".join([title, *missing.values()]))
         if self._over:
             say(f"running: {levels}")
 

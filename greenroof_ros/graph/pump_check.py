@@ -20,7 +20,7 @@ from std_msgs.msg import Float64, String
 
 from greenroof_ros.common.command_line import Finding
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import Qos, read_topics
 from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.inputs import call_node
@@ -228,24 +228,29 @@ class PumpCheck:
     def _name(self, topic: str) -> str:
         return self._node.resolve_topic_name(self._interface[topic].graph_name)
 
-    def _ends(self, infos: list[Any]) -> list[Any]:
-        namespace = self._node.get_namespace()
+    def _ends(self) -> list[tuple[str, Qos, list[Any]]]:
+        """Return of flow and command the end that the driver must have, its profile, and who is."""
+        node, flow, command = self._node, self._interface["/pump/flow"], self._interface[_COMMAND]
+        publishers = node.get_publishers_info_by_topic(self._name(flow.name))
+        subscriptions = node.get_subscriptions_info_by_topic(self._name(command.name))
         return [
-            info for info in infos
-            if info.node_name == self._driver and info.node_namespace == namespace
+            (f"publisher of {flow.name}", flow.qos, publishers),
+            (
+                f"subscription to {command.name}", replace(command.qos, lease_s=math.inf),
+                subscriptions,
+            ),
         ]
+
+    def _of_driver(self, infos: list[Any]) -> list[Any]:
+        driver = self._driver, self._node.get_namespace()
+        return [info for info in infos if (info.node_name, info.node_namespace) == driver]
 
     def _wait_for_driver(self) -> None:
         """Wait until the driver has both its topics, and nobody else is there."""
         until = time.monotonic() + self._limits.arrival
-        flow, command = self._name("/pump/flow"), self._name(_COMMAND)
-        while True:
-            publishers = self._ends(self._node.get_publishers_info_by_topic(flow))
-            subscriptions = self._ends(self._node.get_subscriptions_info_by_topic(command))
-            if publishers and subscriptions:
-                break
+        while not all(self._of_driver(infos) for *_, infos in self._ends()):
             if time.monotonic() > until:
-                raise ConfigurationError(self._absent(flow, command))
+                raise ConfigurationError(self._absent())
             self._spin(0.1)
         for topic in _PLAYED:
             others = self._node.get_publishers_info_by_topic(self._name(topic))
@@ -256,33 +261,20 @@ class PumpCheck:
                     "controller itself; end the graph first"
                 )
 
-    def _absent(self, flow: str, command: str) -> str:
-        infos = [
-            *self._node.get_publishers_info_by_topic(flow),
-            *self._node.get_subscriptions_info_by_topic(command),
-        ]
-        seen = ", ".join(sorted({call_node(info.node_name) for info in infos})) or "no node"
+    def _absent(self) -> str:
+        names = {call_node(info.node_name) for *_, infos in self._ends() for info in infos}
         return (
-            f"no node {self._driver} publishes {flow} and subscribes to {command} within "
-            f"{self._limits.arrival:g} s; there is {seen}. Start the driver first, in the same "
+            f"no node {self._driver} publishes {self._name('/pump/flow')} and subscribes to "
+            f"{self._name(_COMMAND)} within {self._limits.arrival:g} s; there is "
+            f"{', '.join(sorted(names)) or 'no node'}. Start the driver first, in the same "
             "ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE"
         )
 
     def _unfit(self) -> str:
         """Return what the ends of its topics lack."""
-        flow, command = self._interface["/pump/flow"], self._interface[_COMMAND]
-        publishers = self._node.get_publishers_info_by_topic(self._name(flow.name))
-        subscriptions = self._node.get_subscriptions_info_by_topic(self._name(command.name))
         return "; ".join(
             f"its {what} {' and '.join(lacking)}; it must be {requirements(qos)}"
-            for what, infos, qos in (
-                (f"publisher of {flow.name}", publishers, flow.qos),
-                (
-                    f"subscription to {command.name}", subscriptions,
-                    replace(command.qos, lease_s=math.inf),
-                ),
-            )
-            for info in self._ends(infos)
+            for what, qos, infos in self._ends() for info in self._of_driver(infos)
             if (lacking := lacks(info.qos_profile, qos))
         )
 

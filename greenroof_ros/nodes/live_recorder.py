@@ -59,17 +59,18 @@ class LiveRecorderNode(LinkedNode):
                 f"must be at least twice file_limit, {file:g} MB",
                 key="parameter total_limit of recorder", value=total,
             )
-        topics = [topic for topic in self.interface.values() if topic.live]
-        names = [self.resolve_topic_name(topic.graph_name) for topic in topics]
+        topics = {
+            self.resolve_topic_name(topic.graph_name): topic for topic in self.interface.values()
+        }
         self._bag = LiveBag(
             Path(values["directory"]).resolve(),
-            [replace(topic, name=name) for topic, name in zip(topics, names, strict=True)],
+            [replace(topic, name=name) for name, topic in topics.items()],
             file_bytes=int(file * _MB),
             total_bytes=int(total * _MB),
         )
         self._unwritten = 0  # messages for which there was no room in memory
         self._looked_at = time.monotonic()
-        for topic, name in zip(topics, names, strict=True):
+        for name, topic in topics.items():
             self.record(topic.name, partial(self._take, name))
 
     def _take(self, name: str, message: bytes) -> None:

@@ -255,9 +255,7 @@ class PumpNode(Lifecycle, LinkedNode):
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         self._settings = PumpSettings(**given)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
-        self._state_file = state_directory() / f"{own_name}.json"
-        if values["state_file"]:
-            self._state_file = Path(values["state_file"])
+        self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         # Within which time a drive that is not heard stands (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._without_timeout:

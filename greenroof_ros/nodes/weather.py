@@ -329,15 +329,12 @@ class WeatherNode(LinkedNode):
     def _learn(self, dressing: LiveDressing, now: datetime, rain: float | None) -> None:
         """Add what the gauge says (m/s) to what is known of forecasts, and say if that is lost."""
         dressing.measure(now, rain)
-        part = "record of forecasts"
+        code, why = "record_not_kept", dressing.problem and f"is not kept: {dressing.problem}"
         if dressing.few:
-            why = f"the forecast is used as it was issued: {dressing.few}"
-            self.diagnose(part, WARN, why, "record_short")
-        elif dressing.problem:
-            self.diagnose(part, WARN, f"is not kept: {dressing.problem}", "record_not_kept")
-        else:
-            well = "is used; without /gauge/precipitation nothing is added to it"
-            self.diagnose(part, OK, "is kept" if self._rain_gauge.good else well)
+            code, why = "record_short", f"the forecast is used as it was issued: {dressing.few}"
+        well = "is used; without /gauge/precipitation nothing is added to it"
+        well = "is kept" if self._rain_gauge.good else well
+        self.say("record of forecasts", why, well, code, WARN)
 
     def on_stop(self) -> None:
         """Let what was learned be written."""
@@ -398,12 +395,10 @@ class WeatherNode(LinkedNode):
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
         """Say how a gauge is that has a publisher; a site may do without."""
-        if gauge.good:
-            self.diagnose(part, OK, f"{gauge.name} is good")
-        elif gauge.heard:
-            self.diagnose(
-                part, WARN, f"{gauge.problem}; {instead}", "gauge_bad", gauge.verdict.code
-            )
+        if gauge.good or gauge.heard:
+            bad = "" if gauge.good else f"{gauge.problem}; {instead}"
+            cause = gauge.verdict.code
+            self.say(part, bad, f"{gauge.name} is good", "gauge_bad", WARN, cause)
 
 
 main = node_command(WeatherNode, partial(
