@@ -20,7 +20,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
@@ -233,12 +233,8 @@ def _sections(
 
 def _names(module: str, controller: ControllerChoice) -> set[str]:
     """Return the names of what the node of a module declares."""
-    try:
+    with in_extra("pump"):
         node = import_module(module)
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"{module} needs {error.name}: pip install 'greenroof_ros[pump]'"
-        ) from error
     of = controller if module.endswith(".controller") else default_site()
     return {one.name for one in node.parameters(of)}
 

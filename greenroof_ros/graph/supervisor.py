@@ -331,7 +331,6 @@ class Supervisor:
         }
         for node in limits:
             self.nodes[node].process.send_signal(signal.SIGTERM)
-        killed = set()
         while limits:
             self._read(0.02)
             passed = time.monotonic() - asked
@@ -339,8 +338,7 @@ class Supervisor:
                 process = self.nodes[node].process
                 if process.poll() is not None or passed > limit + KILLING_S:
                     del limits[node]
-                elif passed > limit and node not in killed:
-                    killed.add(node)
+                elif passed > limit:
                     process.kill()
         self._read(0.0)
         if all(node.process.poll() is not None for node in self.nodes.values()):
