@@ -70,8 +70,7 @@ class LevelSensorNode(LinkedNode):
             self.reports.numbers["sensor"] = {"level": reading.level}
             if reading.level is not None:
                 self.publish(self._topic, reading.level)
-            problem = reading.problem if reading.level is None else ""
-            self.say("sensor", problem, "the sensor is read", "sensor_lost")
+            self.say("sensor", reading.problem, "the sensor is read", "sensor_lost")
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:

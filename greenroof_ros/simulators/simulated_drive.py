@@ -137,17 +137,10 @@ class SimulatedDrive(ABC):
             name: Register(address, address, "uint16", name, "none")
             for name, address in self.EXTRA.items()
         } | file.registers
-        sequences = file.sequences
         self._commands = {"control", "reference"} | {
-            step.write
-            for steps in (sequences.ready, sequences.run, sequences.stop, sequences.reset)
-            for step in steps
+            step.write for steps in vars(file.sequences).values() for step in steps
         }
-        self._words = {
-            address: 0
-            for register in self._registers.values()
-            for address in range(register.address, register.address + register.width)
-        }
+        self._words = {address: 0 for name in self._registers for address in self._addresses(name)}
         self._write_constants()
         self._writable = {
             address: name
