@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -12,19 +12,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 
-# Attribute: column of the file.
-_COLUMNS = {
-    "time": "time_s",
-    "cistern": "cistern_m3",
-    "roof": "roof_m3",
-    "precipitation": "precipitation_m_per_s",
-    "evapotranspiration": "evapotranspiration_m3_per_s",
-    "command": "command",
-    "pump_flow": "pump_flow_m3_per_s",
-    "outflow": "outflow_m3_per_s",
-    "drainage": "drainage_m3_per_s",
-    "frost": "frost",
-}
+Samples = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +34,16 @@ class Trajectory:
     """
 
     start: datetime
-    time: NDArray[np.float64]
-    cistern: NDArray[np.float64]
-    roof: NDArray[np.float64]
-    precipitation: NDArray[np.float64]
-    evapotranspiration: NDArray[np.float64]
-    command: NDArray[np.float64]
-    pump_flow: NDArray[np.float64]
-    outflow: NDArray[np.float64]
-    drainage: NDArray[np.float64]
-    frost: NDArray[np.float64]
+    time: Samples = field(metadata={"column": "time_s"})
+    cistern: Samples = field(metadata={"column": "cistern_m3"})
+    roof: Samples = field(metadata={"column": "roof_m3"})
+    precipitation: Samples = field(metadata={"column": "precipitation_m_per_s"})
+    evapotranspiration: Samples = field(metadata={"column": "evapotranspiration_m3_per_s"})
+    command: Samples = field(metadata={"column": "command"})
+    pump_flow: Samples = field(metadata={"column": "pump_flow_m3_per_s"})
+    outflow: Samples = field(metadata={"column": "outflow_m3_per_s"})
+    drainage: Samples = field(metadata={"column": "drainage_m3_per_s"})
+    frost: Samples = field(metadata={"column": "frost"})
 
     def thinned(self, every: int) -> Trajectory:
         """Return the first of so many samples each, and the last of all."""
@@ -76,6 +64,12 @@ class Trajectory:
             {column: getattr(self, name) for name, column in _COLUMNS.items()}
         ).write_parquet(stream, compression="zstd", metadata={"start": self.start.isoformat()})
         return stream.getvalue()
+
+
+# Attribute: column of the file.
+_COLUMNS: dict[str, str] = {
+    one.name: one.metadata["column"] for one in fields(Trajectory) if one.metadata
+}
 
 
 def read_parquet(path: Path) -> Trajectory:
