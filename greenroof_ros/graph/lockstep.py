@@ -229,7 +229,7 @@ class Lockstep:
         return clock is not None and clock.publishers.count == 0
 
     def _refusal(self, message: str) -> Exception:
-        """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
+        """Return how a second publisher ends it: a wrong set-up before the run, then a failure."""
         return LockstepError(message) if self._node.acted else OccupiedError(message)
 
     # --- who is missing ---------------------------------------------------------------------
