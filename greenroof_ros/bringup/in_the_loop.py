@@ -1,9 +1,8 @@
-"""What a drive in the loop adds to a simulated run: its speed, its pump node, its start."""
+"""What a drive in the loop adds to a simulated run: its pump node, and its start."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,26 +15,6 @@ from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
 
 # How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
 _DRIVE_LIMIT_S = 60.0
-
-
-def checked_speed(
-    asked: float | None, drive: DriveChoice | None, check: Callable[[], None]
-) -> float:
-    """Return the simulated time per wall time; 0 for as fast as it goes, which no drive does.
-
-    Args:
-        asked: on the command line; None where it says nothing.
-        drive: in the loop; None where there is none.
-        check: called again and again; raises what ends the wait for a drive.
-
-    Raises:
-        ConfigurationError: no drive but a simulated one runs at that speed.
-    """
-    if drive is None:
-        return asked or 0.0
-    speed = 1.0 if asked is None else asked
-    drive.refuse_speed(speed, check)
-    return speed
 
 
 def drive_parameters(

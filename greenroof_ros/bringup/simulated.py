@@ -20,7 +20,7 @@ from greenroof_ros.bringup.drive import (
     own_parameters,
     refuse,
 )
-from greenroof_ros.bringup.in_the_loop import checked_speed, drive_parameters, wait_for_drive
+from greenroof_ros.bringup.in_the_loop import drive_parameters, wait_for_drive
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, command
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, say
@@ -110,7 +110,11 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         **({RECORDER: f"{_NODES}.recorder"} if not arguments.no_record else {}),
     }
     own = own_parameters(arguments, nodes, run.controller)
-    speed = checked_speed(arguments.speed, drive, signals.check)
+    speed = arguments.speed
+    if speed is None:  # in the loop as a real drive, else as fast as it goes
+        speed = 0.0 if drive is None else 1.0
+    if drive is not None:
+        drive.refuse_speed(speed, signals.check)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace, {*nodes, RECORDER, *controller_names()}, signals.check
