@@ -100,7 +100,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
     targets = array("d", _targets(run, still, edges, deviation))
-    done = carry_out(run, lambda k, x1, x2: targets[min(k + 1, run.steps)], max_command)
+    done = carry_out(run, lambda k, x1, x2: targets[k + 1], max_command)
     return Bound(cost, done.total_m3, done.pumped_m3, done.flows, block, message)
 
 

@@ -39,6 +39,8 @@ _LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 _CLIMATE = "monthly_evapotranspiration"
 # Names the file that has what a site file does not say.
 _EXTENDS = "extends"
+# Parameters of earlier versions that changed nothing: the sites that older runs keep have them.
+_WITHOUT_EFFECT = ("pumps_in_series", "pumps_in_parallel")
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
@@ -149,14 +151,6 @@ class Site:
     initial_layer: float = entry(
         "in the drainage layer when a run begins, in whatever state of the rest", *_NOT_NEGATIVE,
         unit="m3", default=0.0,
-    )
-    pumps_in_series: int = entry(
-        "one behind another, for whose summed head the pump curve stands", 1, 100, unit="pumps",
-        default=1,
-    )
-    pumps_in_parallel: int = entry(
-        "side by side, for whose summed flow the pump curve stands", 1, 100, unit="pumps",
-        default=1,
     )
     pump_efficiency: float = entry(
         "hydraulic over electric power of pumps and motors", 0.001, 1.0, unit="1", default=0.5,
@@ -429,7 +423,7 @@ def read_site(path: Path) -> Site:
 
     known = {key.name: key for key in keys(Site)}
     for name, (file, line, _) in given.items():
-        if name not in known:
+        if name not in known and name not in _WITHOUT_EFFECT:
             raise ConfigurationError(
                 f"is not a parameter of a site; {did_you_mean(name, known)}",
                 file=file, line=line, key=name,
