@@ -230,8 +230,8 @@ class Lookahead:
             share = self._share(x1, x2, level, *now)
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
         self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
-        self._regret_budget.move(x1, x2, fraction, self._flow, *now)
-        self._observer.predict(x2, *now, self._flow)
+        left = max(0.0, self._observer.predict(x2, *now, self._flow))
+        self._regret_budget.move(x1, x2, left, fraction, self._flow, *now)
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
@@ -326,7 +326,7 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that leads to a level, and not beyond it.
+        """Return the command that leads to a level, and not beyond it; 0 too early for a start.
 
         Args:
             x1: in the cistern (m3).
@@ -338,17 +338,14 @@ class Lookahead:
         share = command_to(
             self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
         )
-        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
-        return share if self._flow else self._start(share)
-
-    def _start(self, share: float) -> float:
-        """Return the command of pumps that stand still: 0 while it is too early for a start."""
-        # Half a tick less: the sum of the ticks is rounded.
-        if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
+        if share < _LEAST_COMMAND:
             return 0.0
-        if share:
+        if not self._flow:
+            # Half a tick less: the sum of the ticks is rounded.
+            if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
+                return 0.0
             self._since_start = 0.0
-        return share
+        return min(share, self._max_command)
 
     def _pass_tick(self) -> None:
         self._age += self._site.tau

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
 from greenroof_ros.experiment.run import Run
@@ -16,7 +14,6 @@ from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-Values = NDArray[np.float64]
 Wanted = Callable[[int, float, float], float]
 
 # Of the recursion: length of a step (s), at most so many of them, for the memory of their levels,
@@ -25,21 +22,13 @@ _STEP_S, _MOST_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
 
-@dataclass(frozen=True, eq=False)
-class CarriedOut:
-    """A plan that was run through the exact plant.
-
-    Attributes:
-        total_m3: total deviation (m3, summed over the ticks).
-        pumped_m3: volume pumped.
-        flows: of the pumps in each tick (m3/s), shape (N,).
-        commands: share of the maximum flow, likewise (1).
-    """
+class CarriedOut(NamedTuple):
+    """A plan that was run through the exact plant."""
 
     total_m3: float
+    """total deviation (m3, summed over the ticks)"""
     pumped_m3: float
-    flows: Values
-    commands: Values
+    """volume pumped (m3)"""
 
 
 def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
@@ -53,7 +42,6 @@ def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
     """
     site, soil, series, n = run.site, soil_of(run.site), run.series, run.steps
     plant, metrics = Plant(site, run.x1, run.x2), Metrics()
-    flows, commands = array("d"), array("d")
     weather = series.precipitation[:n], series.evapotranspiration[:n], series.frost[:n]
     for k, (rain, asked, frost) in enumerate(zip(*weather, strict=True)):
         command = 0.0
@@ -67,14 +55,9 @@ def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
         metrics.observe(site, plant.x1, plant.x2, plant.layer)
         metrics.step(command, rain, asked, moved)
         plant.step(rain, moved)
-        flows.append(moved.pump)
-        commands.append(command)
     metrics.observe(site, plant.x1, plant.x2, plant.layer)
     found = metrics.results()
-    return CarriedOut(
-        found["total_deviation_m3"], found["pumped_m3"], np.frombuffer(flows),
-        np.frombuffer(commands),
-    )
+    return CarriedOut(found["total_deviation_m3"], found["pumped_m3"])
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
