@@ -139,8 +139,7 @@ class Lookahead:
             [*_put_together(own, site.tau, 0.0), *days],
             [*_put_together(own, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
         ]
-        self._programs = [OrderUpTo(site, edges[kept], cvar_level) for kept in self._kept]
-        self._program = self._programs[0]  # of the policy
+        self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._trust = Trust(site, self._program, trust_memory)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -269,15 +268,13 @@ class Lookahead:
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        several = len(rain) > 1
-        kept = self._kept[several]
+        kept = self._kept[len(rain) > 1]
         edges = self._after.edges[kept]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
         evaporated = self._means(evaporated, kept)
         flow = np.full(len(edges) - 1, self._most_flow(x1))
         groups = halved_by_rain(rain, edges, self._recourse)
-        self._program = self._programs[several]
-        self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
+        self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0
         self.solves += 1
         self.planned_deviation = self._policy.cost

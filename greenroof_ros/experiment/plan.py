@@ -79,10 +79,9 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
         for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
     )
     flow = max_command * maximum_pump_flow(site, run.x1) * (1 - frost)
-    program = OrderUpTo(site, site.tau * np.append(starts, n), fine=_NODES)
-    policy = program.solve(
-        run.x1, run.x2, rain[None], evaporated, flow, np.zeros((1, len(starts)), dtype=np.intp)
-    )
+    program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
+    together = np.zeros((1, len(starts)), dtype=np.intp)
+    policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
 
     def wanted(k: int, x1: float, x2: float) -> float:
         stored = program.stored(x1, x2) if len(policy.water) > 1 else 0.0

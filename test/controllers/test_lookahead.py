@@ -66,7 +66,8 @@ class Tiny:
         """Solve it by the recursion."""
         site, hours = self.site, len(self.pumps)
         rain = np.array(self.rain) * UNIT / HOUR / site.a2
-        return OrderUpTo(site, HOUR * np.arange(hours + 1), self.risk).solve(
+        return OrderUpTo(site, self.risk).solve(
+            HOUR * np.arange(hours + 1),
             site.cistern_volume(site.suction_level) + self.water * UNIT, self.roof * UNIT, rain,
             np.array(self.evaporated) * UNIT / HOUR, np.array(self.pumps) * UNIT / HOUR, groups,
         )
@@ -438,9 +439,9 @@ def test_it_fills_in_time_for_an_hour_without_pumps() -> None:
     site, hours = site_with(a_in=1e-9), 6
     dries = np.full(hours, 0.05 / HOUR)
     pumps = np.array([8e-3, 8e-3, 0.0, 0.0, 8e-3, 8e-3])
-    problem = OrderUpTo(site, HOUR * np.arange(hours + 1))
+    problem, edges = OrderUpTo(site), HOUR * np.arange(hours + 1)
     given = 57.0, 2.0, np.zeros((1, hours)), dries, pumps
-    policy = problem.solve(*given, np.zeros((1, hours), dtype=np.intp))
+    policy = problem.solve(edges, *given, np.zeros((1, hours), dtype=np.intp))
     pumped, roof = problem.follow(policy, *given)
     assert pumped[0, 2:4].tolist() == [0.0, 0.0]
     dried = site.x2_star - np.array([0.0, 0.0, 0.05, 0.1, 0.0, 0.0])

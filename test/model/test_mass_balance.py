@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from hypothesis import example, given
@@ -14,8 +12,6 @@ from paper import (
     exact_flows,
     measured_sites,
     paper_run,
-    run_of_hours,
-    site_file,
     sites,
 )
 from places import CONFIG
@@ -142,54 +138,3 @@ def test_hours_of_which_nothing_is_limited(options: str, drains: float, layer: b
     assert (metrics["drainage_m3"] > drains) == layer
     if layer:
         assert 0 < metrics["final_layer_m3"] < metrics["drainage_m3"]
-
-
-def test_a_layer_that_begins_with_water_balances(tmp_path: Path) -> None:
-    """Dry hours, a roof at its target: what drains off is what the layer held, but for a trace.
-
-    Without inflow dV/dt = -k V^2 leaves V / (1 + k V t) of it, whatever the tick.
-    """
-    file = site_file(
-        tmp_path, field_capacity=0.6, wilting_point=0.02, depletion_fraction=0.5, z_cap=20.64,
-        drainage_storage=0.0055, drainage_time=500.0, initial_cistern=50.0, initial_roof=3.2,
-        initial_layer=0.3,
-    )
-    run = paper_run(
-        "--controller", "onoff", "--site", str(file), "--start", "2021-07-07T14:00", "--hours", "6"
-    )
-    metrics = assert_balance(run)
-    left = 0.3 / (1 + 0.3 * 6 * 3600 / (68.8 * 0.0055 * 500))
-    assert metrics["rain_m3"] == metrics["pumped_m3"] == 0
-    assert metrics["final_layer_m3"] == pytest.approx(left, rel=1e-9)
-    assert metrics["drainage_m3"] == pytest.approx(0.3 - left, rel=1e-9)
-
-
-def test_a_cistern_with_a_low_outlet_balances(tmp_path: Path) -> None:
-    """A storm on 500 m2 of roofs, of which 0.9 arrives, while the detention volume empties."""
-    file = site_file(
-        tmp_path, a_in=500.0, runoff_coefficient=0.9, low_outlet_level=1.5, low_outlet_radius=0.03
-    )
-    metrics = assert_balance(paper_run(
-        "--controller", "lookahead", "--horizon", "12", "--site", str(file),
-        "--start", "2021-07-08T00:00",
-    ))
-    assert metrics["limited_steps"] == 0
-    assert metrics["rain_cistern_m3"] > 5
-    assert metrics["outflow_m3"] > 20
-    assert 37 < metrics["final_cistern_m3"] < 50
-
-
-@given(
-    hours=st.lists(
-        st.tuples(st.floats(0, 500), st.floats(0, 50), st.just(False)), min_size=1, max_size=3
-    ),
-    x1=st.floats(0, 200),
-    x2=st.floats(0, 70),
-    v=st.floats(0.01, 3),
-)
-@example([(0.0, 50.0, False)], 0.0, 0.1, 1.0)
-def test_any_run_balances(
-    hours: list[tuple[float, float, bool]], x1: float, x2: float, v: float
-) -> None:
-    """Random hours, from drought to the worst believable rain, in ticks of 10 s."""
-    assert_balance(run_of_hours(hours, x1, x2, replace(PAPER_SITE, tau=10.0), fraction=v))

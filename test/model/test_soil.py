@@ -55,18 +55,6 @@ def test_both_soils_have_the_same_methods() -> None:
     assert public[0] <= public[1]
 
 
-def test_water_stress_in_millimetres() -> None:
-    """FAO-56's Eqs. 82-84: TAW = 1000 (0.22 - 0.14) 1 m = 80 mm, RAW = 0.4 TAW = 32 mm.
-
-    Where 60 mm are gone, K_s = (80 - 60) / (80 - 32).
-    """
-    tomato = replace(
-        site_with(a2=100.0, z_soil=1.0, z_veg=0.1), z_cap=22.0,
-        field_capacity=0.22, wilting_point=0.14, depletion_fraction=0.4,
-    )
-    assert soil_of(tomato).water_stress(22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
-
-
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
@@ -124,15 +112,6 @@ def test_a_layer_by_hand(
 ) -> None:
     found = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
     assert found == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
-
-
-def test_a_roof_without_a_layer() -> None:
-    """What percolates drains off in the same tick."""
-    plant = Plant(BARE, 50.0, 5.0)
-    flows = plant.flows(1e-4, 0.0, 0.0)
-    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
-    plant.step(1e-4, flows)
-    assert plant.layer == 0.0
 
 
 @settings(max_examples=25, deadline=None)
