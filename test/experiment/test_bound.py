@@ -269,24 +269,6 @@ def test_mains_are_there_to_be_pumped() -> None:
     assert bound.bound_m3 == pytest.approx(4 * 91.4 - 23 - 27 - 31, rel=1e-6)
 
 
-def test_outlets_are_left_out_of_the_bound() -> None:
-    """With a low outlet, whose water may be gone, it is the bound without, and below every run.
-
-    What arrives of the rain counts: half of it on twice the catchment is the same.
-    """
-    hours = [(0.0, 10.0, False), (8.0, 0.0, False), (0.0, 10.0, False)]
-    low = replace(
-        SLOW, a_in=40.0, runoff_coefficient=0.5, low_outlet_level=0.8, low_outlet_radius=0.05
-    )
-    with_it = clairvoyant_bound(run_of(hours, 22.0, 0.5, low), block=1)
-    without = clairvoyant_bound(run_of(hours, 22.0, 0.5, replace(SLOW, a_in=20.0)), block=1)
-    assert with_it.bound_m3 == without.bound_m3 > 0
-    assert with_it.bound_m3 <= with_it.plan_m3
-    for command in (0.05, 0.5, 1.0):
-        cost = metrics_of(run_of(hours, 22.0, 0.5, low), Given([command]))["total_deviation_m3"]
-        assert with_it.bound_m3 <= cost
-
-
 def test_before_frost_the_roof_is_filled_above_the_target() -> None:
     """Pumping stops at z_veg, but the last tick before may carry the roof above it."""
     hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24
