@@ -158,7 +158,6 @@ class OrderUpTo:
         self._fine = fine
         self._soil = soil_of(site)
         self._cistern = Cistern(site)
-        self._area = site.a2
         self._place(*_COARSE)
         self._water = np.zeros(1)
 
@@ -286,7 +285,7 @@ class OrderUpTo:
         """
         soil, most, asked = self._soil, flow * seconds, evapotranspiration * seconds
         filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
-        alone = soil.after(filled, rain * self._area * seconds, asked, seconds)
+        alone = soil.after(filled, rain * self._site.a2 * seconds, asked, seconds)
         held = np.minimum(filled, soil.after(filled, most, asked, seconds))
         held = np.where(level >= filled, np.maximum(alone, held), alone)
         took = self._content(filled) - self._content(roof)
@@ -322,7 +321,7 @@ class OrderUpTo:
         # Left alone: what is the same for all members is worked out once.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
+        alone = soil.after(nodes, rain * (self._site.a2 * seconds), asked, seconds)
         stored = there = self._water
         if scarce:
             there = np.maximum(self._water[:, None] - self._contents, 0.0)
