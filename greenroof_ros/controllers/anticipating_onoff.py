@@ -136,8 +136,8 @@ class AnticipatingOnOff:
         command = self.fraction if dry else 0.0
         self._waited += site.tau
         pumped, now = pump_flow(site, x1, x2, command), (float(rain[0, 0]), float(evaporated[0]))
-        self._regret_budget.move(x1, x2, self.fraction, pumped, *now)
-        self._observer.predict(x2, *now, pumped)
+        left = max(0.0, self._observer.predict(x2, *now, pumped))
+        self._regret_budget.move(x1, x2, left, self.fraction, pumped, *now)
         return command
 
     def skip(self) -> None:
@@ -150,14 +150,13 @@ class AnticipatingOnOff:
 
         Of a measured roof a time counts by the share of what is pumped now that is left then.
         """
-        rain, evaporated = self._after.lengthen(rain, evaporated)
+        (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
         changes = self._soil.free_changes(x2, *weather)
-        (inflow,) = changes
         # Half-way through each step, since there the sum is the step's mean.
-        course = x2 + np.cumsum(inflow) - inflow / 2
+        course = x2 + np.cumsum(changes) - changes / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
-        dry_s = dry_s * self._soil.lasting_share(x2, changes, *weather)[0]
+        dry_s = dry_s * self._soil.lasting_share(x2, changes, *weather)
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

@@ -91,10 +91,9 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
         problem = ""
         try:
             check(_Trial(choice, site))
-        except _ProblemError as error:
-            problem = str(error)
         except Exception as error:  # whatever a user's class raises
-            problem = f"raises {type(error).__name__}: {error}"
+            known = isinstance(error, _ProblemError)
+            problem = str(error) if known else f"raises {type(error).__name__}: {error}"
         findings.append(Finding(what, problem))
     return findings
 
@@ -126,14 +125,6 @@ def _parameters(trial: _Trial) -> None:
             raise _ProblemError(
                 f"the default of {parameter.name}, {parameter.default:g}, {parameter.expected}"
             )
-
-
-def _constructor(trial: _Trial) -> None:
-    trial.made()
-
-
-def _commands(trial: _Trial) -> None:
-    trial.ask(trial.made())
 
 
 def _whole_range(trial: _Trial) -> None:
@@ -236,11 +227,12 @@ def _statistics(trial: _Trial) -> None:
 
 # Each check by what it finds out, in the order in which a user should repair them. It raises a
 # _ProblemError, or whatever the controller does, where that is not so.
-_CHECKS: dict[str, Callable[[_Trial], None]] = {
+_CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names, units, meanings, and defaults within their ranges":
         _parameters,
-    "it is made with the site and a value for each parameter": _constructor,
-    "its commands are finite and not negative, at all levels and forecasts": _commands,
+    "it is made with the site and a value for each parameter": _Trial.made,
+    "its commands are finite and not negative, at all levels and forecasts":
+        lambda trial: trial.ask(trial.made()),
     "so they are with each parameter at either end of its range": _whole_range,
     "two of it give the same commands to the same inputs": _deterministic,
     "it leaves the forecasts that it gets as they are": _inputs_kept,

@@ -139,8 +139,7 @@ class Lookahead:
             [*_put_together(own, site.tau, 0.0), *days],
             [*_put_together(own, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
         ]
-        self._programs = [OrderUpTo(site, edges[kept], cvar_level) for kept in self._kept]
-        self._program = self._programs[0]  # of the policy
+        self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._trust = Trust(site, self._program, trust_memory)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -230,8 +229,8 @@ class Lookahead:
             share = self._share(x1, x2, level, *now)
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
         self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
-        self._regret_budget.move(x1, x2, fraction, self._flow, *now)
-        self._observer.predict(x2, *now, self._flow)
+        left = max(0.0, self._observer.predict(x2, *now, self._flow))
+        self._regret_budget.move(x1, x2, left, fraction, self._flow, *now)
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
@@ -269,15 +268,13 @@ class Lookahead:
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        several = len(rain) > 1
-        kept = self._kept[several]
+        kept = self._kept[len(rain) > 1]
         edges = self._after.edges[kept]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
         evaporated = self._means(evaporated, kept)
         flow = np.full(len(edges) - 1, self._most_flow(x1))
         groups = halved_by_rain(rain, edges, self._recourse)
-        self._program = self._programs[several]
-        self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
+        self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0
         self.solves += 1
         self.planned_deviation = self._policy.cost
@@ -326,7 +323,7 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that leads to a level, and not beyond it.
+        """Return the command that leads to a level, and not beyond it; 0 too early for a start.
 
         Args:
             x1: in the cistern (m3).
@@ -338,17 +335,14 @@ class Lookahead:
         share = command_to(
             self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
         )
-        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
-        return share if self._flow else self._start(share)
-
-    def _start(self, share: float) -> float:
-        """Return the command of pumps that stand still: 0 while it is too early for a start."""
-        # Half a tick less: the sum of the ticks is rounded.
-        if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
+        if share < _LEAST_COMMAND:
             return 0.0
-        if share:
+        if not self._flow:
+            # Half a tick less: the sum of the ticks is rounded.
+            if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
+                return 0.0
             self._since_start = 0.0
-        return share
+        return min(share, self._max_command)
 
     def _pass_tick(self) -> None:
         self._age += self._site.tau

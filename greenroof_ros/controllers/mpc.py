@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,10 @@ from greenroof_ros.model.smooth_plant import linearise
 _log = logging.getLogger(__name__)
 
 # Commands are right to 1e-8 (held against an exact solution in the tests). The adaptation of rho
-# is counted in iterations, since by the clock two equal runs would differ.
-_SOLVER_SETTINGS = {
+# is counted in iterations, since by the clock two equal runs would differ. Beyond max_iter a tick
+# falls back.
+_SOLVER_SETTINGS: dict[str, Any] = {
+    "max_iter": 4000,
     "eps_abs": 1e-10,
     "eps_rel": 1e-10,
     "rho": 1.0,
@@ -74,20 +76,13 @@ class Mpc:
         "/controller/cost": "cost", "/controller/solver_status": "status",
     }
 
-    def __init__(
-        self,
-        site: Site,
-        weight: float,
-        max_command: float,
-        max_iterations: int = 4000,
-    ) -> None:
+    def __init__(self, site: Site, weight: float, max_command: float) -> None:
         """Set up the solver once; every tick only updates it.
 
         Args:
             site: the parameters of Table I; ``site.M`` is the look-ahead.
             weight: lambda of Eq. (11), greater than 0.
             max_command: upper bound of the commands, ``inf`` for none as in the paper.
-            max_iterations: OSQP's limit, beyond which a tick falls back.
         """
         # Half a second, which those who ask for the parameters alone are spared.
         import osqp
@@ -120,7 +115,6 @@ class Mpc:
             A=scipy.sparse.identity(size, format="csc"),
             l=np.zeros(size),
             u=np.full(size, max_command),
-            max_iter=max_iterations,
             **_SOLVER_SETTINGS,
         )
 

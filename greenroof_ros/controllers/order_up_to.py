@@ -143,25 +143,21 @@ class OrderUpTo:
     """
 
     def __init__(
-        self, site: Site, edges: Array, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
+        self, site: Site, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
     ) -> None:
-        """Take the site, and the steps.
+        """Take the site.
 
         Args:
             site: its parameters.
-            edges: ends of the steps (s from now), the first 0, shape (n + 1,).
             risk: share of the members, the better ones, that do not count (1), below 1.
             fine: nodes below and above the target, of a single forecast.
         """
         self._target = site.x2_star
         self._site = site
-        self._edges = edges
-        self._lengths = np.diff(edges)
         self._risk = risk
         self._fine = fine
         self._soil = soil_of(site)
         self._cistern = Cistern(site)
-        self._area = site.a2
         self._place(*_COARSE)
         self._water = np.zeros(1)
 
@@ -182,12 +178,13 @@ class OrderUpTo:
         return self._cistern.usable(x1) + self._content(x2)
 
     def solve(
-        self, x1: float, x2: float, rain: Array, evapotranspiration: Array, flow: Array,
-        groups: Indices,
+        self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
+        flow: Array, groups: Indices,
     ) -> Policy:
         """Find the least cost, and what to do for it.
 
         Args:
+            edges: ends of the steps (s from now), the first 0, shape (n + 1,).
             x1: in the cistern (m3).
             x2: on the roof (m3).
             rain: in each step (m/s), shape (members, n).
@@ -197,9 +194,10 @@ class OrderUpTo:
                 group is part of one of the step before; shape (members, n).
         """
         members, steps = rain.shape
+        lengths = np.diff(edges)
         full = float(self._content(self._target))
-        demand = full + float((evapotranspiration * self._lengths).sum())
-        scarce = self._cistern.scarce(x1, demand, float(self._edges[-1]))
+        demand = full + float((evapotranspiration * lengths).sum())
+        scarce = self._cistern.scarce(x1, demand, float(edges[-1]))
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
@@ -209,9 +207,9 @@ class OrderUpTo:
         value = np.zeros((1, len(self._water), len(self._nodes)))
         fill_to: list[Array] = []
         group_of: list[Indices] = []
-        most, asked = flow * self._lengths, evapotranspiration * self._lengths
+        most, asked = flow * lengths, evapotranspiration * lengths
         # Pumps and water that are never the limit: the driest roof can be filled in the step.
-        filled = self._soil.after(np.zeros(steps), most, asked, self._lengths)
+        filled = self._soil.after(np.zeros(steps), most, asked, lengths)
         strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
@@ -225,14 +223,14 @@ class OrderUpTo:
                     of_members[alike] = index
             value, levels = self._before(
                 value, rain[: len(value), step, None, None], float(asked[step]), float(flow[step]),
-                float(self._lengths[step]), bool(strong[step]), together,
+                float(lengths[step]), bool(strong[step]), together,
             )
             fill_to.append(levels)
             group_of.append(of_members)
         now = self._at(value, np.full((1, 1, 1), x2), np.full((1, 1, 1), self.stored(x1, x2)))
         return Policy(
-            self._edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
-            float(now.mean()) / float(self._edges[-1]),
+            edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
+            float(now.mean()) / float(edges[-1]),
         )
 
     def follow(
@@ -255,7 +253,7 @@ class OrderUpTo:
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self._cistern.usable(x1))
         pumped, left = np.empty_like(rain), np.empty_like(rain)
-        for step, seconds in enumerate(self._lengths.tolist()):
+        for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             level = policy.level(
                 step, policy.group_of[step], roof, water + self._content(roof)
             )
@@ -287,7 +285,7 @@ class OrderUpTo:
         """
         soil, most, asked = self._soil, flow * seconds, evapotranspiration * seconds
         filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
-        alone = soil.after(filled, rain * self._area * seconds, asked, seconds)
+        alone = soil.after(filled, rain * self._site.a2 * seconds, asked, seconds)
         held = np.minimum(filled, soil.after(filled, most, asked, seconds))
         held = np.where(level >= filled, np.maximum(alone, held), alone)
         took = self._content(filled) - self._content(roof)
@@ -323,7 +321,7 @@ class OrderUpTo:
         # Left alone: what is the same for all members is worked out once.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
+        alone = soil.after(nodes, rain * (self._site.a2 * seconds), asked, seconds)
         stored = there = self._water
         if scarce:
             there = np.maximum(self._water[:, None] - self._contents, 0.0)

@@ -145,7 +145,7 @@ class RegretBudget:
         self._unseen += 1
 
     def move(
-        self, x1: float, x2: float, fraction: float, pumped: float,
+        self, x1: float, x2: float, left: float, fraction: float, pumped: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
     ) -> None:
         """Move on by one tick.
@@ -153,6 +153,7 @@ class RegretBudget:
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
+            left: on the roof at the end of the tick (m3), 0 at least.
             fraction: as for :meth:`judge`.
             pumped: what is pumped in truth (m3/s).
             precipitation: rain in the tick (m/s); it matters on a measured or an empty roof.
@@ -160,18 +161,13 @@ class RegretBudget:
         """
         site = self._site
         cistern, onoff = x1 + self._stored, x2 + self._more
-        rain = precipitation * site.a2
         flow = pump_flow(site, cistern, onoff, fraction)
-        theirs = self._left(onoff, rain + flow, evapotranspiration)
-        self._more = theirs - self._left(x2, rain + pumped, evapotranspiration)
+        arriving = precipitation * site.a2 + flow
+        theirs = left_after_tick(self._soil, site.tau, onoff, arriving, evapotranspiration)
+        self._more = max(0.0, theirs) - left
         overflowed = outlet_flow(site, cistern) - outlet_flow(site, x1)
         given = mains_flow(site, cistern) - mains_flow(site, x1)
         self._stored += site.tau * (pumped - flow - overflowed + given)
-
-    def _left(self, x2: float, arriving: float, evapotranspiration: float) -> float:
-        """Return what a roof of x2 (m3) has at the end of a tick; flows are in m3/s."""
-        left = left_after_tick(self._soil, self._site.tau, x2, arriving, evapotranspiration)
-        return max(0.0, left)
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
-# Of the times kept, each for as many ticks as it takes.
+# The newest ticks, for the percentile.
 _MOST_KEPT = 65_536
 
 
 class TickTimes:
     """Wall times of ticks (s): their number, mean and largest, and the 99th percentile.
 
-    Up to 65,536 are kept. Of more, every second, then every fourth and so on is, of which the
-    percentile is; mean and largest are of all.
+    The percentile is that of the last 65,536 ticks; number, mean and largest are of all.
     """
 
     def __init__(self) -> None:
@@ -20,8 +21,7 @@ class TickTimes:
         self._count = 0
         self._sum = 0.0
         self._largest = 0.0
-        self._kept: list[float] = []
-        self._each = 1  # of so many ticks one is kept
+        self._kept: deque[float] = deque(maxlen=_MOST_KEPT)
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -29,11 +29,7 @@ class TickTimes:
 
     def append(self, seconds: float) -> None:
         """Add the time of a tick (s)."""
-        if self._count % self._each == 0:
-            if len(self._kept) == _MOST_KEPT:
-                del self._kept[1::2]
-                self._each *= 2
-            self._kept.append(seconds)
+        self._kept.append(seconds)
         self._count += 1
         self._sum += seconds
         self._largest = max(self._largest, seconds)
@@ -49,6 +45,6 @@ class TickTimes:
             "solves": solves,
             "fallbacks": fallbacks,
             "mean_s": self._sum / max(1, self._count),
-            "p99_s": float(np.percentile(self._kept or [0.0], 99)),
+            "p99_s": float(np.percentile(list(self._kept) or [0.0], 99)),
             "max_s": self._largest,
         }

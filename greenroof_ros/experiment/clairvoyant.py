@@ -25,7 +25,7 @@ class NoBoundError(Exception):
     """The solver found no optimum; the message is its own."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Bound:
     """What no controller can better, and a plan that shows how near to it one can come.
 
@@ -34,7 +34,6 @@ class Bound:
             if no command is above the one that the bound was made for.
         plan_m3: total deviation of the plan, run through the exact plant.
         pumped_m3: volume that the plan pumps.
-        plan: flow that the plan pumps in each tick (m3/s), shape (N,).
         block: ticks in a block of the linear program.
         solver: what the solver said.
     """
@@ -42,7 +41,6 @@ class Bound:
     bound_m3: float
     plan_m3: float
     pumped_m3: float
-    plan: Values
     block: int
     solver: str
 
@@ -100,8 +98,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
     targets = array("d", _targets(run, still, edges, deviation))
-    done = carry_out(run, lambda k, x1, x2: targets[min(k + 1, run.steps)], max_command)
-    return Bound(cost, done.total_m3, done.pumped_m3, done.flows, block, message)
+    done = carry_out(run, lambda k, x1, x2: targets[k + 1], max_command)
+    return Bound(cost, done.total_m3, done.pumped_m3, block, message)
 
 
 def _sums(first: float, changes: Values) -> Values:

@@ -61,7 +61,16 @@ def add_run_arguments(
     group = parser.add_argument_group("the run")
     add_controller_arguments(parser, group, arguments)
     add_site_arguments(group)
-    _add_forecast_arguments(parser)
+    group = parser.add_argument_group("forecasts")
+    group.add_argument(
+        "--forecast", default=ForecastChoice().model, metavar=f"{{{','.join(MODELS)},FILE}}",
+        help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
+        "stays as it is; errors: as good and as bad as real ones; ensemble: several such; a "
+        "file, or a directory of files: archived forecasts, in this project's CSV, CSV or JSON of "
+        "Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, a file's when "
+        "it says (default: %(default)s)",
+    )
+    add_forecast_options(group)
     _add_parameters(
         parser.add_argument_group("errors of sensor and pumps (default: none)"),
         PARAMETERS.values(),
@@ -87,7 +96,10 @@ def add_controller_arguments(
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
-    controller = _named_controller(arguments)
+    # Its parameters are options, so that its name is needed before the rest is parsed.
+    name = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    name.add_argument("--controller", nargs="?", default=DEFAULT)
+    controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
     own = parser.add_argument_group(
         f"parameters of {controller.name}", "With another --controller, --help shows the other's."
     )
@@ -96,13 +108,6 @@ def add_controller_arguments(
         help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
     )
     _add_parameters(own, controller.kind.parameters, _PARAMETER)
-
-
-def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
-    """Return the controller that a command line names."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--controller", nargs="?", default=DEFAULT)
-    return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT)
 
 
 def _add_parameters(
@@ -171,20 +176,6 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
         "column, such as published (default: the file's own, fao56 if it has none)",
     )
-
-
-def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the forecasts that the controller gets."""
-    group = parser.add_argument_group("forecasts")
-    group.add_argument(
-        "--forecast", default=ForecastChoice().model, metavar=f"{{{','.join(MODELS)},FILE}}",
-        help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
-        "stays as it is; errors: as good and as bad as real ones; ensemble: several such; a "
-        "file, or a directory of files: archived forecasts, in this project's CSV, CSV or JSON of "
-        "Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, a file's when "
-        "it says (default: %(default)s)",
-    )
-    add_forecast_options(group)
 
 
 def add_forecast_options(group: argparse._ArgumentGroup) -> None:

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import math
-from array import array
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
-from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import command_to, maximum_pump_flow
-from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+from greenroof_ros.model.plant import Plant, command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-Values = NDArray[np.float64]
 Wanted = Callable[[int, float, float], float]
 
 # Of the recursion: length of a step (s), at most so many of them, for the memory of their levels,
@@ -30,21 +22,13 @@ _STEP_S, _MOST_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
 
-@dataclass(frozen=True, eq=False)
-class CarriedOut:
-    """A plan that was run through the exact plant.
-
-    Attributes:
-        total_m3: total deviation (m3, summed over the ticks).
-        pumped_m3: volume pumped.
-        flows: of the pumps in each tick (m3/s), shape (N,).
-        commands: share of the maximum flow, likewise (1).
-    """
+class CarriedOut(NamedTuple):
+    """A plan that was run through the exact plant."""
 
     total_m3: float
+    """total deviation (m3, summed over the ticks)"""
     pumped_m3: float
-    flows: Values
-    commands: Values
+    """volume pumped (m3)"""
 
 
 def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
@@ -56,20 +40,24 @@ def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
             what cistern and roof hold (m3).
         max_command: largest command (share of the maximum flow).
     """
-    # Without a forecast, which takes its time to make.
-    run = replace(
-        run, sensor_pump_errors=SensorPumpErrors(), forecast=PerfectForecast(run.series, run.site.M)
-    )
-    plan, metrics = _Plan(run, wanted, max_command), Metrics()
-    flows, commands = array("d"), array("d")
-    for tick in closed_loop(run, plan, metrics):
-        plan.tick = tick.k + 1
-        flows.append(tick.flows.pump)
-        commands.append(tick.command)
-    return CarriedOut(
-        metrics["total_deviation_m3"], metrics["pumped_m3"],
-        *(np.frombuffer(values)[: run.steps] for values in (flows, commands)),
-    )
+    site, soil, series, n = run.site, soil_of(run.site), run.series, run.steps
+    plant, metrics = Plant(site, run.x1, run.x2), Metrics()
+    weather = series.precipitation[:n], series.evapotranspiration[:n], series.frost[:n]
+    for k, (rain, asked, frost) in enumerate(zip(*weather, strict=True)):
+        command = 0.0
+        if not frost:
+            # As a controller sees them, whose levels have been rounded.
+            cistern, roof = plant.levels()
+            x1, x2 = site.cistern_volume(cistern), site.roof_volume(roof)
+            command = command_to(site, soil, x1, x2, wanted(k, x1, x2), rain, asked)
+            command = min(command, max_command)
+        moved = plant.flows(rain, asked, plant.pump_flow(command))
+        metrics.observe(site, plant.x1, plant.x2, plant.layer)
+        metrics.step(command, rain, asked, moved)
+        plant.step(rain, moved)
+    metrics.observe(site, plant.x1, plant.x2, plant.layer)
+    found = metrics.results()
+    return CarriedOut(found["total_deviation_m3"], found["pumped_m3"])
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
@@ -91,52 +79,13 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
         for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
     )
     flow = max_command * maximum_pump_flow(site, run.x1) * (1 - frost)
-    program = OrderUpTo(site, site.tau * np.append(starts, n), fine=_NODES)
-    policy = program.solve(
-        run.x1, run.x2, rain[None], evaporated, flow, np.zeros((1, len(starts)), dtype=np.intp)
-    )
+    program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
+    together = np.zeros((1, len(starts)), dtype=np.intp)
+    policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
 
     def wanted(k: int, x1: float, x2: float) -> float:
         stored = program.stored(x1, x2) if len(policy.water) > 1 else 0.0
-        level = float(policy.level(min(k // block, len(starts) - 1), 0, x2, stored))
+        level = float(policy.level(k // block, 0, x2, stored))
         return level - BELOW_M3 if level >= x2 else -math.inf
 
     return carry_out(run, wanted, max_command)
-
-
-class _Plan:
-    """Pumps what brings the roof to the volume that is planned for the next tick.
-
-    Attributes:
-        tick: the present one; whoever runs the plan keeps it.
-    """
-
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-
-    def __init__(self, run: Run, wanted: Wanted, max_command: float) -> None:
-        self.tick = 0
-        self._site, self._soil = run.site, soil_of(run.site)
-        self._wanted = wanted
-        self._max_command = max_command
-
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Decide from the levels (m) and the present weather, the first of the forecast."""
-        site = self._site
-        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        command = command_to(
-            site, self._soil, x1, x2, self._wanted(self.tick, x1, x2), precipitation[0],
-            evapotranspiration[0],
-        )
-        return min(command, self._max_command)
-
-    def skip(self) -> None:
-        """Do nothing: whoever runs the plan keeps the tick."""
-
-    def statistics(self) -> None:
-        """It solves nothing while it runs."""

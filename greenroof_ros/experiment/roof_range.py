@@ -85,7 +85,16 @@ def _of_paper(
     change = site.tau * (rain - asked)
     left, drained = [low, high], [0.0]
     if high >= (1 - ROUNDING) * site.z_cap:
-        left, drained = _drain(site, soil, low, high)
+        # Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are
+        # at the ends of the range and on both sides of z_cap.
+        left, drained = [], []
+        for x2 in (low, min(max(low, site.z_cap), high), high):
+            if x2 < (1 + ROUNDING) * site.z_cap:
+                left.append(x2)
+                drained.append(0.0)
+            if x2 >= (1 - ROUNDING) * site.z_cap:
+                drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
+                left.append(x2 - drained[-1])
     wettest = max(left)
     if most > 0:
         wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + most)
@@ -95,29 +104,6 @@ def _of_paper(
         max(0.0, min(left) + change), max(0.0, wettest + change), change - max(drained),
         max(unpumped + most, -low), max(unpumped, -low),
     )
-
-
-def _drain(
-    site: Site, soil: PaperSoil, low: float, high: float
-) -> tuple[list[float], list[float]]:
-    """Drain a roof for a tick that holds from low to high (m3), and high about z_cap or more.
-
-    Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are at the
-    ends of the range and on both sides of z_cap.
-
-    Returns:
-        The volumes left and those drained (m3) that may be the least or the largest.
-    """
-    left: list[float] = []
-    drained: list[float] = []
-    for x2 in (low, min(max(low, site.z_cap), high), high):
-        if x2 < (1 + ROUNDING) * site.z_cap:
-            left.append(x2)
-            drained.append(0.0)
-        if x2 >= (1 - ROUNDING) * site.z_cap:
-            drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
-            left.append(x2 - drained[-1])
-    return left, drained
 
 
 def _of_measured(

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.times import read_start
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -115,24 +115,21 @@ def build_run(
     series = WeatherSeries(weather, site, first, steps)
     x1, x2 = volumes
     topics = read_topics()
+    # What the nodes would refuse is refused here, too: both engines give the same numbers.
     for name, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
         ("/weather/precipitation", series.precipitation.largest),
         ("/weather/evapotranspiration", series.evapotranspiration.largest),
     ):
-        _check_range(topics[name], largest)
+        topic = topics[name]
+        if largest > topic.high:
+            raise ConfigurationError(
+                f"the run has {largest:g} {topic.unit} on {name}, where at most {topic.high:g} is "
+                "accepted (msg_defs/topics.yaml); is a unit wrong?"
+            )
     forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)
     return Run(
         site_file, site, weather, series, forecast, first, steps, controller, parameters, initial,
         x1, x2, choice, sensor_pump_errors or SensorPumpErrors(),
     )
-
-
-def _check_range(topic: Topic, largest: float) -> None:
-    """Refuse a run whose values the nodes would refuse: both engines give the same numbers."""
-    if largest > topic.high:
-        raise ConfigurationError(
-            f"the run has {largest:g} {topic.unit} on {topic.name}, where at most {topic.high:g} "
-            "is accepted (msg_defs/topics.yaml); is a unit wrong?"
-        )

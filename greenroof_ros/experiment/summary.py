@@ -72,30 +72,17 @@ def build_unfinished(
         parameter_changes: parameters changed until then, with their tick.
         incidents: what was lost in the run while it went on.
     """
+    repeats_from = run.forecast.repeats_from
+    choice = run.forecast_choice
+    layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
         "status": status,
         "reason": reason,
         "last_tick": last_tick,
-        **_setting(run),
-        "refused": dict(refused or {}),
-        "parameter_changes": parameter_changes or [],
-        "incidents": incidents or [],
-        "versions": versions(),
-    }
-
-
-def _setting(run: Run) -> dict[str, Any]:
-    """Return what was asked for, and what was done to its weather."""
-    repeats_from = run.forecast.repeats_from
-    choice = run.forecast_choice
-    return {
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
         "parameters": finite(run.parameters),
-        "initial": {
-            "name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2,
-            **({} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}),
-        },
+        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
         "start": run.start.isoformat(),
         "steps": run.steps,
         "tau_s": run.site.tau,
@@ -115,6 +102,10 @@ def _setting(run: Run) -> dict[str, Any]:
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
         "suspicious": run.series.suspicious,
+        "refused": dict(refused or {}),
+        "parameter_changes": parameter_changes or [],
+        "incidents": incidents or [],
+        "versions": versions(),
     }
 
 

@@ -43,24 +43,19 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
     return " / ".join(f"{volume:.3f}" for volume in volumes), f"m3 {tanks} ({initial['name']})"
 
 
-def grid(title: str, rows: Iterable[tuple[str, str, str]]) -> Table:
-    """Return a table of rows that are a word, a number, and what it is."""
+def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
+    """Return a table of lines that are a word, a number, and what it is."""
     found = Table(title=title, title_justify="left", show_header=False)
     found.add_column(style="bold")
     found.add_column(justify="right")
     found.add_column()
-    for row in rows:
-        found.add_row(*row)
+    for line in lines:
+        found.add_row(*line)
     return found
 
 
-def table(summary: Mapping[str, Any]) -> Table:
-    """Return the table that a person sees at the end of a run."""
-    return grid("Result", _rows(summary))
-
-
-def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of :func:`table`."""
+def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield what a person sees at the end of a run: a word, a number, and what it is."""
     given = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield "controller", summary["controller"], _listed(given)
     yield "from", *_initial(summary["initial"])
@@ -150,7 +145,7 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
         print(json.dumps(summary, indent=2, allow_nan=False))
     else:
         console = Console()
-        console.print(table(summary))
+        console.print(grid("Result", rows(summary)))
         done = with_incidents(summary["status"], len(summary["incidents"]))
         console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
     flush_output(f"; the summary is in {directory / SUMMARY}")

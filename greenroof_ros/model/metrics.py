@@ -43,8 +43,6 @@ NEAR_TARGET = 0.05
 """Half width of the band about the roof's target in which its level is good, as share of it."""
 
 Values = NDArray[np.float64]
-Totals = dict[str, float]
-"""The value of each metric, by its name."""
 
 
 @dataclass(frozen=True)
@@ -402,17 +400,17 @@ METRICS = (
 )
 
 
-def totals_of(site: Site, samples: Samples) -> Totals:
-    """Return the metrics of a whole run; a metric that its samples do not say is left out.
+def totals_of(
+    site: Site, samples: Samples, before: Mapping[str, Any] | None = None
+) -> dict[str, float]:
+    """Return each metric of a whole run by its name; one that its samples do not say is left out.
 
     Args:
         site: its parameters.
         samples: at least one.
+        before: the combined numbers of what came before them.
     """
-    return _finished(site, _add({}, site, samples))
-
-
-def _finished(site: Site, totals: Mapping[str, Any]) -> Totals:
+    totals = _add(before or {}, site, samples)
     found = (
         (metric.name, metric.finish(site, totals[metric.name]))
         for metric in METRICS if metric.name in totals
@@ -475,10 +473,10 @@ class Metrics:
         if len(self._ticks) == _BLOCK_BYTES:
             self._add_ticks()
 
-    def results(self) -> Totals:
+    def results(self) -> dict[str, float]:
         """Return each metric by its name, of a run that ends in the tick observed last."""
         end = self._end()
-        return _finished(self._site, _add(self._totals, self._site, end))
+        return totals_of(self._site, end, self._totals)
 
     def weekly_deviations(self) -> list[float]:
         """Return the total deviation of each week of the run (m3), summed over its ticks.

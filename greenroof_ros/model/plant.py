@@ -7,7 +7,7 @@ third state: the water in its drainage layer.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ WATER_DENSITY = 1000.0
 """kg/m3"""
 JOULES_PER_KWH = 3.6e6
 
-Amount = TypeVar("Amount", float, NDArray[np.float64])
+Values = NDArray[np.float64]
 
 # Makes a named tuple of a tuple in half the time that its own class takes.
 _new = tuple.__new__
@@ -56,7 +56,7 @@ def mains_flow(site: Site, x1: float) -> float:
     return site.mains_flow if site.cistern_level(x1) < site.mains_level else 0.0
 
 
-def mains_flows(site: Site, x1: NDArray[np.float64]) -> NDArray[np.float64]:
+def mains_flows(site: Site, x1: Values) -> Values:
     """What the mains give (m3/s) at each of these volumes (m3), as :func:`mains_flow`."""
     if site.mains_level is None or site.mains_flow is None:
         return np.zeros_like(x1)
@@ -101,13 +101,10 @@ def command_to(
     return max(0.0, ((wanted - x2) / site.tau - inflow) / stays)
 
 
-def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:
-    """L (m): the head that a flow (m3/s) takes from a cistern holding x1 (m3), Eq. (3c).
-
-    Numbers or arrays: both have the same bits, which numpy's own square would not.
-    """
-    squared: Amount = np.float_power(flow, 2)
-    return site.pipe_resistance * squared + site.d - x1 / site.a1
+def head_loss(site: Site, x1: Values, flow: Values) -> Values:
+    """L (m): the head that flows (m3/s) take from a cistern holding x1 (m3), Eq. (3c)."""
+    # With the bits of a number's square, which numpy's own square has not.
+    return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
 
 
 class Flows(NamedTuple):

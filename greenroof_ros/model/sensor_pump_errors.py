@@ -85,21 +85,19 @@ class RoofSensor:
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
         """Take the sensor's noise and offset."""
+        self._given = sensor_pump_errors
         self._exact = sensor_pump_errors.exact_sensor
-        self._noise = sensor_pump_errors.roof_noise
-        self._offset = sensor_pump_errors.roof_offset
-        self._seed = sensor_pump_errors.noise_seed
         self._block = -1
-        self._errors = [self._offset] * _BLOCK
+        self._errors = [sensor_pump_errors.roof_offset] * _BLOCK
 
     def reading(self, tick: int, level: float) -> float:
         """Return what it reads (m, never below 0) at a tick and a true level (m)."""
         if self._exact:
             return level
         block, index = divmod(tick, _BLOCK)
-        if self._noise and block != self._block:
-            drawn = np.random.default_rng([self._seed, block]).standard_normal(_BLOCK)
-            self._errors = (self._offset + self._noise * drawn).tolist()
+        if block != self._block and self._given.roof_noise:
+            drawn = np.random.default_rng([self._given.noise_seed, block]).standard_normal(_BLOCK)
+            self._errors = (self._given.roof_offset + self._given.roof_noise * drawn).tolist()
             self._block = block
         return max(0.0, level + self._errors[index])
 

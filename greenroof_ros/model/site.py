@@ -8,7 +8,7 @@ from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
@@ -39,6 +39,8 @@ _LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 _CLIMATE = "monthly_evapotranspiration"
 # Names the file that has what a site file does not say.
 _EXTENDS = "extends"
+# Parameters of earlier versions that changed nothing: the sites that older runs keep have them.
+_WITHOUT_EFFECT = ("pumps_in_series", "pumps_in_parallel")
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
@@ -149,14 +151,6 @@ class Site:
     initial_layer: float = entry(
         "in the drainage layer when a run begins, in whatever state of the rest", *_NOT_NEGATIVE,
         unit="m3", default=0.0,
-    )
-    pumps_in_series: int = entry(
-        "one behind another, for whose summed head the pump curve stands", 1, 100, unit="pumps",
-        default=1,
-    )
-    pumps_in_parallel: int = entry(
-        "side by side, for whose summed flow the pump curve stands", 1, 100, unit="pumps",
-        default=1,
     )
     pump_efficiency: float = entry(
         "hydraulic over electric power of pumps and motors", 0.001, 1.0, unit="1", default=0.5,
@@ -308,17 +302,15 @@ def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
         volumes: x1 and x2 (m3), which are 0 and 1 in what is yielded.
     """
     full = site.roof_level(site.z_cap)
-    for place, (area, level, why) in enumerate((
-        (
-            site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
-            f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
-        ),
-        (
-            site.a2, full + _MOST_PONDED, f"the soil holds {site.z_cap:g} m3, {full:g} m, and at "
-            f"most {_MOST_PONDED:g} m stand on it",
-        ),
-    )):
-        volume = volumes[place]
+    cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
+    roof = (
+        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m stand on it"
+    )
+    limits = (
+        (site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
+        (site.a2, full + _MOST_PONDED, roof),
+    )
+    for place, (volume, (area, level, why)) in enumerate(zip(volumes, limits, strict=True)):
         if volume > level * area:
             yield place, (
                 f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
@@ -381,18 +373,13 @@ def _whole(path: Path) -> str:
     return "\n".join([*own, "", *further, ""])
 
 
-class _Given(NamedTuple):
-    """Where a value stands."""
+def _given(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
+    """Return what a site file says, and what it does not say but the file that it extends.
 
-    file: Path
-    line: int
-    value: Any
-
-
-def _given(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Given]:
-    """Return what a site file says, and what it does not say but the file that it extends."""
+    Of each value by its key: file, line and value.
+    """
     mapping = read_yaml(path)
-    own = {key: _Given(path, mapping.lines[key], value) for key, value in mapping.items()}
+    own = {key: (path, mapping.lines[key], value) for key, value in mapping.items()}
     if _EXTENDS not in own:
         return own
     _, line, base = own.pop(_EXTENDS)
@@ -429,7 +416,7 @@ def read_site(path: Path) -> Site:
 
     known = {key.name: key for key in keys(Site)}
     for name, (file, line, _) in given.items():
-        if name not in known:
+        if name not in known and name not in _WITHOUT_EFFECT:
             raise ConfigurationError(
                 f"is not a parameter of a site; {did_you_mean(name, known)}",
                 file=file, line=line, key=name,
@@ -440,7 +427,7 @@ def read_site(path: Path) -> Site:
             if not key.optional and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
             continue
-        one, value, whole = key.entry, given[name].value, key.kind is int
+        one, value, whole = key.entry, given[name][2], key.kind is int
         what = f"from {one.low:g} to {one.high:g}"
         if name == _CLIMATE:
             if not isinstance(value, list) or len(value) != 12 or not all(

@@ -166,13 +166,13 @@ class PaperSoil:
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            rain: mean in each step (m/s), shape (members, n).
+            rain: mean in each step (m/s), shape (n,).
             asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water,
                 shape (n,).
             lengths: of the steps (s), shape (n,).
 
         Returns:
-            Shape (members, n).
+            Shape (n,).
         """
         return np.asarray((rain * self._site.a2 - asked) * lengths)
 
@@ -185,7 +185,7 @@ class PaperSoil:
             weather: rain, evapotranspiration and lengths of the steps that gave them.
 
         Returns:
-            The mean of each step, shape (members, n).
+            The mean of each step, shape (n,).
         """
         return np.ones_like(changes)
 
@@ -377,31 +377,26 @@ class MeasuredSoil:
         fallen, wanted = rain * self._a2 * lengths, asked * lengths
         # Of most steps, all at once: those that begin above the wilting point, and end all
         # stressed.
-        gains, losses = np.tanh(fallen / most), np.expm1(-wanted / drying).tolist()
-        volumes = []
-        for member, member_gains in zip(fallen.tolist(), gains.tolist(), strict=True):
-            volume = x2
-            volumes.append([volume])
-            for fell, gained, dried, lost in zip(
-                member, member_gains, wanted.tolist(), losses, strict=True
-            ):
-                first = min(fell, max(dry - volume, 0.0))
-                if first > 0:
-                    gained = float(np.tanh((fell - first) / most))
-                if volume + first < dry:
-                    volume += first
-                else:
-                    filled = min(max((volume - dry) / most, 0.0), 1.0)
-                    volume = dry + most * ((filled + gained) / (1 + filled * gained))
-                easy = min(dried, max(volume - stressed, 0.0))
-                if easy == dried:
-                    lost = 0.0
-                elif easy > 0:
-                    lost = float(np.expm1((easy - dried) / drying))
-                volume = volume - easy
-                volume += max(volume - dry, 0.0) * lost
-                volumes[-1].append(volume)
-        return np.diff(volumes, axis=1)
+        steps = fallen, np.tanh(fallen / most), wanted, np.expm1(-wanted / drying)
+        volumes = [x2]
+        for fell, gained, dried, lost in zip(*(part.tolist() for part in steps), strict=True):
+            volume = volumes[-1]
+            first = min(fell, max(dry - volume, 0.0))
+            if first > 0:
+                gained = float(np.tanh((fell - first) / most))
+            if volume + first < dry:
+                volume += first
+            else:
+                filled = min(max((volume - dry) / most, 0.0), 1.0)
+                volume = dry + most * ((filled + gained) / (1 + filled * gained))
+            easy = min(dried, max(volume - stressed, 0.0))
+            if easy == dried:
+                lost = 0.0
+            elif easy > 0:
+                lost = float(np.expm1((easy - dried) / drying))
+            volume = volume - easy
+            volumes.append(volume + max(volume - dry, 0.0) * lost)
+        return np.diff(volumes)
 
     def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
         """Predict which share of what fills the roof now is still on it in later steps (1).
@@ -413,7 +408,7 @@ class MeasuredSoil:
         """
         added = max(self._site.x2_star - x2, _LEAST_ADDED * self._available)
         fades = self.free_changes(x2 + added, *weather) - changes
-        ends = 1 + np.cumsum(fades, axis=1) / added
+        ends = 1 + np.cumsum(fades) / added
         return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))
 
     def follow(

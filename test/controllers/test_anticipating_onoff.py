@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import PAPER_SITE, lookahead, metrics_of, paper_run
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
@@ -96,9 +95,3 @@ def test_pumps_that_do_not_work_are_not_asked_to(
     controller = make()
     assert controller.command(*levels, DRY, DRY) == 0.0
     assert controller.command(2.3, 0.02, DRY, DRY) > 0.9
-
-
-def test_a_forecast_of_another_horizon() -> None:
-    """It is refused, with what must be the same."""
-    with pytest.raises(ConfigurationError, match="weather and controller the same"):
-        anticipating().command(2.3, 0.03, [0.0] * 10, [0.0] * 10)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, linear_model, paper_run, sites
 from scipy.optimize import lsq_linear, nnls
 
+from greenroof_ros.controllers import mpc as module
 from greenroof_ros.controllers.mpc import Mpc
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
@@ -184,9 +185,13 @@ def test_weight_may_change_between_two_ticks() -> None:
     assert expected < before / 9
 
 
-def test_unsolved_program_pumps_nothing(caplog: pytest.LogCaptureFixture) -> None:
+def test_unsolved_program_pumps_nothing(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
-    mpc = Mpc(PAPER_SITE, 1e-3, math.inf, max_iterations=1)
+    with monkeypatch.context() as few:
+        few.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
+        mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     for fallbacks in (1, 2, 3):
         caplog.clear()
         assert mpc.command(*first_inputs()) == 0.0

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from paper import PAPER_SITE, sites
+from paper import PAPER_SITE
 
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.model.site import Site
 
 NO_WEATHER = [0.0] * 10
 
@@ -49,11 +46,3 @@ def test_parameters_may_change_between_two_ticks() -> None:
     assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 2.0
     controller.level = 0.8
     assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.0
-
-
-@given(site=sites(), cistern=st.floats(0, 5), roof=st.floats(0, 2), rain=st.floats(0, 1e-3))
-def test_any_site(site: Site, cistern: float, roof: float, rain: float) -> None:
-    """Eq. (12) as printed, whatever the weather will be."""
-    wants = roof < site.z_veg and cistern >= site.z_pump + site.z_H
-    weather = [rain] * 10
-    assert OnOff(site, 0.7).command(cistern, roof, weather, weather) == (0.7 if wants else 0.0)

@@ -276,20 +276,20 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
     loss = RegretBudget(site, 1.0, 0.0)
     seconds = 0
     while not loss.judge(40.0, 1.0, 1.0):
-        loss.move(40.0, 1.0, 1.0, 0.0)
+        loss.move(40.0, 1.0, 1.0, 1.0, 0.0)
         seconds += 1
     assert seconds == pytest.approx(153, abs=1)
     without = RegretBudget(PAPER_SITE, 1.0, 0.0)
     for _ in range(seconds + 60):
         assert not without.judge(40.0, 1.0, 1.0)
-        without.move(40.0, 1.0, 1.0, 0.0)
+        without.move(40.0, 1.0, 1.0, 1.0, 0.0)
 
 
 def test_ticks_in_frost_count() -> None:
     """Nothing may be pumped in them, but who waited before is worse off in each."""
     loss = RegretBudget(PAPER_SITE, 1.0, 0.0)
     loss.judge(50.0, 2.0, 1.0)
-    loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
+    loss.move(50.0, 2.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
     more = loss._more
     assert more == pytest.approx(maximum_pump_flow(PAPER_SITE, 50.0))
     for _ in range(999):
@@ -310,14 +310,14 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
     idle = paper_run("--controller", "onoff", "--fraction", "1e-9", *MEASURED,
                      "--start", "2021-07-08T05:00")
     lacks = []
-    for tick, theirs in zip(
-        closed_loop(idle, idle.make_controller(), Metrics()), onoff_roof, strict=True
-    ):
+    ticks = list(closed_loop(idle, idle.make_controller(), Metrics()))
+    for tick, after, theirs in zip(ticks, [*ticks[1:], ticks[-1]], onoff_roof, strict=True):
         assert loss._more == pytest.approx(theirs - tick.x2, abs=0.01)  # a tick
         lacks.append(theirs - tick.x2)
         loss.judge(tick.x1, tick.x2, 1.0)
         loss.move(
-            tick.x1, tick.x2, 1.0, tick.flows.pump, tick.precipitation, tick.evapotranspiration
+            tick.x1, tick.x2, after.x2, 1.0, tick.flows.pump, tick.precipitation,
+            tick.evapotranspiration,
         )
     assert max(lacks) > 0.7
     assert lacks[-1] < 0.7 * max(lacks)
@@ -331,7 +331,7 @@ def test_trust_comes_back() -> None:
     budget = RegretBudget(PAPER_SITE, 0.01, 0.1)
     ticks = 0
     while not budget.judge(50.0, 2.0, 1.0):
-        budget.move(50.0, 2.0, 1.0, 0.0)
+        budget.move(50.0, 2.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
     budget.loss = 0.01 * EMPTY_HOUR + 0.1 * budget.onoff_cost

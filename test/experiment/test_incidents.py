@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -194,15 +193,6 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     assert [one.number for one in found] == [1, 2, 3]
     assert [one.ended is None for one in found] == [False, False, True]
     assert second.count == 1
-
-
-def test_a_file_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:
-    """It is in it when the disk goes on."""
-    file = tmp_path / "incidents.jsonl"
-    os.mkfifo(file)  # who opens it to write waits until somebody reads
-    IncidentLog(print, file).fail("pump", "silent")
-    with file.open() as stream:
-        assert json.loads(stream.readline())["cause"] == "silent"
 
 
 def test_a_standard_error_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from threading import Barrier
 
 import pytest
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.run_directory import make_run_directory
 
 
@@ -84,13 +83,3 @@ def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert sorted(made) == sorted((tmp_path / "runs").iterdir())
     assert len(set(made)) == count
     assert all((directory / "configuration").is_dir() for directory in made)
-
-
-def test_runs_in_a_place_that_is_no_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A link to a disk that is not there is refused."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "runs").symlink_to("nowhere")
-    with pytest.raises(ConfigurationError, match=r"--output = 'runs': cannot be written"):
-        make_run_directory(None, "mpc")

@@ -38,7 +38,7 @@ def test_no_raw_data() -> None:
         "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
     }
     stream = io.StringIO()
-    Console(file=stream, width=200).print(summary_table.table(result))
+    Console(file=stream, width=200).print(summary_table.grid("Result", summary_table.rows(result)))
     text = stream.getvalue()
     assert not set("{}[]'").intersection(text) and "None" not in text
     rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]

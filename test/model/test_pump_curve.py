@@ -22,13 +22,6 @@ def test_three_points_by_hand() -> None:
     assert curve == pytest.approx((-31 / 26 * 1e6, 147 / 26), rel=1e-12)
 
 
-def test_the_papers_curve() -> None:
-    """Table I's coefficients back from their own curve; its points were never published."""
-    flow = np.linspace(0, 0.009, 10)
-    curve = fit_pump_curve(flow, -5.78e5 * flow**2 + 55.2)
-    assert (curve.a_hat, curve.c_hat) == pytest.approx((-5.78e5, 55.2), rel=1e-12)
-
-
 @given(
     a_hat=st.floats(-1e8, -1e2),
     c_hat=st.floats(1, 200),
@@ -46,13 +39,6 @@ def test_exact_points_give_the_coefficients_back(
 @pytest.mark.parametrize(
     ("flow", "head", "reason"),
     [
-        ([0, 0.01], [50], "two lists of one length"),
-        ([[0, 0.01]], [[50, 40]], "two lists of one length"),
-        (0.01, 50, "two lists of one length"),
-        ([0, math.nan], [50, 40], "must be finite"),
-        ([0, 0.01], [50, math.inf], "must be finite"),
-        ([-0.001, 0.01], [50, 40], "must not be negative"),
-        ([0, 0.01], [50, -1], "must not be negative"),
         ([], [], "two different flows"),
         ([0.01], [50], "two different flows"),
         ([0.01, 0.01], [50, 40], "two different flows"),
@@ -60,7 +46,7 @@ def test_exact_points_give_the_coefficients_back(
         ([0, 0.005, 0.01], [50, 50, 50 - 1e-9], "must fall"),
     ],
 )
-def test_refusals(flow: object, head: object, reason: str) -> None:
+def test_refusals(flow: list[float], head: list[float], reason: str) -> None:
     """Each says what it takes."""
     with pytest.raises(ValueError, match=reason):
-        fit_pump_curve(flow, head)  # type: ignore[arg-type]
+        fit_pump_curve(flow, head)

@@ -126,15 +126,6 @@ def test_a_layer_by_hand(
     assert found == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
 
 
-def test_a_roof_without_a_layer() -> None:
-    """What percolates drains off in the same tick."""
-    plant = Plant(BARE, 50.0, 5.0)
-    flows = plant.flows(1e-4, 0.0, 0.0)
-    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
-    plant.step(1e-4, flows)
-    assert plant.layer == 0.0
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     layer=st.floats(0, 1), inflow=st.floats(0, 0.005) | st.just(0.0),
@@ -167,10 +158,8 @@ def test_free_changes_follow_their_equations(
     """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy."""
     volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
     volume = solved(lambda x: -SOIL.water_stress(x) * asked, volume, seconds)
-    found = SOIL.free_changes(x2, np.array([[rain]]), np.array([asked]), np.array([seconds])
-    )
-    assert found.shape == (1, 1)
-    assert x2 + found[0, 0] == pytest.approx(volume, rel=1e-6, abs=1e-6)
+    (found,) = SOIL.free_changes(x2, np.array([rain]), np.array([asked]), np.array([seconds]))
+    assert x2 + found == pytest.approx(volume, rel=1e-6, abs=1e-6)
 
 
 @settings(max_examples=60, deadline=None)
@@ -187,22 +176,21 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
     assert passed == pytest.approx(x2 + seconds * arriving - volume, abs=1e-6)
 
 
-def test_free_changes_of_the_papers_soil_are_the_weather() -> None:
-    """Rain on the bed less evapotranspiration, of each member."""
-    rain = np.array([[1e-6, 0.0], [0.0, 2e-6]])
-    found = PAPER_SOIL.free_changes(3.0, rain, np.array([1e-6, 2e-6]), np.array([10.0, 100.0]))
-    assert found == pytest.approx(
-        np.array([[6.88e-4 - 1e-5, -2e-4], [-1e-5, 0.01376 - 2e-4]]), rel=1e-12
-    )
+def test_what_comes_stays_and_lasts_on_the_papers_soil() -> None:
+    """Rain on the bed less evapotranspiration; and all of what fills it is there in every step."""
+    weather = np.array([1e-6, 0.0]), np.array([1e-6, 2e-6]), np.array([10.0, 100.0])
+    found = PAPER_SOIL.free_changes(3.0, *weather)
+    assert found == pytest.approx([6.88e-4 - 1e-5, -2e-4], rel=1e-12)
+    assert PAPER_SOIL.lasting_share(3.0, found, *weather).tolist() == [1.0, 1.0]
 
 
 def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
     """Return the share that lasts, of hours with so much rain and evapotranspiration."""
-    rain = np.array([rain_m3]) / 3600 / ROOF.a2
+    rain = np.array(rain_m3) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
     weather = rain, np.array(asked_m3) / 3600, hours
     found = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
-    return list(found[0])
+    return list(found)
 
 
 def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
@@ -223,16 +211,9 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     """All of it while plants lack nothing; below 4 m3 exp(-e/2) of it, e being asked for."""
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
     dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
-    weather = np.zeros((1, 1)), np.array([2.0 / 3600]), np.array([3600.0])
+    weather = np.zeros(1), np.array([2.0 / 3600]), np.array([3600.0])
     found = dry.lasting_share(2.5, dry.free_changes(2.5, *weather), *weather)
-    assert found == pytest.approx(np.array([[(1 + math.exp(-1)) / 2]]), rel=1e-9)
-
-
-def test_all_lasts_on_the_papers_soil() -> None:
-    """In every step, of each member."""
-    weather = np.zeros((2, 3)), np.ones(3), np.ones(3)
-    found = PAPER_SOIL.lasting_share(2.0, np.ones((2, 3)), *weather)
-    assert found.tolist() == [[1.0] * 3] * 2
+    assert found == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
 
 
 @given(
@@ -276,3 +257,12 @@ def test_a_dry_roof_gives_nothing() -> None:
     assert plant.x2 == pytest.approx(0.01, rel=1e-12)
     assert plant.layer == 0.0
     assert math.isclose(plant.levels()[1], 1e-4)
+
+
+def test_a_roof_without_a_layer() -> None:
+    """What percolates drains off in the same tick."""
+    plant = Plant(BARE, 50.0, 5.0)
+    flows = plant.flows(1e-4, 0.0, 0.0)
+    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
+    plant.step(1e-4, flows)
+    assert plant.layer == 0.0
