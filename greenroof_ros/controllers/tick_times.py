@@ -11,8 +11,8 @@ _MOST_KEPT = 65_536
 class TickTimes:
     """Wall times of ticks (s): their number, mean and largest, and the 99th percentile.
 
-    Up to 65,536 are kept. Of more, every second, then every fourth and so on is, of which the
-    percentile is; mean and largest are of all.
+    Up to 65,536 are kept. Of more, every second, then every fourth and so on is: the percentile
+    is of these, mean and largest are of all.
     """
 
     def __init__(self) -> None:
