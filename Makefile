@@ -54,7 +54,7 @@ help:
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
 	@echo "make test-kilted  the tests that start nodes, with the next ROS 2"
-	@echo "make lint   ruff, mypy, and which room imports from which"
+	@echo "make lint   ruff, mypy, which room imports from which, spelling and phrases"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
@@ -78,7 +78,7 @@ else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
 
-# The next ROS 2, in an environment of its own: its wheels stand in for those of the extra [ros].
+# The next ROS 2, in an environment of its own: its wheels replace the wheels of the extra [ros].
 KILTED := .venv-kilted
 KILTED_WHEELS := "ros-kilted-rclpy[fastrtps]>=9.1,<10" $(addprefix ros-kilted-, \
     std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces lifecycle-msgs std-srvs)
@@ -96,6 +96,7 @@ lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
 	$(BIN)/lint-imports --no-cache --no-logo
+	$(BIN)/codespell
 
 # Its tables are made again first; a link that leads nowhere is an error.
 docs: $(FOR_DOCS)

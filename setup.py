@@ -32,10 +32,10 @@ EXECUTABLES = [
 def version() -> str:
     """Read the version from the package without importing it, which would need numpy."""
     text = (Path(NAME) / "__init__.py").read_text(encoding="utf-8")
-    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
-    if found is None:
+    match = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    if match is None:
         raise RuntimeError(f"{NAME}/__init__.py has no line of the form __version__ = \"...\"")
-    return found[1]
+    return match[1]
 
 
 def shared_files(directory: str) -> list[tuple[str, list[str]]]:
@@ -99,7 +99,7 @@ setup(
         ],
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
-            "pebble>=5,<6",  # parallel processes, of which one may die without the others
+            "pebble>=5,<6",  # parallel processes; one may die without the others
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
             "rosbags>=0.10,<1",  # reads any bag, of whatever storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG
@@ -114,7 +114,7 @@ setup(
         ],
         # The forecast of the internet; the same library as the page's.
         "fetch": ["aiohttp>=3.9.1,<4"],
-        # Completes greenroof's commands and options in bash and zsh; 3.1 is that of ROS 2 Jazzy's
+        # Completes greenroof's commands and options in bash and zsh; 3.1 is in ROS 2 Jazzy's
         # Ubuntu.
         "completion": ["argcomplete>=3.1,<4"],
         # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
@@ -131,6 +131,7 @@ setup(
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
+            "codespell[toml]>=2.4,<3",  # spelling, and phrases.txt; Python 3.10 has no TOML
             "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
             "build>=1.2",  # sdist and wheel, as they would be released
             "twine>=6",  # whether a package index would take them
@@ -146,7 +147,7 @@ setup(
             "myst-parser>=4,<6",  # pages are Markdown
             "furo>=2024.8.6",  # theme: light and dark, wide and narrow
         ],
-        # The stormwater model that the measured roof is held against: test/measured_roofs.
+        # The stormwater model that the measured roof is compared with: test/measured_roofs.
         "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],

@@ -15,7 +15,7 @@ _MARKED = re.compile(r"(``.+?``|:[a-z:]+:`[^`]+`|`[^`]+`_?)", re.DOTALL)
 
 
 def _as_text(line: str) -> str:
-    """Return a line of a docstring in which stars and bars are those of mathematics."""
+    """Return a line of a docstring in which stars and bars are mathematics."""
     parts = _MARKED.split(line)
     parts[::2] = [re.sub(r"(?<!\\)([*|]|_(?=\W|$))", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)

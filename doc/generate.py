@@ -3,7 +3,7 @@
 A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
 can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
 this writes. The nodes' tables need a ROS 2; without one they stay as they are. The layouts under
-``config/layouts/`` are written, too.
+``config/layouts/`` and the drawings of who publishes what are written, too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import re
 import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 from unittest import mock
@@ -108,64 +107,69 @@ def topics() -> str:
 
 
 def quality() -> str:
-    """Return range and quality of service of each topic."""
+    """Return range and quality of service of each topic, and how tools show it."""
+    shown = {name: (label, unit) for name, label, _, unit in displays()}
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:
             return "as they come, in a live graph only"
         if not topic.per_tick:
             return "as needed, not recorded"
-        return "one a tick, from controllers that have it" if topic.optional else "one a tick"
+        return "from controllers that have it" if topic.optional else ""
+
+    def service(topic: Topic) -> str:
+        qos = topic.qos
+        texts = [] if qos.reliability == "reliable" else [qos.reliability.replace("_", " ")]
+        texts += [] if qos.durability == "transient_local" else [qos.durability]
+        texts += [] if qos.depth == 64 else [f"depth {qos.depth}"]
+        texts += [f"lease {qos.lease_s:g} s"] if math.isfinite(qos.lease_s) else []
+        return ", ".join(texts)
 
     return markdown(
-        ("topic", "accepted values", "messages", "quality of service"),
+        ("topic", "accepted values", "messages", "quality of service", "shown as", "in"),
         (
             (
                 f"`{topic.name}`",
                 span(topic.low, topic.high) if "Float64" in topic.type else "any",
-                messages(topic),
-                f"{topic.qos.reliability}, {topic.qos.durability.replace('_', ' ')}, "
-                f"depth {topic.qos.depth}"
-                + (f", lease {topic.qos.lease_s:g} s" if math.isfinite(topic.qos.lease_s) else ""),
+                messages(topic), service(topic), *shown.get(f"`{topic.name}`", ("", "")),
             )
             for topic in read_topics().values()
         ),
     )
 
 
-def shown_units() -> str:
-    """Return how tools show each topic's values."""
-    return markdown(("topic", "shown as", "unit", "shown in"), displays())
-
-
 # --- controllers and metrics ----------------------------------------------------------------------
 
 
 def controllers() -> str:
-    """Return the parameters of every controller of this package."""
-    return "\n".join(
-        f"## {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
-    )
-
-
-def _parameters(parameters: Iterable[Parameter]) -> str:
-    return markdown(
-        ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning"),
-        (
+    """Return the parameters of every controller of this package, each once."""
+    parts: list[str] = []
+    described: dict[Parameter, str] = {}
+    header = ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning")
+    for name in BUILT_IN:
+        parameters = find_controller(name).kind.parameters
+        first = [each for each in parameters if described.setdefault(each, name) == name]
+        parts.append(f"## {name}\n")
+        parts.append(markdown(header, (
             (
-                f"`{one.name}`", "integer" if one.whole else "double", number(one.default),
-                one.unit, span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
+                f"`{each.name}`", "integer" if each.whole else "double", number(each.default),
+                each.unit, span(each.low, each.high), "yes" if each.may_change else "no",
+                each.meaning,
             )
-            for one in parameters
-        ),
-    )
+            for each in first
+        )))
+        elsewhere = [each for each in parameters if each not in first]
+        if elsewhere:
+            names = ", ".join(f"`{each.name}`" for each in elsewhere)
+            parts.append(f"As for `{described[elsewhere[0]]}`: {names}.\n")
+    return "\n".join(parts)
 
 
 def metrics() -> str:
     """Return what each run is judged by."""
     return markdown(
         ("key or column", "unit", "meaning"),
-        ((f"`{one.name}`", one.unit, f"{one.label}: {one.meaning}") for one in METRICS),
+        ((f"`{entry.name}`", entry.unit, f"{entry.label}: {entry.meaning}") for entry in METRICS),
     )
 
 
@@ -176,10 +180,10 @@ def site() -> str:
         ("symbol", "unit", "the paper's site", "if left out", "meaning"),
         (
             (
-                f"`{one.name}`", one.unit, number(getattr(paper, one.name)),
-                "" if one.default is None else number(one.default), one.meaning,
+                f"`{entry.name}`", entry.unit, number(getattr(paper, entry.name)),
+                "" if entry.default is None else number(entry.default), entry.meaning,
             )
-            for one in site_parameters()
+            for entry in site_parameters()
         ),
     )
 
@@ -236,12 +240,12 @@ def _keys(parts: Mapping[str, Any]) -> str:
     """Return every key of the parts of a file."""
 
     def limits(key: Key) -> str:
-        one = key.entry
-        if math.isfinite(one.low) or math.isfinite(one.high):
-            texts = [accepted(one.low, one.high)]
+        entry = key.entry
+        if math.isfinite(entry.low) or math.isfinite(entry.high):
+            texts = [accepted(entry.low, entry.high)]
         else:
             texts = []
-        return ", ".join([*texts, *(f"`{choice}`" for choice in one.among if choice)])
+        return ", ".join([*texts, *(f"`{choice}`" for choice in entry.among if choice)])
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
@@ -274,10 +278,10 @@ def _faults(known: Mapping[str, Fault]) -> str:
         ("number", "fault", "what then happens", "parameter", "default"),
         (
             (
-                one.number, f"`{name}`", one.meaning, one.parameter,
-                one.default if one.parameter else "",
+                entry.number, f"`{name}`", entry.meaning, entry.parameter,
+                entry.default if entry.parameter else "",
             )
-            for name, one in known.items()
+            for name, entry in known.items()
         ),
     )
 
@@ -288,19 +292,18 @@ def drives() -> str:
     for path in sorted((shared_directory() / "config" / "drives").glob("*.yaml")):
         drive = drive_file.read_drive_file(path)
         parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
-        parts.append(markdown(
-            ("source", "document", "read at"),
-            ((one.title, one.document, one.where) for one in drive.sources),
-        ))
-        for interface, own in drive.timeout.known.items():
+        ports: dict[tuple[tuple[str, str], ...], list[str]] = {}
+        for interface, timeout in drive.timeout.known.items():
+            rows = (
+                ("set it", timeout.how_to_set), ("restarted by", timeout.kept_alive_by),
+                ("beware", timeout.traps),
+            )
             where = "own Ethernet port" if interface == "tcp" else "serial port"
-            parts.append(markdown(
-                (f"communication timeout of its {where}", ""),
-                (
-                    ("set it", own.how_to_set), ("starts anew with", own.kept_alive_by),
-                    ("beware", own.traps),
-                ),
-            ))
+            ports.setdefault(rows, []).append(where)
+        parts += [
+            markdown((f"communication timeout of its {' and its '.join(where)}", ""), rows)
+            for rows, where in ports.items()
+        ]
         parts.append("To set in the drive besides:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
@@ -315,8 +318,11 @@ def pump_settings() -> str:
     return markdown(
         ("parameter", "default", "unit", "range", "meaning"),
         (
-            (f"`{one.name}`", number(one.default), one.unit, span(one.low, one.high), one.meaning)
-            for one in pump_parameters(site)
+            (
+                f"`{entry.name}`", number(entry.default), entry.unit, span(entry.low, entry.high),
+                entry.meaning,
+            )
+            for entry in pump_parameters(site)
         ),
     )
 
@@ -328,22 +334,23 @@ def interlocks() -> str:
         ("code", "active when", "evaluated in", "limit (parameter)", "kind"),
         (
             (
-                f"`{code}`", meanings[code].meaning, f"`{one.source}`",
-                ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind,
+                f"`{code}`", meanings[code].meaning, f"`{entry.source}`",
+                ", ".join(f"`{name}`" for name in entry.limit.split(", ") if name), entry.kind,
             )
-            for code, one in INTERLOCKS.items()
+            for code, entry in INTERLOCKS.items()
         ),
     )
 
 
 def conditions() -> str:
-    """Return each code that a status may have."""
+    """Return each code that a status may have; interlocks with the same advice share a row."""
+    codes: dict[tuple[str, str], list[str]] = {}
+    for code, condition in read_conditions().items():
+        meaning = "an interlock" if code in INTERLOCKS else condition.meaning
+        codes.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
     return markdown(
         ("code", "meaning", "what to do"),
-        (
-            (f"`{code}`", one.meaning, one.advise("/pump"))
-            for code, one in read_conditions().items()
-        ),
+        ((", ".join(alike), *texts) for texts, alike in codes.items()),
     )
 
 
@@ -381,28 +388,37 @@ def command_groups() -> str:
     return markdown(
         ("to", "`greenroof`", "does or shows"),
         (
-            (title if name == next(iter(group)) else "", f"`{name}`", one.about)
-            for title, group in GROUPS.items() for name, one in group.items()
+            (title if name == next(iter(group)) else "", f"`{name}`", entry.about)
+            for title, group in GROUPS.items() for name, entry in group.items()
         ),
     )
 
 
 def commands() -> str:
-    """Return every option of every command; two of one module are described together."""
+    """Return every option of every command, once: a later command refers to the first that has it.
+
+    Two commands of one module are described together.
+    """
     modules: dict[str, list[str]] = {}
-    for name, one in COMMANDS.items():
-        modules.setdefault(one.module, []).append(name)
-    return "\n".join(_command(names, parser_of(names[0])) for names in modules.values())
+    for name, command in COMMANDS.items():
+        modules.setdefault(command.module, []).append(name)
+    described: dict[tuple[str, ...], str] = {}
+    return "\n".join(
+        _command(names, parser_of(names[0]), described) for names in modules.values()
+    )
 
 
-def _command(names: Sequence[str], parser: argparse.ArgumentParser) -> str:
+def _command(
+    names: Sequence[str], parser: argparse.ArgumentParser, described: dict[tuple[str, ...], str]
+) -> str:
     parts = [f"## {', '.join(names)}\n", _prose(parser.description or "")]
     positionals = " ".join(
         str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
         for action in parser._get_positional_actions()
     )
-    lines = (f"greenroof {name} {positionals}".rstrip() for name in names)
-    parts.append("\n".join(["```text", *lines, "```\n"]))
+    if positionals:
+        lines = (f"greenroof {name} {positionals}" for name in names)
+        parts.append("\n".join(["```text", *lines, "```\n"]))
     for group in parser._action_groups:
         actions = [
             action for action in group._group_actions
@@ -413,18 +429,25 @@ def _command(names: Sequence[str], parser: argparse.ArgumentParser) -> str:
         if group.title not in ("options", "optional arguments", "positional arguments"):
             about = f"**{str(group.title).capitalize()}.** {cell(group.description or '')}"
             parts.append(f"{about.rstrip()}\n")
-        parts.append(markdown(
-            ("option", "value", "meaning"),
-            (
-                (
-                    ", ".join(f"`{text}`" for text in action.option_strings)
-                    or f"`{action.metavar or action.dest}`",
-                    _value(action),
-                    parser._get_formatter()._expand_help(action),
-                )
-                for action in actions
-            ),
-        ))
+        rows = []
+        elsewhere: dict[str, list[str]] = {}
+        for action in actions:
+            option = ", ".join(f"`{text}`" for text in action.option_strings)
+            row = (
+                option or f"`{action.metavar or action.dest}`", _value(action),
+                parser._get_formatter()._expand_help(action),
+            )
+            command = described.setdefault(row, names[0])
+            if command == names[0]:
+                rows.append(row)
+            else:
+                elsewhere.setdefault(command, []).append(option)
+        if rows:
+            parts.append(markdown(("option", "value", "meaning"), rows))
+        parts += [
+            f"As for [`{command}`](#{command.replace(' ', '-')}): {', '.join(options)}.\n"
+            for command, options in elsewhere.items()
+        ]
     return "\n".join(parts)
 
 
@@ -482,26 +505,33 @@ def nodes() -> str | None:
     modules = (plant, weather, recorder, live_recorder, pump, level_sensor)
     declared = {node.__name__.rpartition(".")[2]: node.parameters(site) for node in modules}
     declared["controllers"] = controller.parameters(None)
-    return "\n".join(
-        f"### {node}\n\n"
-        + markdown(
-            ("parameter", "type", "default", "range", "meaning, unit"),
-            (
-                (
-                    f"`{one.name}`", type_name(one), number(one.default), one.limits,
-                    one.description,
-                )
-                for one in parameters
-            ),
-        )
-        for node, parameters in declared.items()
-    )
+    of_nodes: dict[tuple[str, ...], list[str]] = {}
+    for node, parameters in declared.items():
+        for parameter in parameters:
+            row = (
+                f"`{parameter.name}`", type_name(parameter), number(parameter.default),
+                parameter.limits, parameter.description,
+            )
+            of_nodes.setdefault(row, []).append(node)
+    settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
+    header = ("parameter", "type", "default", "range", "meaning, unit")
+    shared = [(*row, ", ".join(nodes)) for row, nodes in of_nodes.items() if len(nodes) > 1]
+    return "\n".join([
+        "### several nodes\n\n" + markdown((*header, "nodes"), shared),
+        *(
+            f"### {node}\n\n"
+            + markdown(header, (
+                row for row, nodes in of_nodes.items()
+                if nodes == [node] and not (node == "pump" and row[0] in settings)
+            ))
+            for node in declared
+        ),
+    ])
 
 
 TABLES: dict[str, Callable[[], str | None]] = {
     "topics": topics,
     "quality of service": quality,
-    "shown units": shown_units,
     "controllers": controllers,
     "metrics": metrics,
     "site": site,
@@ -512,7 +542,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "commands": commands,
     "command groups": command_groups,
     "nodes": nodes,
-    **{name: partial(drawing, way) for name, way in WAYS.items()},
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
@@ -545,6 +574,8 @@ def main() -> None:
     for name, layout in LAYOUTS.items():
         path = DOC.parent / "config" / "layouts" / name
         path.write_text(layout(), encoding="utf-8")
+    for name, way in WAYS.items():
+        (DOC / "_static" / f"{name}.svg").write_text(drawing(way), encoding="utf-8")
 
 
 if __name__ == "__main__":

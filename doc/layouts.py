@@ -62,7 +62,7 @@ def label(topic: str) -> str:
 
 
 def target() -> float:
-    """Return the target of the roof's level as shown, that of the site that comes with this."""
+    """Return the target of the roof's level as shown, from the site that comes with this."""
     site = read_site(shared_directory() / "config" / "site.yaml")
     return round(site.z_veg * display_of("/roof/level").factor, 6)
 

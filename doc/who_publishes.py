@@ -40,12 +40,12 @@ _DRIVE = (
     ("control word, speed", "pump", "drive"), ("status, actual speed, faults", "drive", "pump")
 )
 WAYS = {
-    "simulated graph": Way("simulated", ("weather", "plant", "controller", "recorder")),
-    "hardware in the loop graph": Way(
+    "graph-simulated": Way("simulated", ("weather", "plant", "controller", "recorder")),
+    "graph-in-the-loop": Way(
         "hardware in the loop", ("weather", "plant", "controller", "pump", "recorder"),
         devices=("drive",), exchanges=_DRIVE,
     ),
-    "live graph": Way(
+    "graph-live": Way(
         "live",
         ("gauge", "weather", "controller", "recorder", "pump", "cistern_sensor", "roof_sensor"),
         live=True,
@@ -61,13 +61,13 @@ WAYS = {
 
 def publisher(topic: Topic, way: Way) -> str | None:
     """Return who publishes a topic: of two that may, the one that takes the simulation's place."""
-    found = [role for role in topic.publishers if role in way.nodes]
-    return found[-1] if found else None
+    roles = [role for role in topic.publishers if role in way.nodes]
+    return roles[-1] if roles else None
 
 
 def rows(way: Way) -> list[tuple[str, str, list[str], bool]]:
     """Return the rows of a drawing: label, from, to, and whether it may be absent."""
-    found = []
+    lines = []
     for topic in (read_live_topics() if way.live else read_topics()).values():
         source = publisher(topic, way)
         if source is None or topic.name == "/diagnostics":
@@ -75,12 +75,12 @@ def rows(way: Way) -> list[tuple[str, str, list[str], bool]]:
         readers = [role for role in topic.subscribers if role in way.nodes and role != source]
         perhaps = topic.optional or source in way.perhaps
         unit = f" [{topic.unit}]" if topic.unit else ""
-        found.append((topic.name + unit, source, readers, perhaps))
-    return [*found, *((text, source, [reader], False) for text, source, reader in way.exchanges)]
+        lines.append((topic.name + unit, source, readers, perhaps))
+    return [*lines, *((text, source, [reader], False) for text, source, reader in way.exchanges)]
 
 
 def drawing(way: Way) -> str:
-    """Return the drawing of a way to run, as it stands in a page."""
+    """Return the drawing of a way to run, as SVG."""
     columns = [*way.nodes, *way.devices]
     at = {name: _LABELS + _COLUMN * number + _COLUMN // 2 for number, name in enumerate(columns)}
     lines = rows(way)
@@ -103,7 +103,7 @@ def drawing(way: Way) -> str:
     for number, (label, source, readers, perhaps) in enumerate(lines):
         parts += _row(label, at[source], [at[reader] for reader in readers], perhaps,
                       _HEAD + _ROW * number + _ROW // 2)
-    return "\n".join(["```{raw} html", *parts, "</svg>", "```"]) + "\n"
+    return "\n".join([*parts, "</svg>"]) + "\n"
 
 
 def _row(label: str, source: int, readers: Sequence[int], perhaps: bool, y: int) -> list[str]:

@@ -55,13 +55,13 @@ GROUPS = {
         "topics": Command("topics", "the topics of the graph, and what each carries"),
     },
 }
-COMMANDS = {name: one for group in GROUPS.values() for name, one in group.items()}
+COMMANDS = {name: each for group in GROUPS.values() for name, each in group.items()}
 
 
 def make_parser() -> argparse.ArgumentParser:
     """Return what prints the help and refuses what is no command."""
     groups = (
-        "\n".join([f"{title}:", *(f"  {name:20}{one.about}" for name, one in group.items())])
+        "\n".join([f"{title}:", *(f"  {name:20}{each.about}" for name, each in group.items())])
         for title, group in GROUPS.items()
     )
     return argparse.ArgumentParser(
@@ -96,7 +96,7 @@ def _explain() -> int:
     """Print which commands there are, or that there is none of this name."""
     parser = make_parser()
     name = _name(sys.argv[1:])
-    if name and not any(one.startswith(f"{name} ") for one in COMMANDS):
+    if name and not any(each.startswith(f"{name} ") for each in COMMANDS):
         parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE
@@ -107,16 +107,16 @@ def _complete() -> None:
     import argcomplete
 
     words = os.environ["COMP_LINE"].split()[1:]
-    sys.argv[1:] = words  # of a controller's options those of the one that it names
+    sys.argv[1:] = words  # options of the controller that it names
     parser = make_parser()
     branches = {"": parser.add_subparsers()}
-    for name, one in COMMANDS.items():
+    for name, each in COMMANDS.items():
         above, _, last = name.rpartition(" ")
         if above not in branches:
             branches[above] = branches[""].add_parser(above).add_subparsers()
         own = []
         if name == _name(words):
-            own = [importlib.import_module(f"greenroof_ros.{one.module}").make_parser()]
+            own = [importlib.import_module(f"greenroof_ros.{each.module}").make_parser()]
         branches[above].add_parser(last, parents=own, add_help=not own)
     argcomplete.autocomplete(parser)
 

@@ -126,7 +126,7 @@ def make_parser() -> argparse.ArgumentParser:
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller can reach,\n"
         "had it known all weather, and beside it the results of two plans in the exact\n"
-        "plant: that of the bound's linear program, and that of lookahead's recursion.\n"
+        "plant: the bound's linear program, and lookahead's recursion.\n"
         "The optimum lies between. It is the same for every controller.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"

@@ -234,7 +234,7 @@ def _calibrate(
 
 
 def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
-    """Refuse a record of which a half has nothing measured, or no water."""
+    """Refuse a record if one half has nothing measured, or no water."""
     for part, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(one[steps]) == 0 for one in record.measured.values()):
             raise ConfigurationError(
@@ -263,8 +263,8 @@ def _heading(
         )
         volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
-    lines += [INTERVAL_NOTE, *(one.text for one in findings)]
-    return [line for one in lines for line in textwrap.wrap(one, 98)]
+    lines += [INTERVAL_NOTE, *(each.text for each in findings)]
+    return [line for each in lines for line in textwrap.wrap(each, 98)]
 
 
 def _volume(row: Scores) -> str:
@@ -298,9 +298,9 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
 
 def _print(findings: Sequence[Finding]) -> None:
     """Print what was found beside the roof's parameters."""
-    for one in findings:
-        style = "bold" if one.severity is Severity.WARNING else None
-        Console().print(one.text, style=style, soft_wrap=True, highlight=False)
+    for each in findings:
+        style = "bold" if each.severity is Severity.WARNING else None
+        Console().print(each.text, style=style, soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

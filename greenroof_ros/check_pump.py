@@ -72,7 +72,7 @@ def make_parser() -> argparse.ArgumentParser:
         )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site whose levels and ticks it is told (default: the paper's, config/site.yaml)",
+        help="site whose levels and ticks it is sent (default: the paper's, config/site.yaml)",
     )
     return parser
 

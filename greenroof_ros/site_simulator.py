@@ -25,7 +25,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate cistern and roof in real time and answer as their level sensors, "
-        "over Modbus.\nThe pump is that of a drive simulator: its true speed makes the flow.",
+        "over Modbus.\nThe pump is a drive simulator's: its true speed makes the flow.",
         epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
         "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
         f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"

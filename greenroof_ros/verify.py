@@ -58,7 +58,7 @@ Brier  mean squared error of the event's probability
 CRPS   error of the whole distribution (mm), the fair one, alike for any number of members; of a
        single forecast the mean error
 
-Of an ensemble the first five are those of member 0, the last two of all members.
+Of an ensemble the first five are of member 0, the last two of all members.
 --dress scores sums from each issue on: as issued, dressed without the ten days around it, and by
 climate, all that fell in the record.
 
@@ -96,7 +96,7 @@ def make_parser() -> argparse.ArgumentParser:
     whole = within(1, _MOST_HOURS, int)
     parser.add_argument(
         "--sums", type=whole, nargs="+", metavar="H",
-        help="hours over which is summed (default: those of 1, 6, 12 and 24 that divide --lead)",
+        help="hours over which is summed (default: 1, 6, 12 and 24, where they divide --lead)",
     )
     parser.add_argument(
         "--events", type=within(1e-3, 1e3), nargs="+", metavar="MM",
@@ -159,14 +159,14 @@ def _verify(arguments: argparse.Namespace) -> int:
     with _bar("verifying", forecasts.count, "issues") as done:
         tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
-    if not any(one.scores().n for one in tallies.values()):
+    if not any(each.scores().n for each in tallies.values()):
         raise ConfigurationError(
             f"have no whole sum in common with the records: these are of {forecasts.span}, the "
             f"records of {span}",
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
     records = f"{weather.source}, {span}"
-    # Previous runs are those of whose leads only days are said: a service puts these together.
+    # Previous runs say leads in days only: a service puts these together.
     findings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
     texts: dict[Path, str] = {}
     if arguments.fit is not None:  # first, as it may refuse what the scores need no more of
@@ -244,7 +244,7 @@ def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
     """Return the sums and events that a command line asks for."""
     if arguments.sums is None and arguments.events is None:
-        return [Sum(*one) for one in _SUMS if arguments.lead % one[0] == 0]
+        return [Sum(*each) for each in _SUMS if arguments.lead % each[0] == 0]
     if arguments.sums is None or arguments.events is None:
         raise ConfigurationError("must be given together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
@@ -258,7 +258,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
                 f"must each divide --lead, {arguments.lead} h, and be given once",
                 key="--sums", value=hours,
             )
-    return [Sum(*one) for one in zip(arguments.sums, arguments.events, strict=True)]
+    return [Sum(*each) for each in zip(arguments.sums, arguments.events, strict=True)]
 
 
 def _new_table(title: str, *names: str) -> Table:
@@ -274,13 +274,14 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     headings = (heading for heading, _ in SHOWN.values())
     table = _new_table(title, "lead", "sum of", "event", *headings)
     before = ""
-    for one, of_class in tallies.items():
+    for each, of_class in tallies.items():
         scores = of_class.scores()
         table.add_row(
-            one.lead if one.lead != before else "", f"{one.sum.hours} h", f"{one.sum.event:g} mm",
+            each.lead if each.lead != before else "",
+            f"{each.sum.hours} h", f"{each.sum.event:g} mm",
             *map(scores.shown, SHOWN),
         )
-        before = one.lead
+        before = each.lead
     return table
 
 
@@ -293,7 +294,7 @@ def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
     for row in rows:
         table.add_row(
             f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
-            *(f"{one:.2f}" for one in (*row.bias[:2], *row.crps)),
+            *(f"{each:.2f}" for each in (*row.bias[:2], *row.crps)),
         )
     return table
 
@@ -306,10 +307,10 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
         ("lead_from_h", "lead_to_h", "sum_hours", "event_mm",
          *("crps_mm" if name == "crps" else name for name in SHOWN))
     )
-    for one, of_class in tallies.items():
+    for each, of_class in tallies.items():
         scores = of_class.scores()
         rows.writerow(
-            (one.low, one.high, one.sum.hours, f"{one.sum.event:g}", scores.n,
+            (each.low, each.high, each.sum.hours, f"{each.sum.event:g}", scores.n,
              *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
         )
     return stream.getvalue()

@@ -145,7 +145,7 @@ class DriveChoice:
             raise no_real_time(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
-        """Return what stops the drive without the pump node, of which it is told the process.
+        """Return what stops the drive without the pump node, whose process it is given.
 
         It returns whether the drive says that the pump stands, and what came of it, in words. A
         drive that another program runs is left to that, and whether it stands is not known.

@@ -244,7 +244,7 @@ def _end(
     run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
     *, as_json: bool,
 ) -> None:
-    """Write the summary; print that of a run that is done, or say how its bag is opened."""
+    """Write the summary; print it if the run is done, or say how its bag is opened."""
     last = supervisor.last
     refused: dict[str, int] = {}
     for report in last.values():

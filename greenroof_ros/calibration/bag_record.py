@@ -34,7 +34,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     What the pumps were told counts while they deliver, in steps in which it is never above 1, which
     is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
-    through gaps, too: that of a day before, or in the first day that before the gap.
+    through gaps, too: the value of a day before, or in the first day the last before the gap.
 
     Raises:
         ConfigurationError: the bag cannot be read, is shorter than two steps, or holds no

@@ -148,7 +148,7 @@ def _clock(record: Record) -> Iterator[Finding]:
 
 
 def _rises(values: Values, count: int) -> Values:
-    """Return the mean of so many values from each on, less that of as many before it.
+    """Return the mean of so many values from each on, less the mean of as many before it.
 
     What is not known counts as 0, what was before the first, too. Shape (values - count + 1,).
     """
@@ -212,7 +212,7 @@ _BESIDE_S = 1800
 # could hold. The measured roofs let nothing run off of 44 mm in four weeks.
 _LEAVES_SOME = 80.0
 # Nobody waters the measured roofs: they dry out, and their bounds allow for what evaporates then. A
-# roof that was watered within a week goes on at the full rate, which is that of the reference grass
+# roof that was watered within a week goes on at the full rate, the rate of the reference grass
 # times 1.3 at most (FAO-56, Eq. 72: 1.05 to 1.3).
 _WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
 
@@ -438,7 +438,7 @@ def _rise_without_rain(record: Record, site: Site, level: Values) -> Iterator[Fi
 
 # --- fits -----------------------------------------------------------------------------------------
 
-# Simulated too much or too little by this share, runoff is not that of the roof.
+# Simulated too much or too little by this share, runoff is not the roof's.
 _VOLUME_OFF = 0.5
 _LOOK_AT = (
     "Look at units, at clocks that are shifted, at sensors that are stuck or blocked, and at a2 "

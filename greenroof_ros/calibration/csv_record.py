@@ -107,7 +107,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
 
     The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
     no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
-    begins at its time; levels are those of that moment. An amount without ``/`` is that of its
+    begins at its time; levels are of that moment. An amount without ``/`` is the sum of its
     step; ``mm`` are over the roof, ``l`` and ``m3`` those of the whole roof of ``a2``. Rows are a
     regular step apart, of at most a day; where a clock was set, each is of the step that begins
     nearest to its time, amounts of two rows of one step add up, and all else of them is averaged.

@@ -93,7 +93,7 @@ def ranges(site: Site, record: Record) -> list[Range]:
     """Return what is to be fitted.
 
     Field capacity and wilting point never cross: what the driest level leaves is above the wilting
-    point. That of the drainage layer's storage is not among them: its outflow k V^2 depends on
+    point. The drainage layer's storage is not among them: its outflow k V^2 depends on
     storage times time constant alone, as long as it is not full.
     """
     if record.level is None:

@@ -35,7 +35,7 @@ from greenroof_ros.report.drawing import (
 from greenroof_ros.report.page import page_of
 
 MEASURED, SIMULATED = "measured", "simulated"
-# Points of which neither value is this share of the largest are left out of a scatter: there are
+# Points with neither value above this share of the largest are left out of a scatter: there are
 # thousands of them, all in one corner.
 _SEEN = 0.01
 
@@ -150,7 +150,7 @@ def _together(
 ) -> Rows:
     """Return sums or means over a time, a row each, with what is simulated too much.
 
-    Those of which neither value is ``seen`` of the largest of its half are left out.
+    Pairs with neither value above ``seen`` of the largest of its half are left out.
     """
     rows: Rows = []
     for part, steps in halves.items():

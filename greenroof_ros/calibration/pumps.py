@@ -47,8 +47,8 @@ _HARDLY = 0.5
 def standing_steps(step_s: float) -> int:
     """Return from how many steps before a run to how many after it levels count.
 
-    By so much the pump state may be late or early: that of a logger by a step or two, that of a
-    drive by minutes.
+    By so much the pump state may be late or early: a logger's by a step or two, a drive's
+    by minutes.
     """
     return max(_STANDING_STEPS, round(_STANDING_S / step_s))
 
@@ -226,7 +226,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     with Z the mean level: Q is how much they lift, and H what a level changes in it. At a command
     they lift that share. The levels of each run and of some time before and after it, but for their
     mean, are brought near to what that leaves in the cistern, by least squares; so a sensor's
-    offset does not count, and its noise is that of all levels of a run. How much the pump state is
+    offset does not count, and its noise is of all levels of a run. How much the pump state is
     late or early is fitted, too: the levels before and after show when the cistern falls.
 
     Runs in which the cistern rises by more than its noise are left out, and others count less the
@@ -324,7 +324,7 @@ def _logger(
 
 
 def _doubts(record: Record, found: _Solution, most: float, standing: int) -> list[Finding]:
-    """Return why a fall is not that of these pumps, or not at the time that they run.
+    """Return why a fall is not these pumps', or not at the time that they run.
 
     Args:
         record: its steps.

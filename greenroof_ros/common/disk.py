@@ -104,7 +104,7 @@ class DiskThread:
                 self._changed.notify_all()
 
 
-# That of the process.
+# The process has one.
 DISK = DiskThread()
 
 

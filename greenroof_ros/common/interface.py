@@ -111,7 +111,7 @@ def _topic(
 
 
 def read_topics() -> dict[str, Topic]:
-    """Return the interface; the order is that of the file, and of each tick in a bag."""
+    """Return the interface; the order is as in the file, and in each tick of a bag."""
     return dict(_topics())
 
 
@@ -142,7 +142,7 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     for name in outputs:
         if name not in topics:
             raise ConfigurationError(
-                f"is no output of a controller; those of msg_defs/topics.yaml are "
+                f"is no output of a controller; in msg_defs/topics.yaml they are "
                 f"{', '.join(topics)}",
                 key="outputs", value=name,
             )

@@ -53,7 +53,7 @@ class Findings:
     """The table of what some checks can find: codes, and the sentence of each case."""
 
     def __init__(self, file: Path) -> None:
-        """Read the table, of which each code has ``severity``, ``when`` and sentences by case."""
+        """Read the table, in which each code has ``severity``, ``when`` and sentences by case."""
         self._rows: Mapping[str, Mapping[str, Any]] = read_yaml(file)
 
     @property

@@ -44,8 +44,8 @@ class AfterForecast:
     roof before a rain at its end, at no cost to the plan, and has too much on it afterwards. The
     shorter the forecast, the more of that. So the deviation counts for ``days_after`` more
     days, in which there is no rain, and evapotranspiration is 0.3 of its mean over the past day:
-    what rain and evapotranspiration leave between them in a usual summer. The mean is that of a
-    whole day, so that it is right at night, too; at first it is that of the forecast's first day.
+    what rain and evapotranspiration leave between them in a usual summer. The mean is over a
+    whole day, so that it is right at night, too; at first it is the forecast's first day's.
 
     Without these days the forecast's end is the end of all. That is right for a study whose runs
     end there, as the paper's 12 h do, and for no roof that lives on.
@@ -85,7 +85,7 @@ class AfterForecast:
         if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
             raise ConfigurationError(
                 f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
-                f"that of evapotranspiration {len(evaporated)}; there are {self.steps} steps to "
+                f"evapotranspiration has {len(evaporated)}; there are {self.steps} steps to "
                 f"the horizon, and members at most {most}; give weather and controller the same "
                 "horizon, and only lookahead all members"
             )

@@ -51,10 +51,10 @@ _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 3)), np.full((1, 3), np.nan)
 class Lookahead:
     """Fills the roof to the level that is best for the rain to come, and holds it there.
 
-    The level is that of :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo`, for all members
+    The level comes from :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo`, for all members
     of an ensemble of forecasts or for a single one, over steps that grow, and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`). What is known of
-    the members' future is that of
+    the members' future says
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
@@ -81,7 +81,7 @@ class Lookahead:
         planned_deviation: mean deviation over the horizon and the days after it, of all members,
             that the last plan expects (m3); NaN before the first.
         solves: how many plans were made.
-        solve_seconds: wall time of each :meth:`command` (s), most of which plan nothing.
+        solve_seconds: wall time of each :meth:`command` (s); most plan nothing.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (

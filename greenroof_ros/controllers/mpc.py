@@ -19,7 +19,7 @@ from greenroof_ros.model.smooth_plant import linearise
 
 _log = logging.getLogger(__name__)
 
-# Commands are right to 1e-8 (held against an exact solution in the tests). The adaptation of rho
+# Commands are right to 1e-8 (compared with an exact solution in the tests). The adaptation of rho
 # is counted in iterations, since by the clock two equal runs would differ. Beyond max_iter a tick
 # falls back.
 _SOLVER_SETTINGS: dict[str, Any] = {

@@ -432,7 +432,7 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
 
     That each may be answered on its own at once is what no forecast gives: a controller that
     believes it waits, since soon it will know all. A tree from scenarios that are alike until each
-    stage is that of Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic
+    stage is by Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic
     programs, doi:10.1007/s10107-007-0197-2); here the members part by rank, so that it is as large
     whatever the rain. In which order the members are given does not matter.
 

@@ -67,7 +67,7 @@ class RegretBudget:
     Where the mains fill the cistern more slowly than the pumps empty it, and it holds less than
     the roof lacks, filling takes longer than is counted, and L may go beyond the limit.
 
-    The budget is that of a site: a live controller that is started again goes on with the L and D
+    The budget belongs to a site: a live controller that is started again goes on with the L and D
     of before.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or

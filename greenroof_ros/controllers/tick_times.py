@@ -13,7 +13,7 @@ _MOST_KEPT = 65_536
 class TickTimes:
     """Wall times of ticks (s): their number, mean and largest, and the 99th percentile.
 
-    The percentile is that of the last 65,536 ticks; number, mean and largest are of all.
+    The percentile covers the last 65,536 ticks; number, mean and largest cover all.
     """
 
     def __init__(self) -> None:

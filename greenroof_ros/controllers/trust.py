@@ -42,8 +42,8 @@ class Trust:
 
         L <- exp(-d / ``trust_memory``) L + d |x2 - x2*| / x2*,   d the step (days).
 
-    The real roof is filled as the shadow that it follows, at first that of all trust. It changes to
-    the shadow with the least L, where that is less by a margin, when both hold the same and are to
+    The real roof is filled as the shadow that it follows, at first the one of all trust. It changes
+    to the shadow with the least L, where it is less by a margin, when both hold the same and are to
     be filled to the same. Then no wait for rain is under way, whose end is not known, and to change
     costs nothing; who judged each hour by itself would give up a wait in the middle, and lose
     twice. Where rain is promised for ever and never comes, that never is. What that costs, and

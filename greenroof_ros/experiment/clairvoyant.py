@@ -103,7 +103,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
 
 
 def _sums(first: float, changes: Values) -> Values:
-    """Return the values of which these are the changes, shape (N+1,) for N changes."""
+    """Return the values that have these changes, shape (N+1,) for N changes."""
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 
@@ -145,7 +145,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
     is 0 and p, m and c have bounds. Of p_b and m_b one is 0 in the optimum, so that limits of y_b
     are limits of each.
 
-    The cost is that of the dual: as every variable z is between two numbers, and the balance A z is
+    The cost is the dual's: as every variable z is between two numbers, and the balance A z is
     0, any multipliers v make the sum of the least (w - A'v) z a bound of w z from below, whatever
     the solver's tolerance.
 
@@ -226,7 +226,7 @@ def _changes(
         factor, low, high = _composed(slope, limits.least, limits.greatest, block)
         factor, low, high = factor[:count], low[:count], high[:count]
         mean = factor.reshape(following, block).mean(axis=1)
-        # Of each tick the factor is a little off that of its block.
+        # Of each tick the factor is a little off its block's.
         off = factor - np.repeat(mean, block)
         ends = off * floor[:count], off * ceiling[:count]
         factors[1 : following + 1] = mean

@@ -160,7 +160,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
-        help="initial levels of cistern and roof, Table II of the paper (default: those of "
+        help="initial levels of cistern and roof, Table II of the paper (default: from "
         "the site file, low-low if it gives none)",
     )
     group.add_argument(
@@ -182,7 +182,7 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that some kinds of forecast have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
-        help="errors, ensemble: how good they are. real: as those of weather services; better: as "
+        help="errors, ensemble: how good they are. real: as weather services'; better: as "
         "real ones of half the lead; worse: of twice the lead; a file: as it says "
         f"(default: {ForecastChoice().skill})",
     )

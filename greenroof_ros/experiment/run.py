@@ -97,7 +97,7 @@ def build_run(
         site_file: where the site was read from.
         site: its parameters.
         weather: hourly records.
-        start: time of tick 0, ISO 8601; without an offset from UTC in that of the weather.
+        start: time of tick 0, ISO 8601; without an offset from UTC in the weather's.
         steps: N, its length (ticks).
         controller: which.
         parameters: its parameters, all of them.

@@ -87,7 +87,7 @@ class NormalRecords:
 
     Hours with rain have theirs. A dry hour's is not known but that it is at most c; it is drawn as
     likely as it is given its neighbours, over and over (Gibbs sampling; Geman and Geman, IEEE
-    Trans. PAMI 6:721, 1984), every other hour at a time. That of a missing hour is drawn likewise,
+    Trans. PAMI 6:721, 1984), every other hour at a time. A missing hour's is drawn likewise,
     without that limit. So a dry hour amid rain is near to rain, and one amid a dry week is far from
     it.
 
@@ -109,7 +109,7 @@ class NormalRecords:
         self._parts: dict[int, Array] = {}
 
     def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of some hours by their index, that of the first or last beyond the ends."""
+        """Return z (1) of some hours by their index, of the first or last beyond the ends."""
         index = np.clip(hours, 0, len(self._rain) - 1)
         parts = (index + self._first) // (_PART * _BLOCK)
         normal = np.empty(len(index))

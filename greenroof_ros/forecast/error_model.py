@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 # A filter reaches as many times the longest of memory and error of timing: exp(-6) is left then.
 _REACH = 6
 
-# The leads (h) of a forecast of ten days, the latest issue of which is up to 12 h old.
+# The leads (h) of a forecast of ten days, whose latest issue is up to 12 h old.
 _LEADS = 256
 
 # So many times the persistence ago, an issue is forgotten; exp(-3) of it is left then.
@@ -55,7 +55,7 @@ class ErrorModel:
     seed, the member's number and the time of issue alone: the same seed gives the same forecasts,
     whoever asks, when, and in whichever order.
 
-    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), the mean of which is 1;
+    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1;
     e grows from 0 to the skill's constant as the unknown share of the rain does, and g is drawn as
     xi is. Members differ in the rain only. Member 0 is the single forecast of the same seed.
 
@@ -207,7 +207,7 @@ def _filters(skill: Skill) -> _Filters:
 
 
 class _Noise:
-    """White noise of each issue, which is not far from that of the issue before."""
+    """White noise of each issue, which is not far from the noise of the issue before."""
 
     def __init__(self, seed: int, members: int, persistence: float) -> None:
         """Take seed, number of members, and the persistence (h)."""
@@ -228,7 +228,7 @@ class _Noise:
             before: see there.
 
         Returns:
-            That of all members, shape (hours,); of each of them, shape (members, hours); and that
+            Of all members, shape (hours,); of each of them, shape (members, hours); and
             of evapotranspiration.
         """
         longest = hours + ISSUE_HOURS * (len(self._weights) - 1)

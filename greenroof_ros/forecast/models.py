@@ -105,9 +105,9 @@ class PerfectModel:
 class PersistenceModel:
     """Forecasts that it will go on as it is.
 
-    The rain is for all hours that of the hour of issue. Evapotranspiration follows the day: it is
-    that of the same hour of the last day that is known at the issue, or where the records do not
-    have it, that of the hour of issue.
+    It rains in all hours as in the hour of issue. Evapotranspiration follows the day: as in the
+    same hour of the last day that is known at the issue, or where the records do not have it, as
+    in the hour of issue.
     """
 
     def __init__(self, weather: Weather) -> None:
@@ -137,7 +137,7 @@ class FileModel:
 
     The newest is the last that was available by the start of the hour. Past its end there is no
     rain, as after all forecasts, and the evapotranspiration of its last day, or of its last hour
-    where it is shorter than a day. Without a column of evapotranspiration that of the records
+    where it is shorter than a day. Without a column of evapotranspiration the records'
     counts as known. Where the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 

@@ -91,7 +91,7 @@ class Known:
 
         Args:
             since: s since the start of the present hour.
-            all_members: whether rain is that of all members, otherwise that of the first.
+            all_members: whether rain is of all members, otherwise of the first.
         """
         if not self._from <= since < self._until:
             self._draw_lines(since)
@@ -105,11 +105,12 @@ class Known:
 
     def _draw_lines(self, since: float) -> None:
         ends = since + self._ends
-        # The end of the last step may be that of the last hour.
+        # The last step may end with the last hour.
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
-        # numpy's choice of columns turns the order in memory around, and that of its sums follows
-        # it: the last bit of a sum over members would differ from that on what a message brings.
+        # numpy's choice of columns turns the order in memory around, and the order of its sums
+        # follows: the last bit of a sum over members would differ from a sum on what a message
+        # brings.
         at_ends = np.ascontiguousarray(self._rates[:, index])
         come = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
         self._first = (come[:, 1:] - come[:, :-1]) / self._lengths
@@ -186,7 +187,7 @@ class SteppedForecast:
             start: time of tick 0.
             ends: of the steps, see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
-            all_members: whether rain is that of all members, otherwise that of the only one.
+            all_members: whether rain is of all members, otherwise of the only one.
 
         Raises:
             ConfigurationError: there is no forecast for a part of the run.

@@ -178,7 +178,7 @@ class Service:
 def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     """Return an answer as a forecast that was issued in an hour.
 
-    It ends before the first hour of which anything is missing.
+    It ends before the first hour that lacks anything.
 
     Raises:
         ConfigurationError: it is no forecast of the hour at the site.

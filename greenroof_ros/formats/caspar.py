@@ -297,7 +297,7 @@ def _rain(
         file: for messages.
         name: of the variable, likewise.
         leads: 0, and those of the sums (h), shape (n + 1,).
-        sums: at each time of the file; that of lead 0 may be missing, which is 0, and so may the
+        sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
             last.
     """
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))

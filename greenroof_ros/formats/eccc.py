@@ -15,7 +15,7 @@ from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"
 _LONGITUDE = "Longitude (x)"
-# Their column, and that of its flag, for each quantity of ours; the units are the same.
+# Their column, and its flag's, for each quantity of ours; the units are the same.
 _COLUMNS = {
     "precipitation": ("Precip. Amount (mm)", "Precip. Amount Flag"),
     "temperature": ("Temp (°C)", "Temp Flag"),
@@ -44,7 +44,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     hour after. So rain stands an hour late, ``rain_late`` of the records, by which forecasts are
     compared with it. Flags ``M`` (missing) and ``NA`` make a value missing even where one is given.
     Other flags, such as ``E`` (estimated by the service), do not. A row that ends before the first
-    observation, as the service writes them for hours of which it has nothing, is an hour in which
+    observation, as the service writes them for hours without observations, is an hour in which
     all are missing.
 
     Args:
@@ -53,7 +53,7 @@ def read_records(file: Path, site: Site, /) -> Records:
 
     Raises:
         ConfigurationError: a column is missing, a line broken or out of order, a value not a number
-            or not believable, or the site's offset missing or not that of the station.
+            or not believable, or the site's offset missing or not the station's.
     """
     if site.utc_offset is None:
         raise ConfigurationError(

@@ -20,14 +20,14 @@ is of the hour that starts at its time: so rain and radiation are moved an hour 
 an instant holds for the hour after it, as in ECCC's files.
 
 Local times have one offset from UTC in the whole file, also over a change of daylight saving time:
-that of ``utc_offset_seconds``.
+``utc_offset_seconds``.
 
 **Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
 runs** have ``precipitation_previous_day1`` to 7: of an hour the newest forecast that was at least N
 x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). There are no runs in them,
-and nothing that is newer than 24 h. So what was known of an hour at some time is that of the
-smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ..., the
-first being the control run. Which run it is, the answer does not say, so the file's name must end
+and nothing that is newer than 24 h. So what was known of an hour at some time is the value of
+the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ...;
+the first is the control run. Which run it is, the answer does not say, so the file's name must end
 in it, as in ``gem_2024060112.json``. The first time is no sign of it: an answer to ``run=`` begins
 at the run, but one without begins at midnight, or days before with ``past_days=``, and what fell
 until the download would be foreseen.
@@ -107,7 +107,7 @@ _DAY_H = 24
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
-    """Whether a file is JSON, or its first line that of the service or of hours of a forecast."""
+    """Whether a file is JSON, or its first line is the service's or one of hours of a forecast."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
     cells = [cell.strip() for cell in text.partition("\n")[0].split(",")]
     saved = cells[0] in _SAVED_TIMES and any(
@@ -354,7 +354,7 @@ def _rain(name: str) -> str | None:
 
 
 def read_run(file: Path, site: Site, issued: datetime) -> Issue:
-    """Read an answer as the forecast of which it is known that it was issued at a time.
+    """Read an answer as a forecast whose time of issue is known.
 
     Args:
         file: of one place.
@@ -436,7 +436,7 @@ def _known_of(previous: Records) -> list[Issue]:
     """Return what was known at 00, 06, 12 and 18 UTC of the hours that followed.
 
     With the lead l (h) from then to an hour's end, that is the value of the smallest N with
-    24 N >= l that is not missing. An issue ends before the first hour of which none is known.
+    24 N >= l that is not missing. An issue ends before the first hour without a known value.
 
     Raises:
         ConfigurationError: nothing is known at all, or at none of these times.
@@ -465,11 +465,11 @@ def _known_of(previous: Records) -> list[Issue]:
 
 
 def _daily(previous: Records) -> Iterator[Issue]:
-    """Yield one issue a day, at 00 UTC, of which each hour is of its own N alone.
+    """Yield one issue a day, at 00 UTC, with each hour from its own N alone.
 
     The hours from 24 (N - 1) to 24 N after it are those of N, so that each value of the file is in
     one issue, by the day that it stands for; missing ones are NaN. They are for verification: of
-    :func:`_known_of` four have the same value, and some that of another N.
+    :func:`_known_of` four have the same value, and some the value of another N.
     """
     days = _days(previous)
     last = max(days)

@@ -52,8 +52,8 @@ def read_records(file: Path, _site: Site, /) -> Records:
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
-    :data:`greenroof_ros.formats.records.QUANTITIES`, of which ``... evapotranspiration [mm/day]``
-    names its method in its first words. Each further line is the hour that starts at its ``time``
+    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` names its
+    method in its first words. Each further line is the hour that starts at its ``time``
     (ISO 8601 with the offset from UTC), hour after hour.
 
     Raises:
@@ -146,8 +146,8 @@ def _check_header(table: Table) -> None:
         if cell != due:
             wrong = "is one column too many" if due is None else f"the column must be '{due}'"
             raise table.refuse(
-                f"{wrong}; they are {', '.join(map(repr, columns))}, of which "
-                f"{', '.join(one for one in columns if one in _OPTIONAL)} may be left out",
+                f"{wrong}; they are {', '.join(map(repr, columns))}; "
+                f"{', '.join(each for each in columns if each in _OPTIONAL)} may be left out",
                 cell or "",
             )
 

@@ -52,7 +52,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
     Args:
         source: a file, or a directory of files of one format.
         site: to which the archive must be near, as far as it says its own place.
-        delay: h after its nominal time from which an issue is known; that of its kind unless given.
+        delay: h after its nominal time from which an issue is known; its kind's unless given.
 
     Raises:
         ConfigurationError: a file is not as its format must be, two have the same issue, or issues

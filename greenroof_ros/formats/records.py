@@ -227,7 +227,7 @@ class Issue:
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration so many hours ahead (mm/day); None where the file has none.
 
-        After the last hour it is that of the same hour of the last day, or that of the last hour
+        After the last hour it is as in the same hour of the last day, or as in the last hour
         where the issue is shorter than a day.
         """
         if self.evapotranspiration is None:

@@ -179,7 +179,7 @@ class Table:
         self, column: str, parse: Callable[[str], datetime] = parse_time,
         example: str = DEFAULT_START,
     ) -> datetime:
-        """Return the first of a column's times, each of which must be an hour after the other.
+        """Return the first of a column's times; each must be an hour after the other.
 
         Raises:
             ConfigurationError: one is not; or as :meth:`times` says.

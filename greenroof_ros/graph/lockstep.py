@@ -14,7 +14,7 @@ A second message before its node has acted, a second publisher, and a message th
 within the peer limit (before a node's first answer the start limit) each end the run; the last
 under the name of what the plant itself awaits. Only the pump node tolerates a second command, or a
 second publisher of commands, for which it stops the pump; the plant, which hears both, ends the
-run. A second message after the node has acted counts as that of the next tick, and is found when
+run. A second message after the node has acted counts for the next tick, and is found when
 that comes too, or at the end by the count. One that only the recorder misses is found at the end.
 There are no timers and no sleeps on the way of a tick; the only wall clocks here end a run which
 hangs, and the pump node's own stop its drive.

@@ -13,7 +13,7 @@ from typing import Any
 def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     """Take the messages that wait, serialised, each with what rclpy says of it.
 
-    rclpy hands them to callbacks only, of which its fast executor calls none for what waited before
+    rclpy hands them to callbacks only, and its fast executor calls none for what waited before
     it listened, and none says the number that the publisher gave a message.
     """
     with subscription.handle:

@@ -105,7 +105,7 @@ class Reports:
 
         It is an error where they say why the node failed, and a warning where they have warnings.
         One that waits for its peers is well, and says so by its code.
-        The stamp is the node's time; until simulated time begins, that of the system: tools take 0
+        The stamp is the node's time; until simulated time begins, the system's: tools take 0
         for a stamp that was forgotten.
         """
         level, code = OK, ""

@@ -356,7 +356,7 @@ def _log_file(path: Path) -> RotatingFileHandler:
 
 
 def _pipe(our_ends: contextlib.ExitStack, its_ends: contextlib.ExitStack) -> tuple[int, int]:
-    """Open a pipe from another process to this one, each end of which is closed with its stack."""
+    """Open a pipe from another process to this one; each end is closed with its stack."""
     reading, writing = os.pipe()
     our_ends.callback(os.close, reading)
     its_ends.callback(os.close, writing)

@@ -158,7 +158,7 @@ def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> f
         site: with the area of the roof.
         by_hour: rain on the roof, pumped and drained water (m3), shape (3, n).
         above: depth of rain (mm).
-        hours: of which the rain is added up.
+        hours: whose rain is added up.
 
     Returns:
         From 0 to 1; None where there was no such rain.
@@ -421,7 +421,7 @@ def totals_of(
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
     """Return the combined numbers of a run, with further samples; none before its beginning."""
     result: dict[str, Any] = {}
-    combined: dict[Any, Any] = {}  # of which several metrics may be made
+    combined: dict[Any, Any] = {}  # several metrics may be made of it
     for metric in METRICS:
         what = metric.function, metric.combine
         if what not in combined:
@@ -522,7 +522,7 @@ class Metrics:
         self._ticks = bytearray()
 
     def _weekly(self, samples: Samples) -> Values:
-        """Return the deviation of each week, with that of further samples, shape (1, weeks)."""
+        """Return the deviation of each week, further samples included, shape (1, weeks)."""
         assert samples.time is not None
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))

@@ -117,7 +117,7 @@ class Pump:
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
-        """Take the minimum times, and the duration of a tick (s), of which they last whole ones."""
+        """Take the minimum times, and the duration of a tick (s); they last whole ticks."""
         self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False

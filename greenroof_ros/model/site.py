@@ -66,7 +66,7 @@ class Site:
 
     a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
     a_in: float = entry(
-        "area whose rain flows into the cistern; in Table I that of its inlet", *_POSITIVE,
+        "area whose rain flows into the cistern; in Table I its inlet's", *_POSITIVE,
         unit="m2",
     )
     z_o: float = entry("elevation of the cistern's outlet", *_POSITIVE, unit="m")
@@ -183,7 +183,7 @@ class Site:
         default=10.0,
     )
     crop_coefficient: float = entry(
-        "evapotranspiration of the vegetation over that of the reference grass", 0.01, 3.0,
+        "evapotranspiration of the vegetation over the reference grass's", 0.01, 3.0,
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
@@ -193,7 +193,7 @@ class Site:
 
     @cached_property
     def effective_catchment(self) -> float:
-        """Area of which all rain reaches the cistern (m2): a_in times its runoff coefficient."""
+        """Area whose rain would all reach the cistern (m2): a_in times its runoff coefficient."""
         return self.a_in * self.runoff_coefficient
 
     @cached_property
@@ -458,7 +458,7 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
     """Yield each parameter that cannot be right beside the others, and what would be.
 
     Args:
-        site: of which each parameter is in its range.
+        site: with each parameter in its range.
         given: those that its file has.
     """
     for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):

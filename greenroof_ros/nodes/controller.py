@@ -67,7 +67,7 @@ class ControllerNode(LinkedNode):
 
     On a live site a forecast that is missing, too old or refused is no reason to stop: on/off, with
     its defaults, commands until there is one again. Where it pumped, the controller then begins
-    anew: what it knew of the roof and of its plan is of before. What it has learned of its
+    afresh: what it knew of the roof and of its plan is of before. What it has learned of its
     forecasts stays, over restarts of the node too, in the file ``state_file``.
     """
 
@@ -182,7 +182,7 @@ class ControllerNode(LinkedNode):
     def _learned_before(self, file: str) -> Kept | None:
         """Let the controller know what it had learned; return where that is kept, None for nowhere.
 
-        What is there but not understood is said, and the controller begins anew.
+        What is there but not understood is said, and the controller starts afresh.
         """
         if not file or learned_by(self._controller) is None:
             return None

@@ -311,7 +311,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Take the state file over, if another one had it or it could not be made."""
         if self._ledger.take():
             self._begin()
-            self._reasons = ()  # decide anew
+            self._reasons = ()  # decide again
 
     # --- lifecycle --------------------------------------------------------------------------------
 

@@ -323,7 +323,7 @@ class WeatherNode(LinkedNode):
         return fetcher
 
     def _month(self, now: datetime) -> int:
-        """Return the month at the site, of which it says what is usual."""
+        """Return the month at the site, for which it says what is usual."""
         return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
 
     def _learn(self, dressing: LiveDressing, now: datetime, rain: float | None) -> None:

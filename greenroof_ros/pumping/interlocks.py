@@ -17,7 +17,7 @@ What each code means, and what to do about it, is in ``msg_defs/conditions.yaml`
 
 To add an interlock, add its row here and its words there, and give a reason under its code in
 :mod:`.limits` (levels, weather, how long and how much), :mod:`.pump_control` (what the drive shows)
-or the pump node (what it knows itself). CONTRIBUTING.md lists the rest.
+or the pump node (what it knows itself). doc/development.md lists the rest.
 """
 
 from __future__ import annotations

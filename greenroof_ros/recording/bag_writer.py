@@ -82,7 +82,7 @@ class LiveBag:
             file_bytes: size at which a file is closed and the next one begun; each day, by UTC,
                 begins one, too.
             total_bytes: size of the bag beyond which its oldest files are removed, at least twice
-                that of a file.
+                a file's.
         """
         self.directory = directory
         self.problem = ""

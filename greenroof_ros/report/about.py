@@ -70,7 +70,7 @@ class About:
         exact_sensor: whether the roof's level is the true one.
         zone: offset from UTC; None where it is unknown.
         own: whether this package wrote it.
-        external_pump: whether its flow was that of a pump driver.
+        external_pump: whether its flow was a pump driver's.
         changes: what parameters became in the run, as it stands behind the value before.
         ending: how a run ended that is not done, as a sentence without its name and full stop.
         short: the same in a few words.

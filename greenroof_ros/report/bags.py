@@ -36,7 +36,7 @@ _WEATHER = Path("configuration") / "weather"
 
 
 def run_directory(path: Path) -> Path:
-    """Return the directory in which a run wrote about itself: the path, or that of its bag."""
+    """Return the directory in which a run wrote about itself: the path, or its bag's."""
     # The bag in a run directory may be named itself.
     bag = path / "bag" if (path / "bag").is_dir() else path
     return next((place for place in (path, bag.resolve().parent)

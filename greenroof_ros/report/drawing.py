@@ -12,7 +12,7 @@ import vl_convert
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
-# For those who see no colours; their number and that of the colours have no common factor.
+# For those who see no colours; their number and the number of colours have no common factor.
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
 _PANEL_WIDTH = 400
@@ -149,7 +149,7 @@ class Figure:
             color="independent", shape="independent", strokeDash="independent"
         )
         specification = whole.properties(title=self.title).configure(**CONFIG).to_dict()
-        # Past altair, which would hold every row against its schema, and lay out each file anew.
+        # Past altair, which would check every row by its schema, and lay out each file again.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
         (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")

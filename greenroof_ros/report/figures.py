@@ -86,7 +86,7 @@ _KINDS = (
 
 
 def is_figure(name: str) -> bool:
-    """Whether a file's name is that of a report's figure."""
+    """Whether a file has the name of a report's figure."""
     return re.fullmatch(rf"({'|'.join(_KINDS)})(-\d+)*\.(svg|png)", name) is not None
 
 
@@ -157,7 +157,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
 
     Args:
         report: all results.
-        rows: runs of a window, of which the quantity is known.
+        rows: runs of a window, whose quantity is known.
         number: of the window.
         quantity: what is drawn.
     """
@@ -517,7 +517,7 @@ def by_year(report: Report) -> Figure:
 
 
 def comparison_figure(report: Report) -> Figure:
-    """Return the deviations over that of on/off with their intervals, a panel for each place."""
+    """Return the deviations relative to on/off with their intervals, a panel for each place."""
     cases = report.of(SEASONS)
     names = [controller_name(each) for each in report.controllers]
     colour = alt.Color("controller:N", title=None, scale=alt.Scale(
@@ -541,15 +541,15 @@ def comparison_figure(report: Report) -> Figure:
             color=colour, tooltip=pointed("series:N", "v:Q", "low:Q", "high:Q", "verdict:N"),
         )
         intervals = base.mark_rule(strokeWidth=2).encode(
-            x=alt.X(**_scale("low"), title="deviation of a season over that of on/off (1)"),
+            x=alt.X(**_scale("low"), title="deviation of a season relative to on/off (1)"),
             x2=alt.X2("high:Q"),
         )
         marks = base.mark_point(filled=True, size=70, opacity=1).encode(x=alt.X("v:Q"))
         line = alt.Chart(alt.InlineData(values=[{"x": 1}])).mark_rule().encode(x=alt.X("x:Q"))
         panels.append(Panel(alt.layer(line, intervals, marks), place, height=_HEIGHT))
     return Figure(
-        "season-comparisons", "Deviation over that of on/off",
-        "Total deviation of all seasons over that of on/off in the same ones, and its 95 % "
+        "season-comparisons", "Deviation relative to on/off",
+        "Total deviation of all seasons over on/off's in the same seasons, and its 95 % "
         "interval, each for one comparison alone. One across the line contains 1.",
         tuple(panels), 1, data,
     )

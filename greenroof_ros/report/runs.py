@@ -119,7 +119,7 @@ def _names(places: list[Path]) -> list[str]:
 def _told_apart(runs: Sequence[Run]) -> list[Run]:
     """Give different things of one name different names: the source is added to each.
 
-    Equal ones keep an equal name, that of their first source, so that their runs are compared.
+    Equal ones keep an equal name, their first source's, so that their runs are compared.
     """
     told = list(runs)
     for key, columns in (

@@ -392,7 +392,7 @@ def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> Table:
         ]
 
     return _table(
-        f"Deviation over that of {other} ({len(compared)} compared, each interval for one)", [
+        f"Deviation relative to {other} ({len(compared)} compared, each interval for one)", [
             *_named(report),
             Column("over", lambda row: word(f"{who(row['than'])} {row['than']['forecast']}")),
             Column("years with less deviation", lambda row: Cell(

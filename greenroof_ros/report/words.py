@@ -140,7 +140,7 @@ def _of_several(report: Report) -> list[str]:
 def _winners(rows: Iterable[Row]) -> str:
     """Say in how many places which controller was the best."""
     wins = Counter(controller_name(row["controller"]) for row in rows).most_common()
-    return _and(f"that of {name} in {count}" for name, count in wins)
+    return _and(f"{name}'s in {count}" for name, count in wins)
 
 
 def _least(report: Report) -> str:
@@ -209,7 +209,7 @@ def _of_seasons(report: Report) -> list[str]:
             for row in best[:_MOST_NAMED]
         ) + ".",
         *(
-            ["Over that of on/off in the same years it is "
+            ["Relative to on/off in the same years it is "
              f"{_and(map(_over_onoff, compared[:_MOST_NAMED]))}."] if compared else []
         ),
     ]

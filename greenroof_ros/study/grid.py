@@ -443,9 +443,9 @@ class _Grid:
         return values
 
     def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
-        """Return the directory from which a name, or a pattern, is that of a file.
+        """Return the directory from which a name, or a pattern, names a file.
 
-        It is the grid's own, or else that of the weather, or else the package's ``config/``: a
+        It is the grid's own, or else the weather's, or else the package's ``config/``: a
         copy of a grid of the package runs as it is.
 
         Raises:

@@ -1,1 +1,1 @@
-"""Forecasts held against records: how much they are worth, by how far ahead they look."""
+"""Forecasts compared with records: how much they are worth, by how far ahead they look."""

@@ -17,7 +17,7 @@ _FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 _LEAST_HOURS = 8760
 # Of the median of the other leads, or its inverse. In any 365 days of Open-Meteo's previous runs of
 # GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times the others' water, and GFS's
-# fifth day, half of which is missing there, 0.36 to 0.52.
+# fifth day, whose half is missing there, 0.36 to 0.52.
 _LEAST_SHARE = 0.55
 # The least of the services five days ahead is 0.32 (sums over 12 h; the package's table of skill).
 # Of so many pairs that know nothing of one another hardly one in a thousand has so much.
@@ -44,7 +44,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
 
 
 def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
-    """Return the leads, in words, whose water is not that of the others, and the ratio (1).
+    """Return the leads, in words, whose water differs from the others', and the ratio (1).
 
     The water of a lead is its bias, so that its missing hours do not count. Less than 0.55 of the
     median of the other leads, or more than 1 / 0.55 of it, is odd. A forecast

@@ -30,7 +30,7 @@ _LAGS = (1, 2, 3, 4, 6, 9, 12, 18, 24)
 _LEAST_RHO, _MOST_RHO = -0.5, 0.999
 # Records shorter than that say nothing of a climate (h).
 _LEAST_HOURS = 1000
-# Draws of noise of which each figure is the mean.
+# Draws of noise; each figure is their mean.
 _DRAWS = 8
 # Fitted errors, and the first steps of the search. More wetness and a smaller amount have nearly
 # the same figures, so the amount is not fitted; the others show in no figure that is given.
@@ -161,7 +161,7 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
 
 
 class Sample:
-    """Records in a circle, and noise of which forecasts of one lead are made at a stroke."""
+    """Records in a circle, and noise from which forecasts of one lead are made at a stroke."""
 
     def __init__(self, climate: Climate, spells: Sequence[Array], sums: Sequence[Sum]) -> None:
         """Take the climate, records of rain (mm), whole sums of them, and the sums to score."""

@@ -78,7 +78,7 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
         dict.fromkeys(f"{one.sum.event:g} mm in {one.sum.hours} h" for one in tallies)
     )
     caption = (
-        f"By lead, a line for each length of sums. Events are those of at least {events}. A "
+        f"By lead, a line for each length of sums. An event has at least {events}. A "
         "perfect forecast has r, ETS, POD and bias 1, FAR and CRPS 0."
     )
     return Figure("verification-leads", "Scores by lead", caption, tuple(panels), 2, data)

@@ -59,7 +59,7 @@ class Scores(NamedTuple):
     n: int
     """how many pairs"""
     bias: float
-    """total of the forecasts over that of the observations"""
+    """total of the forecasts over the total of the observations"""
     r: float
     """Pearson's correlation"""
     pod: float
@@ -161,7 +161,7 @@ def crps(forecast: Array, observed: Array) -> Array:
 
         sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M (M - 1))
 
-    (Ferro 2014, doi:10.1002/qj.2270), in the mean that of infinitely many members, so that
+    (Ferro 2014, doi:10.1002/qj.2270), in the mean the CRPS of infinitely many members, so that
     ensembles of unlike size can be compared, single forecasts among them: of one member it is the
     mean error. The second sum comes from the members in their order, x_(1) to x_(M): it is
     2 sum_i (2 i - M - 1) x_(i).

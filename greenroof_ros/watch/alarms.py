@@ -27,7 +27,7 @@ _TEXT, _ROWS, _OVER, _EVENTS = 500, 100, 20, 50
 _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
-# Where the code is not known, and of other devices, of which nothing is known here.
+# Where the code is not known, and of other devices: nothing is known of them here.
 OTHER = "Nothing is known about this here; read the log of the node that says so."
 FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
 
@@ -147,9 +147,9 @@ class Alarms:
         self.registry = Registry(namespace, self._note)
         self.shown = True
         self._now = 0.0
-        self.begin_anew()
+        self.start_over()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Forget all alarms and events; who is there is known."""
         self._alarms: dict[str, _Alarm] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
@@ -233,7 +233,7 @@ class Alarms:
         """Note an event."""
         self._events.append((now, plain(text, _TEXT)))
 
-    def date_anew(self, first: float, last: float, begin: float) -> None:
+    def date_again(self, first: float, last: float, begin: float) -> None:
         """Have all that is dated from one time to another one (s since 1970) be of a third time.
 
         It was noted before the graph's clock was known, by the system's.
@@ -325,7 +325,7 @@ def _candidates(
 
 
 def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Return the other nodes of which something is wrong as a whole: those that are waited for."""
+    """Return the other nodes that are wrong as a whole: those that are waited for."""
     for other, one in troubles.items():
         waited_for = {other.rpartition("/")[2], one.role} & set(trouble.names)
         if other != node and ": " not in other and (

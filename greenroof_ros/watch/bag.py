@@ -46,13 +46,13 @@ from greenroof_ros.watch.words import plain
 
 # How far back the past of a bag in many files is read, from the newest (s).
 _PAST_S = 7 * 86_400
-# How much of a file is read for one batch (bytes), of which there is ten times as much unpacked.
+# How much of a file is read for one batch (bytes); unpacked it is ten times as much.
 _BATCH = 1 << 20
 # A record or a chunk's content that says it is longer is not believed (bytes).
 _LONGEST = 1 << 28
 # What is left to read beyond this is worth a note (bytes).
 _MUCH = 1 << 23
-# How often it is looked at a bag of which all was read (s).
+# How often a bag is looked at again that was read to its end (s).
 _LOOK_S = 0.5
 _MOST_TEXT = 500
 
@@ -85,7 +85,7 @@ class Batch:
         problem: why not all of the bag can be read; empty where it can.
         progress: how far it has been read, where that takes long; otherwise empty.
         more: whether there is more to be read at once.
-        replaced: whether it is another bag than the one that was read; it has to be begun anew.
+        replaced: whether it is another bag than the one that was read; it has to be begun again.
     """
 
     numbers: list[tuple[str, Times, Values]] = field(default_factory=list)
@@ -123,7 +123,7 @@ class Recorded:
 
         Args:
             bag: a directory with ``.mcap`` files, which need not exist yet.
-            namespace: of its topics, such as ``/site1``; None for that of the first level.
+            namespace: of its topics, such as ``/site1``; None for the first level's.
         """
         self._bag = bag
         self._namespace = namespace
@@ -320,7 +320,7 @@ class FollowedBag:
 
         Args:
             bag: its directory.
-            namespace: of its topics; None for that of the first level.
+            namespace: of its topics; None for the first level's.
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag
@@ -401,7 +401,7 @@ class Dated:
 
     @property
     def name(self) -> str:
-        """As that of an alarm."""
+        """As of an alarm."""
         return f"{self.node}: {self.part}" if self.part else self.node
 
     def stands(self, now: float) -> bool:

@@ -398,7 +398,7 @@ def _marks(site: Site) -> dict[str, Any]:
 def _gap(rows: list[list[Any]], stretch_ns: int) -> float:
     """Return beyond which time between its rows a line has a gap (s).
 
-    It is that of the account, or two stretches of which a row tells where those are longer. What
+    It is the account's, or two stretches that a row covers where those are longer. What
     usually comes less often has a gap where so many of its values are missing that it is stale:
     samples of a run at full speed may be an hour apart.
     """

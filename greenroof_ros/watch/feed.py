@@ -47,7 +47,7 @@ _OWN_PAUSE_S = 0.5
 # For how long an error of the watcher's own is shown (s), and how long it rests after it.
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
-# A tick of which a message is further away is of a publisher that was started again: the plant runs
+# A tick with a message further away is of a publisher that was started again: the plant runs
 # 32 ticks ahead of the recorder at most, and what is heard at one time is of fewer.
 _FAR = 64
 
@@ -264,7 +264,7 @@ class Feed:
         """Forget all that is shown; it is read again where it is recorded."""
         self._begin_hearing()
         self._follow(None)
-        self._store.begin_anew()
+        self._store.start_over()
 
     def _follow(self, bag: Path | None) -> None:
         """Follow another bag, or none."""

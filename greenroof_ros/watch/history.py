@@ -124,7 +124,7 @@ class Gaps:
         self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
 
     def at(self, times: Values) -> NDArray[np.bool_]:
-        """Return of which times (s) each is one at which it was not known."""
+        """Return whether it was not known at each of these times (s)."""
         found = np.zeros(len(times), dtype=bool)
         for begin, end in self._times:
             found |= (times > begin) & (times < end)
@@ -136,7 +136,7 @@ class Gaps:
             return rows
         unknown = self.at(np.array([row[0] for row in rows]))
         kept: list[list[Any]] = [row for row, cut in zip(rows, unknown, strict=True) if not cut]
-        # A time that began by the system's clock, before that of the run was known, is none of it.
+        # A time that began by the system's clock, before the run's was known, is none of it.
         times = ((begin, end) for begin, end in self._times if begin < end and end > rows[0][0])
         kept += [[begin, None, None, None] for begin, _ in times]
         return sorted(kept, key=lambda row: float(row[0]))
@@ -153,5 +153,5 @@ def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def stretch_of(first: int, last: int, points: int) -> int:
-    """Return how long a stretch is of which a row of such a window tells (ns)."""
+    """Return how long a stretch is that a row of such a window covers (ns)."""
     return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))

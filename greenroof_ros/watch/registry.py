@@ -280,7 +280,7 @@ class Registry:
                 del table[key]
 
     def _hold(self, wall: float, node: Node) -> None:
-        """Give a node its role where it is free, or was that of the process before it."""
+        """Give a node its role where it is free, or was held by the process before it."""
         before = self._holders.get(node.role)
         if before is not None:
             again = before.name == node.name
@@ -535,7 +535,7 @@ def _counts(values: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
-    """Return what came to the end of a list, of which perhaps only the newest are kept."""
+    """Return what came to the end of a list; perhaps only the newest are kept."""
     old, all_now = before.get(key), values.get(key)
     if not isinstance(old, list) or not isinstance(all_now, list):
         return []

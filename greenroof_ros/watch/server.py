@@ -50,7 +50,7 @@ _MOST_CONNECTIONS = 128
 _MOST_STREAMS = 32
 # How long a connection may take for its first request, and for each answer and the next one (s).
 _FIRST_S, _NEXT_S = 10.0, 60.0
-# How long a stream's reader may take nothing before it has to connect anew (s).
+# How long a stream's reader may take nothing before it has to connect again (s).
 _UNREAD_S = 30.0
 # How often it is looked whether he has (s).
 _TAKEN_S = 0.05
@@ -92,7 +92,7 @@ class Message:
 
 
 class News:
-    """The document and the series, made anew while somebody reads them.
+    """The document and the series, made again while somebody reads them.
 
     A reader gets what is newest when it has taken what it got before. What came in between is gone,
     so that a thousand slow ones need no more memory than one.

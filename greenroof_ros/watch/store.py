@@ -157,7 +157,7 @@ class Store:
         self._forget()
 
     def _forget(self) -> None:
-        self.alarms.begin_anew()
+        self.alarms.start_over()
         self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
         self.mode = "none"
         self.factor: float | None = None
@@ -197,7 +197,7 @@ class Store:
         return self.graph.node(PUMP)
 
     def set_site(self, site: Site, note: str = "") -> None:
-        """Say by which site levels are judged; with another one the account begins anew.
+        """Say by which site levels are judged; with another one the account starts again.
 
         Args:
             site: its parameters.
@@ -226,7 +226,7 @@ class Store:
             self.notes[1] = words.plain(note, _MOST_TEXT)
             self.account.live = mode == "live"
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Forget all of a graph but who is there: another one began."""
         with self.lock:
             self._forget()
@@ -234,12 +234,12 @@ class Store:
     def look(self, wall: float, system: float) -> None:
         """Note what came, and what did not: often, be there a document to show or not.
 
-        Where the clock of a live site is set back, charts and account begin anew: what comes would
+        Where the clock of a live site is set back, charts and account start again: what comes would
         be older than what is there.
 
         Args:
             wall: now.
-            system: the system's time, which is that of a live site (s since 1970).
+            system: the system's time, which a live site has (s since 1970).
         """
         with self.lock:
             before, self._system = self._system, system
@@ -247,8 +247,8 @@ class Store:
                 self._forget_values()
                 back = words.length_of_time(before - system)
                 self.alarms.add_event(
-                    system, f"The system's clock was set back by {back}: charts and account begin "
-                    "anew",
+                    system, f"The system's clock was set back by {back}: charts and account start "
+                    "again",
                 )
             self.note(wall)
 
@@ -257,7 +257,7 @@ class Store:
         self.wall = wall
         for newest in self.newest.values():
             newest.look(wall, ended=self.ended)
-        self._date_anew()
+        self._date_again()
         self.alarms.look(wall, self._now_or(time.time()))
         quiet = all(one.silent_for(wall) > _QUIET_S for one in self.newest.values())
         if self.ended and quiet:
@@ -379,7 +379,7 @@ class Store:
     # --- what is to come ------------------------------------------------------------------------
 
     def add_forecast(self, topic: str, time_ns: int, values: Values, front: Values) -> None:
-        """Take a forecast; that of rain is shown, where it says when its steps end.
+        """Take a forecast; rain's is shown, where it says when its steps end.
 
         Args:
             topic: its name in the interface.
@@ -508,7 +508,7 @@ class Store:
         Args:
             wall: now.
             statuses: of one message.
-            stamp_ns: the message's time (ns since 1970), in a simulation that of its clock.
+            stamp_ns: the message's time (ns since 1970), in a simulation its clock's.
             arrived: when it came (s since 1970); None where that is not known.
         """
         with self.lock:
@@ -518,7 +518,7 @@ class Store:
             now = self._now_or(time.time())
             if self._heard_since is None:
                 self._heard_since = time.time()
-            self._date_anew()
+            self._date_again()
             self.alarms.hear(
                 wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=self.site.tau
             )
@@ -591,7 +591,7 @@ class Store:
     def now(self) -> float | None:
         """The graph's time (s since 1970); None before any is known.
 
-        Of a live site it is the system's, otherwise that of the newest value.
+        Of a live site it is the system's, otherwise the newest value's.
         """
         if self.mode == "live" and self._system is not None:
             return self._system
@@ -611,7 +611,7 @@ class Store:
         """Write a time that comes (s since 1970)."""
         return words.hour_and_minute(at, self.utc_offset, self.now or at)
 
-    def _date_anew(self) -> None:
+    def _date_again(self) -> None:
         """Date what was noted before the clock of a simulation was known by that clock's begin."""
         first, last = self._began - _SET_BACK_S, time.time() + _SET_BACK_S
         times = (self._clock_began, self.now, self._stamp)
@@ -619,7 +619,7 @@ class Store:
         if known:
             self._clock_began = min(known)
             if self.mode in ("simulated", "loop"):
-                self.alarms.date_anew(first, last, self._clock_began)
+                self.alarms.date_again(first, last, self._clock_began)
 
     def _now_or(self, system: float) -> float:
         """Return the time of what happens now (s since 1970).

@@ -232,7 +232,7 @@ def _to_come(store: Store) -> str:
     age, made = now - forecast.at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
-        return f"no forecast is known: that of {made} is over"
+        return f"no forecast is known: the one of {made} is over"
     if age > OLD_S and not store.ended:
         return f"the forecast is too old, of {made}: {_amount(amount, ended=True)}"
     sentence = _amount(amount, ended=store.ended)

@@ -46,21 +46,21 @@ def hourly(
 ) -> NDArray[np.float64]:
     """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
-    Net radiation is that of Eqs. 37-40 from shortwave radiation: measured, or Eq. 50's
+    Net radiation is by Eqs. 37-40 from shortwave radiation: measured, or Eq. 50's
     ``k_Rs sqrt(Tmax - Tmin) Ra`` with the day's extremes, spread over the hours as the
-    extraterrestrial radiation Ra. At night the ratio Rs/Rso that stands for the clouds is that of
+    extraterrestrial radiation Ra. At night the ratio Rs/Rso that stands for the clouds is taken
     two to three hours before sunset. Below 0 (dew) it is 0.
 
     Where FAO-56 leaves a choice the package takes: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
-    at sunrise and sunset count with their sunlit part, and the soil heat flux is that of the day,
-    0.1 Rn, where Rn > 0 and that of the night, 0.5 Rn, elsewhere.
+    at sunrise and sunset count with their sunlit part, and the soil heat flux is the day's,
+    0.1 Rn, where Rn > 0 and the night's, 0.5 Rn, elsewhere.
 
     Args:
         site: latitude, longitude, elevation, offset from UTC, albedo, k_Rs, height of the wind.
         first: start of the first hour, in any time zone.
         values: temperature and dew point (degC), wind speed (km/h), station pressure (kPa) and
             either solar radiation (W/m2) or ``Tmin`` and ``Tmax`` of the day (degC).
-        night_ratio: Rs/Rso of the evening before; that of the first 24 hours if not given.
+        night_ratio: Rs/Rso of the evening before; of the first 24 hours if not given.
     """
     hours = len(values["temperature"])
     assert site.utc_offset is not None
@@ -258,7 +258,7 @@ def over_the_day(
     Returns:
         Of each step (mm), shape (steps,).
     """
-    # The sun's mean height in a step is that of its parts, of five minutes at most.
+    # The sun's mean height in a step is the mean of its parts, of five minutes at most.
     parts = math.ceil(step_s / _PART_S)
     middles = np.round((np.arange(parts) + 0.5) * step_s / parts).astype(np.int64)
     inside = (seconds[:, None] + middles[None, :]).ravel()

@@ -46,7 +46,7 @@ def read_weather(
     Args:
         files: one or more.
         site: its place on earth, where evapotranspiration is computed or a format needs it.
-        method: of the evapotranspiration: ``fao56``, or that of the files' own column. The
+        method: of the evapotranspiration: ``fao56``, or the files' own column. The
             latter if there is one and otherwise ``fao56``, unless given.
         gaps: one of :data:`greenroof_ros.weather.filling.GAPS`: what is done about longer ones.
         rain_only: leave evapotranspiration unknown (NaN): a rain gauge does not measure it.
@@ -95,7 +95,7 @@ def _whole_hours(records: Records) -> Records:
 def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list[Path]:
     """Return the files that names and patterns (``data/2021_*.csv``) stand for, each once.
 
-    A name that is not that of a file is a pattern where it has ``*``, ``?`` or ``[``.
+    A name that no file has is a pattern where it has ``*``, ``?`` or ``[``.
 
     Args:
         names: of files, relative to the directory.

@@ -267,8 +267,8 @@ def records_at(
     if np.isnan(values).any():
         missing = np.unique(index[np.isnan(values)])
         raise ConfigurationError(
-            f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, of which "
-            "the run's forecasts are made; choose another window or another kind of forecast",
+            f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, and the "
+            "run's forecasts need it; choose another window or another kind of forecast",
             file=weather.source,
         )
     return values

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -34,8 +36,22 @@ def name(path: Path) -> str:
     return str(path.relative_to(CHECKOUT))
 
 
-def test_readme_is_a_page() -> None:
-    assert len((CHECKOUT / "README.md").read_text().splitlines()) <= 150
+@pytest.mark.parametrize(("page", "lines"), [("README.md", 90), ("CONTRIBUTING.md", 60)])
+def test_first_pages_are_short(page: str, lines: int) -> None:
+    assert len((CHECKOUT / page).read_text().splitlines()) <= lines
+
+
+def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
+    """``make lint`` names each, at a line's end and in capitals, too, but no part of a word."""
+    phrases = ("held against", "of which", "That of", "astray", "owed", "Anew")
+    (tmp_path / "page.md").write_text("\n".join(f"- It is {each}" for each in phrases))
+    (tmp_path / "fine.md").write_text("a share that often shows; followed renewal of whichever\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "codespell_lib", str(tmp_path)], cwd=CHECKOUT, text=True,
+        capture_output=True,
+    )
+    named = re.findall(r"(\w+)\.md:\d+: (.+) ==>", done.stdout)
+    assert named == [("page", each) for each in phrases], done.stderr
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -125,6 +141,15 @@ def test_pictures_differ_in_their_colours_only() -> None:
         for kind in ("light", "dark")
     )
     assert light == dark
+
+
+def test_drawings_are_those_of_the_interface() -> None:
+    """'make docs' would draw nothing else."""
+    generate = generator()
+    assert len(generate.WAYS) == 3
+    for name, way in generate.WAYS.items():
+        drawn = (DOC / "_static" / f"{name}.svg").read_text()
+        assert drawn == generate.drawing(way), name
 
 
 def test_picture_shows_the_topics() -> None:

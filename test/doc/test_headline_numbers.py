@@ -1,4 +1,4 @@
-"""The numbers of the README are those of the commands beside them."""
+"""The headline numbers of README and results are what the commands beside them print."""
 
 from __future__ import annotations
 
@@ -13,10 +13,16 @@ from commands import run_command
 from graphs import environment
 from places import CHECKOUT
 
+# The pages with a table of results, and its heading.
+TABLES = [
+    ("doc/results.md", "## All controllers and the least possible deviation\n"),
+    ("README.md", "## What it is worth\n"),
+]
 
-def cells() -> list[tuple[str, str, str]]:
-    """Return each cell of the table of results: its row's command, its column's options, itself."""
-    text = (CHECKOUT / "README.md").read_text().split("## Results\n")[1].split("\n## ")[0]
+
+def cells_of(page: str, heading: str) -> list[tuple[str, str, str]]:
+    """Return each cell of a table: its row's command, its column's options, itself."""
+    text = (CHECKOUT / page).read_text().split(heading)[1].split("\n## ")[0]
     head, _, *rows = (
         [cell.strip() for cell in line.strip("| ").split(" | ")]
         for line in text.splitlines() if line.startswith("|")
@@ -30,18 +36,23 @@ def cells() -> list[tuple[str, str, str]]:
     ]
 
 
+def cells() -> list[tuple[str, str, str]]:
+    """Return each cell of both tables; what stands in both is there once."""
+    return list(dict.fromkeys(cell for table in TABLES for cell in cells_of(*table)))
+
+
 def run(command: str, options: str, *others: str) -> dict[str, float]:
     """Run a command of the package and return what it prints as JSON."""
     module, *words = shlex.split(f"{command} {options} --json")
     done = run_command(module, *words, *others, cwd=CHECKOUT, env=environment(0))
     assert done.returncode == 0, done.stderr
-    found: dict[str, float] = json.loads(done.stdout)
-    return found
+    printed: dict[str, float] = json.loads(done.stdout)
+    return printed
 
 
 @cache
 def least_possible(options: str) -> float:
-    """Return the bound of a column: each of its cells is held against it."""
+    """Return the bound of a column, to which each of its cells is compared."""
     return run("bound", options)["bound_m3"]
 
 
@@ -60,4 +71,8 @@ def test_headline_numbers(command: str, options: str, shown: str, tmp_path: Path
 
 
 def test_there_are_headline_numbers() -> None:
-    assert len(cells()) == 15
+    """The README's are among those of the results."""
+    results, readme = (cells_of(*table) for table in TABLES)
+    assert len(results) == 15
+    assert len(readme) == 3
+    assert set(readme) < set(results)

@@ -197,7 +197,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     text = page_of(tmp_path / "study")
     for expected in (
         "Means of a season", "2015 to 2025", "11 of 11", "errors skill real",
-        "Deviation over that of on/off (1 compared, each interval for one)",
+        "Deviation relative to on/off (1 compared, each interval for one)",
         "Each is for one comparison alone",
     ):
         assert expected in text
@@ -286,7 +286,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
         ("lookahead", "perfect", "better"),
     ]
     (*_, table) = make_tables(report)
-    assert table.name.startswith("Deviation over that of the controller with the least deviation")
+    assert table.name.startswith("Deviation relative to the controller with the least deviation")
     horizons: list[tuple[str, dict[str, Any], str]] = [
         ("b", {}, "mpc"), ("c", {"parameter:horizon": 48}, "lookahead"),
     ]

@@ -263,7 +263,7 @@ def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
     lost = node("/pump", "pump", ("drive", ERROR, "lost"), pump="off: lost")
     one.add_statuses(100.0, [Status("/fan", WARN, "slow", "fan")])  # of no graph, before it
     one.add_statuses(100.1, lost, START)
-    one.begin_anew()
+    one.start_over()
     one.add_event(time.time(), "Another run began.")
     one.add_statuses(100.2, lost, START + 5 * SECOND)
     one.add_statuses(100.3, lost, 2**62)
@@ -446,7 +446,7 @@ def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() ->
     assert document["tiles"]["pump"]["value"] == "off"
     assert document["account"]["since_text"] == "since 2021-07-19 23:01:01"
     assert document["events"][0]["what"] == (
-        "The system's clock was set back by 60 min: charts and account begin anew"
+        "The system's clock was set back by 60 min: charts and account start again"
     )
 
 
@@ -502,7 +502,7 @@ def test_another_run_begins() -> None:
     one = watched()
     one.add_plan(MINUTE, np.array([[3600.0, 1e-3, 0.045]]))
     pump_says(one, 100.0, f"held: {STOPPED}", stop=STOPPED)
-    one.begin_anew()
+    one.start_over()
     assert shown(one)["mode"] == "none"
     assert tile_of(one, "roof")["number"] is None
     assert not shown(one, 120.0)["stop"]["possible"]  # nobody of the run before is heard now
@@ -936,7 +936,7 @@ def test_a_plan_goes_with_its_controller() -> None:
     (0.9, "4.3 mm expected in the next 12 h"),
     (2.0, "4.3 mm expected in the next 12 h, by the forecast of 00:00"),
     (7.0, "the forecast is too old, of 00:00: 4.3 mm were expected in the next 12 h"),
-    (49.0, "no forecast is known: that of 20 Jul 00:00 is over"),
+    (49.0, "no forecast is known: the one of 20 Jul 00:00 is over"),
 ])
 def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     one = watched()
@@ -1141,7 +1141,7 @@ def test_one_thread_writes_while_another_reads() -> None:
         pump_says(one, time.monotonic(), f"off: {block}")
         one.add_plan(START + block * SECOND, np.array([[600.0, 0, 0.01]]))
         if block == 50:
-            one.begin_anew()
+            one.start_over()
     done.set()
     thread.join()
     assert not errors

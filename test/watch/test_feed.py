@@ -83,10 +83,10 @@ class Kept(Store):
             self.present.append(said)
         super().set_present(**present)
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         self.runs += 1
         self.values.clear()
-        super().begin_anew()
+        super().start_over()
 
     def of(self, thread: str) -> dict[str, dict[int, Any]]:
         kept = list(self.values.items())  # it grows in other threads

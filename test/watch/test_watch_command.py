@@ -338,18 +338,12 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         lambda: (one := document(port))["alarms"] and one["account"]["since_text"] and one, 60,
         "the recording",
     )
-    rows = sorted(found["alarms"], key=lambda row: row["since"])
-    assert {(row["id"], row["recorded"], row["over"] is None) for row in rows} == {
-        ("pump: drive", True, False)
-    }
-    incidents = read_incidents(tmp_path / "run")  # on a busy machine the drive may be late again
-    assert found["tiles"]["summary"]["word"] == (
-        "1 incident, over." if len(incidents) == 1 else f"{len(incidents)} incidents, all over."
-    )
+    (row,) = found["alarms"]
+    assert (row["id"], row["recorded"], row["over"] is None) == ("pump: drive", True, False)
+    assert found["tiles"]["summary"]["word"] == "1 incident, over."
+    (incident,) = read_incidents(tmp_path / "run")
     start = datetime.fromisoformat(summary_of(tmp_path / "run")["start"]).timestamp()
-    assert [(incident.began_tick, incident.ended_tick) for incident in incidents] == [
-        (row["since"] - start, row["over"] - start) for row in rows
-    ]
+    assert (incident.began_tick, incident.ended_tick) == (row["since"] - start, row["over"] - start)
     end(viewer)
 
 

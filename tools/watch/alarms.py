@@ -88,7 +88,7 @@ class Look:
 
     def restart(self, name: str) -> str:
         """Return the newest event that a node was started again; empty for none."""
-        return next((one for one in self.events if f"{name} was started again" in one), "")
+        return next((each for each in self.events if f"{name} was started again" in each), "")
 
 
 class Page:
@@ -132,7 +132,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Change:
-    """A change that the page followed: of which status, to what, and after how long (s)."""
+    """A change that the page followed: its status, what it became, and after how long (s)."""
 
     name: str
     what: str
@@ -183,8 +183,8 @@ class Comparison:
                 again = next((when for when, it in changes[number + 1:-1] if it == what), math.inf)
                 looks = self._page.since(max(at - _AHEAD_S, shown_at))
                 seen = next((
-                    one.at for one in looks
-                    if one.at < again and one.alarms.get(name, "") == what
+                    each.at for each in looks
+                    if each.at < again and each.alarms.get(name, "") == what
                 ), None)
                 may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
                 if self._note(name, what, at, seen, must=then - at > may_miss):
@@ -193,7 +193,7 @@ class Comparison:
     def _compare_restart(self, name: str, at: float) -> None:
         looks = self._page.since(at - _AHEAD_S)
         before = looks[0].restart(name) if looks else ""
-        seen = next((one.at for one in looks if one.restart(name) != before), None)
+        seen = next((each.at for each in looks if each.restart(name) != before), None)
         must = self._until - at > self._limit
         self._note(name, "was started again", at, seen, must=must)
 
@@ -258,11 +258,11 @@ def _verdict(case: Case, comparison: Comparison | None) -> list[str]:
     if comparison is None:
         return ["not compared"]
     own = any(
-        one.name == f"/{case.target}" or any(
+        each.name == f"/{case.target}" or any(
             re.search(case.expected.alarm, sentence)
-            for sentence in comparison.said.sentences[one.name, one.what]
+            for sentence in comparison.said.sentences[each.name, each.what]
         )
-        for one in comparison.followed if one.what
+        for each in comparison.followed if each.what
     )
     if own or (case.fault, case.target) in NOT_SAID:
         return comparison.missed
@@ -313,8 +313,8 @@ def _table(changes: list[Change]) -> str:
     """Return how many changes were followed, and the latest of those shown and gone (s)."""
     text = f"{len(changes)} changes compared"
     for what, times in (
-        ("shown", [one.after for one in changes if one.what]),
-        ("gone", [one.after for one in changes if not one.what]),
+        ("shown", [each.after for each in changes if each.what]),
+        ("gone", [each.after for each in changes if not each.what]),
     ):
         text += f", {len(times)} {what}"
         text += f" (latest {max(times):.1f} s)" if times else ""

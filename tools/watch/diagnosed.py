@@ -1,4 +1,4 @@
-"""What nodes say is wrong on /diagnostics, by rules of its own: the page is held against it.
+"""What nodes say is wrong on /diagnostics, by rules of its own: the page is compared with it.
 
 Of a node's part that is what it says itself. Of a node it is that it ended with a failure, is not
 heard for as long as bringup's own limit, is there twice, waits for others, or refuses values.
@@ -27,7 +27,7 @@ SILENT_S = 2.0
 _WAITS_S = 5.0
 _LOOK_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
-_LATCHED = {code for code, one in INTERLOCKS.items() if one.kind == LATCHED}
+_LATCHED = {code for code, each in INTERLOCKS.items() if each.kind == LATCHED}
 
 
 @dataclass
@@ -74,7 +74,7 @@ class Diagnosed:
             name, _, part = status.name.partition(": ")
             level = _LEVELS[status.level[0]]
             if part and name in self._nodes:
-                code = next((one.value for one in status.values if one.key == "code"), "")
+                code = next((each.value for each in status.values if each.key == "code"), "")
                 values = self._nodes[name].values
                 if part == "pump" and level and not values["stands"]:
                     if values["speed"] is None:  # nobody knows whether it turns
@@ -85,7 +85,7 @@ class Diagnosed:
                 self.sentences[status.name, wrong].add(status.message)
                 self._nodes[name].parts[part] = at, wrong
             elif not part and status.message in STATES:
-                values = {one.key: json.loads(one.value) for one in status.values}
+                values = {each.key: json.loads(each.value) for each in status.values}
                 self._hear_node(at, name, status.message, values)
         self._look()
 
@@ -141,4 +141,4 @@ def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
         wrong[name] = "warn waits"
     if at - node.refuses <= SILENT_S:
         wrong[f"{name}: refused"] = "warn values_refused"
-    return {one: what for one, what in wrong.items() if what}
+    return {each: what for each, what in wrong.items() if what}

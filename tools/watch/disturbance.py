@@ -3,7 +3,7 @@
 - ``tick``: in one run at full speed, turns of some seconds with a watcher and without; the ratio
   of the medians of a tick's time.
 - ``stops``: the watcher's process stopped for 6 s a hundred times, beside a run at 30 times real
-  time; its bag must be that of a run that nobody watched, byte for byte.
+  time; its bag must equal the bag of a run that nobody watched, byte for byte.
 - ``browsers``: three Chromium on one page, one of them stopped, one on a slow link; likewise.
 - ``memory``: of the watcher, beside a run at full speed for an hour.
 """
@@ -226,7 +226,7 @@ def _signal(pids: list[int], number: signal.Signals) -> None:
 def _compare(
     options: tuple[str, ...], disturb: Callable[[Process, str, Callable[[], bool]], str]
 ) -> None:
-    """Disturb a run by its watchers, and hold its bag against that of one that nobody watches."""
+    """Disturb a run by its watchers, and compare its bag with an unwatched run's."""
     with ExitStack() as stack:
         domain = stack.enter_context(own_domain())
         place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -263,8 +263,8 @@ def memory(minutes: float) -> None:
                 run = long_run(domain, place)
             # With the process that reads the bag.
             tasks = Path(f"/proc/{process.process.pid}/task")
-            children = [int(one) for file in tasks.glob("*/children")
-                        for one in file.read_text().split()]
+            children = [int(each) for file in tasks.glob("*/children")
+                        for each in file.read_text().split()]
             sizes.append(sum(map(_rss_mb, (process.process.pid, *children))))
             time.sleep(2)
         quarter = len(sizes) // 4

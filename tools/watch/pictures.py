@@ -102,7 +102,7 @@ def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
 
 
 STATES: dict[str, Callable[[int, Path], Any]] = {
-    one.__name__: one for one in (full_speed, storm, fault, stale, ended)
+    each.__name__: each for each in (full_speed, storm, fault, stale, ended)
 }
 
 

@@ -10,7 +10,7 @@ const FEWEST = 60_000; // ms: what a zoom shows at least
 
 // What each chart shows: its lines, by the names of the series, on the axis of the one that 'shown'
 // names; those with 'right' have an axis of their own. 'steps' hold from a time until the next. A 'range'
-// is that of the stretch that ends at the time of its row ('past'), or of the step that begins there.
+// is of the stretch that ends at the time of its row ('past'), or of the step that begins there.
 const CHARTS = [
   {
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
@@ -326,7 +326,7 @@ export class Charts {
     return [start, Math.max(end, this.ms(now), start + FEWEST)];
   }
 
-  // The range of an axis: that of what is seen, with the references that are near it.
+  // The range of an axis: of what is seen, with the references that are near it.
   range(chart, right, [from, to], marks) {
     let [low, high] = [Infinity, -Infinity];
     const take = (value) => {
