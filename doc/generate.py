@@ -31,16 +31,13 @@ from layouts import rows as displays
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import Topic, markdown_table, read_topics
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.records import Key, Word, keys
-from greenroof_ros.common.records import span as accepted
+from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
+from greenroof_ros.common.parameter import Key, Parameter, Word, keys
+from greenroof_ros.common.parameter import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, sensor_file
-from greenroof_ros.forecast.climate import Climate
-from greenroof_ros.forecast.skill import Errors
+from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.pumping.interlocks import INTERLOCKS

@@ -34,12 +34,11 @@ from greenroof_ros.calibration.site_file import (
     fit_entries,
     sheet_entries,
 )
-from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.command_line import EXIT_DONE, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.output import refuse_unwritable
-from greenroof_ros.common.progress_bar import progress_bar
 from greenroof_ros.common.quality import Finding, Severity, accept
+from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
 

@@ -11,8 +11,8 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import DEFAULT_START, read_start
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators.forecast_service import FAULTS, NONE, ForecastService
-from greenroof_ros.weather.filling import FILL
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+from greenroof_ros.weather.series import FILL
 
 _PORT = 8099
 
@@ -59,7 +59,7 @@ def main() -> int:
     arguments = make_parser().parse_args()
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     files = find_files(arguments.weather or [str(default_weather())], "--weather")
-    records = read_weather(files, site, gaps=FILL).records
+    records = read_weather(files, site, gaps=FILL)
     service = ForecastService(
         site, records, read_start(arguments.start, records.first.tzinfo), arguments.port
     )

@@ -15,11 +15,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.output import refuse_unwritable
-from greenroof_ros.common.progress_bar import progress_bar
+from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
 from places import CONFIG
 
 from greenroof_ros.controllers.lookahead import Lookahead
@@ -24,7 +25,6 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.formats.records import Records
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site, edited
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -40,6 +40,8 @@ TABLE_I: dict[str, float] = {
 
 PAPER_SITE = Site(**TABLE_I)  # type: ignore[arg-type]  # M and N are written as whole numbers
 
+MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
+
 _STEP = 1e-30
 
 
@@ -48,6 +50,18 @@ def paper_run(*options: str) -> Run:
     parser = argparse.ArgumentParser()
     add_run_arguments(parser, options)
     return run_from_arguments(parser.parse_args(options))
+
+
+def weather_of(
+    rain: ArrayLike, evapotranspiration: ArrayLike = 2.0,
+    first: datetime = MIDNIGHT,
+    **quantities: NDArray[np.float64],
+) -> Weather:
+    """Return hours of mm/h and mm/day, which may be one for all, and of other quantities."""
+    fallen = np.array(rain, dtype=float)
+    dry = np.array(np.broadcast_to(evapotranspiration, fallen.shape), dtype=float)
+    values = {"precipitation": fallen, "evapotranspiration": dry, **quantities}
+    return Weather((Path("drawn.csv"),), first, values, "drawn")
 
 
 def run_of_hours(
@@ -66,8 +80,7 @@ def run_of_hours(
     """
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
     rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
-    records = Records((Path("drawn.csv"),), first, {"precipitation": rain}, "drawn")
-    weather = Weather(records, rain, evapotranspiration, "drawn", frost)
+    weather = weather_of(rain, evapotranspiration, first, temperature=np.where(frost, -1.0, 1.0))
     steps = steps or round(len(hours) * 3600 / site.tau)
     series = WeatherSeries(weather, site, first, steps)
     return Run(

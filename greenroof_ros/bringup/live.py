@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
-from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,

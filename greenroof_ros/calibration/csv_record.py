@@ -24,8 +24,14 @@ from greenroof_ros.calibration.record import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.records import Limits, gaps
-from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
+from greenroof_ros.formats.records import (
+    Limits,
+    Table,
+    Unit,
+    gaps,
+    numbered_lines,
+    read_table,
+)
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day

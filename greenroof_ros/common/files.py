@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import math
 import re
-from collections.abc import Container
+from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ import yaml
 from greenroof_ros.common.errors import ConfigurationError
 
 try:
-    from yaml import CSafeLoader as _LibYaml
+    from yaml import CBaseLoader as _LibYaml
 except ImportError:  # PyYAML without libyaml
-    from yaml import SafeLoader as _LibYaml  # type: ignore[assignment]
+    from yaml import BaseLoader as _LibYaml  # type: ignore[assignment]
 
 
 def shared_directory() -> Path:
@@ -93,7 +94,14 @@ def read_text(path: Path, *, byte_order_mark: bool = False) -> str:
 
 # How deep a file may be nested: far more than any of ours, far less than a thread has stack for.
 _DEEPEST = 200
-_NUMBERS = (":int", ":float", ":timestamp")
+_TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
+_FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
+_NOTHING = {"", "~", "null", "Null", "NULL"}
+_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(
+    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+)
 
 
 class YamlMapping(dict[str, Any]):
@@ -102,82 +110,24 @@ class YamlMapping(dict[str, Any]):
     lines: dict[str, int]
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML with the numbers of YAML 1.2, and no key twice.
+def _plain(text: str) -> Any:
+    """Return a value that is not quoted, with the numbers of YAML 1.2.
 
-    YAML 1.1, which PyYAML reads, takes 5.78e5 for a text, 016 for 14 and 3:0 for 180, and lets a
-    second value of a key win silently.
+    YAML 1.1, which PyYAML reads, takes 5.78e5 for a text, 016 for 14 and 3:0 for 180.
     """
+    if text in _TRUE | _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    if _FLOAT.fullmatch(text):
+        return float(re.sub(r"\.(?=inf|nan)", "", text.lower()))
+    return None if text in _NOTHING else text
 
 
-
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(_NUMBERS)]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-
-
-def _float(loader: _Loader, node: yaml.ScalarNode) -> float:
-    return float(re.sub(r"\.(?=inf|nan)", "", str(node.value).lower()))
-
-
-def _int(loader: _Loader, node: yaml.ScalarNode) -> int:
-    return int(str(node.value), 10)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:int", re.compile(r"[-+]?\d+$"), list("-+0123456789")
-)
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
-    list("-+.0123456789"),
-)
-_Loader.add_constructor("tag:yaml.org,2002:float", _float)
-_Loader.add_constructor("tag:yaml.org,2002:int", _int)
-
-
-def _mapping(loader: _Loader, node: yaml.MappingNode) -> YamlMapping:
-    mapping = YamlMapping()
-    mapping.lines = {}
-    for key_node, value_node in node.value:
-        key = str(key_node.value)
-        line = key_node.start_mark.line + 1
-        if key in mapping:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"{key} is given twice, here and in line {mapping.lines[key]}",
-                key_node.start_mark,
-            )
-        mapping[key] = loader.construct_object(value_node, deep=True)
-        mapping.lines[key] = line
-    return mapping
-
-
-_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
-
-
-class _FastLoader(_LibYaml):
-    """The same by libyaml, ten times as fast: every process reads the interface first."""
-
-    yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
-    yaml_constructors = _Loader.yaml_constructors
-
-
-# As rcl knows them (rcl_yaml_param_parser, parse.c).
-_TRUE = {"Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
-_FALSE = {"N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
-
-
-class _RosLoader(_LibYaml):
-    """Values as rcl reads them: ``on`` is true, 010 is 8, and 1e-5 is a number."""
-
-    yaml_constructors = _Loader.yaml_constructors.copy()
-
-
-def _ros_value(loader: _RosLoader, node: yaml.ScalarNode) -> bool | int | float | str:
-    text = str(node.value)
-    if node.style or text in _TRUE | _FALSE:
-        return text if node.style else text in _TRUE
+def _plain_to_rcl(text: str) -> bool | int | float | str:
+    """Return it as rcl does (rcl_yaml_param_parser, parse.c): 010 is 8, and 1e-5 is a number."""
+    if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
+        return text in _TRUE | {"Y", "y"}
     of_c = text.replace(".inf", "inf").replace(".nan", "nan").encode()
     libc, end = ctypes.CDLL(None, use_errno=True), ctypes.c_char_p()
     libc.strtoll.restype, libc.strtod.restype = ctypes.c_longlong, ctypes.c_double
@@ -187,10 +137,6 @@ def _ros_value(loader: _RosLoader, node: yaml.ScalarNode) -> bool | int | float 
         if of_c and not end.value and not ctypes.get_errno():
             return value
     return text
-
-
-_RosLoader.yaml_implicit_resolvers = {}
-_RosLoader.add_constructor("tag:yaml.org,2002:str", _ros_value)
 
 
 def _nesting(text: str) -> int:
@@ -203,12 +149,15 @@ def _nesting(text: str) -> int:
     return max(deepest, indented)
 
 
-def _load(text: str, loader: type[_FastLoader | _RosLoader]) -> Any:
-    """Read YAML by libyaml, or, if that finds an error in it, by PyYAML, whose words say more."""
+def _compose(text: str) -> yaml.Node | None:
+    """Parse YAML by libyaml, or, if that finds an error in it, by PyYAML, whose words say more.
+
+    Libyaml is ten times as fast: every process reads the interface first.
+    """
     try:
-        return yaml.load(text, Loader=loader)  # noqa: S506 - a SafeLoader
+        return yaml.compose(text, Loader=_LibYaml)
     except (yaml.YAMLError, ValueError):
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
+        return yaml.compose(text, Loader=yaml.BaseLoader)
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
@@ -217,11 +166,15 @@ def read_ros_parameters(path: Path) -> YamlMapping:
     Raises:
         ConfigurationError: as :func:`read_yaml`.
     """
-    return read_yaml(path, _RosLoader)
+    return read_yaml(path, _plain_to_rcl)
 
 
-def read_yaml(path: Path, loader: type[_FastLoader | _RosLoader] = _FastLoader) -> YamlMapping:
+def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
     """Read a YAML file whose top level is a mapping.
+
+    Args:
+        path: the file.
+        plain: returns the value of a text that is not quoted.
 
     Raises:
         ConfigurationError: it cannot be read, is not YAML, gives a key twice, or holds no mapping.
@@ -229,13 +182,40 @@ def read_yaml(path: Path, loader: type[_FastLoader | _RosLoader] = _FastLoader) 
     text = read_text(path)
     if _nesting(text) > _DEEPEST:  # libyaml would end the process
         raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
+
+    def refuse(node: yaml.Node, problem: str) -> ConfigurationError:
+        line = node.start_mark.line + 1
+        return ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line)
+
+    @functools.cache  # what several aliases name is made once
+    def value_of(node: yaml.Node) -> Any:
+        if node.tag not in _TAGS:
+            raise refuse(node, f"its values must have no tags such as {node.tag!r}")
+        if isinstance(node, yaml.ScalarNode):
+            return node.value if node.style else plain(node.value)
+        if isinstance(node, yaml.SequenceNode):
+            return [value_of(each) for each in node.value]
+        mapping = YamlMapping()
+        mapping.lines = {}
+        for key_node, value_node in node.value:
+            key = str(key_node.value)
+            if key in mapping:
+                before = mapping.lines[key]
+                raise refuse(key_node, f"{key} is given twice, here and in line {before}")
+            mapping[key] = value_of(value_node)
+            mapping.lines[key] = key_node.start_mark.line + 1
+        return mapping
+
     try:
-        content = _load(text, loader)
+        node = _compose(text)
+        content = value_of(node) if node else None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise ConfigurationError(
             f"is not valid YAML: {error.problem}", file=path, line=line
         ) from error
+    except RecursionError as error:
+        raise ConfigurationError("is not valid YAML: a value holds itself", file=path) from error
     except (yaml.YAMLError, ValueError) as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
     if not isinstance(content, YamlMapping):

@@ -1,4 +1,4 @@
-"""The interface, ``msg_defs/topics.yaml``: every topic of the graph."""
+"""The interface, ``msg_defs/``: every topic of the graph, and what each condition code means."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import sys
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -158,11 +158,10 @@ def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
     Raises:
         ConfigurationError: one of them is no optional topic of the interface.
     """
-    optional = {topic.name for topic, _ in optional_topics(outputs)}
+    optional_topics(outputs)  # refuses others
     return [
-        topic
-        for topic in read_topics().values()
-        if topic.per_tick and (not topic.optional or topic.name in optional)
+        topic for topic in read_topics().values()
+        if topic.per_tick and (not topic.optional or topic.name in outputs)
     ]
 
 
@@ -216,3 +215,38 @@ def _roles(simulated: Collection[str], live: Collection[str]) -> str:
     """Return who publishes or subscribes, those of a live graph behind the others."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the table says of one code.
+
+    Attributes:
+        meaning: when a status has it.
+        advice: what to do, in the table's words.
+        by_role: what to do instead, by the role of the node.
+    """
+
+    meaning: str
+    advice: str
+    by_role: Mapping[str, str] = field(default_factory=dict)
+
+    def advise(self, node: str, role: str = "") -> str:
+        """Return what to do.
+
+        Args:
+            node: its fully qualified name, for the services that the advice names.
+            role: of that node, as the interface calls it.
+        """
+        return self.by_role.get(role, self.advice).format(
+            node=node,
+            reset=f"ros2 service call {node}/reset std_srvs/srv/Trigger",
+            release=f'ros2 service call {node}/stop std_srvs/srv/SetBool "{{data: false}}"',
+        )
+
+
+@functools.cache
+def read_conditions() -> dict[str, Condition]:
+    """Return every condition, by its code, in the order of the table."""
+    table = read_yaml(shared_directory() / "msg_defs" / "conditions.yaml")
+    return {code: Condition(**row) for code, row in table.items()}

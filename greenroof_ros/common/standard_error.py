@@ -1,16 +1,26 @@
-"""Lines for people on standard error, said by who must be in time, and written by a thread."""
+"""What people read on standard error: lines that a thread writes, and how far something is.
+
+Who must be in time has its lines written by a thread. Progress is a bar, or where that is no
+terminal a line every ten seconds.
+"""
 
 from __future__ import annotations
 
 import atexit
 import os
+import sys
 import threading
+import time
 from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from greenroof_ros.common.disk import DiskThread
 
 # So many wait at most, and the end of the process waits for them for so long (s).
 _MOST, _END_S = 1000, 2.0
+# Progress is said so often.
+_EVERY_S = 10.0
 
 
 class Lines:
@@ -81,3 +91,45 @@ class Lines:
 LINES = Lines(2)
 say = LINES.say
 atexit.register(LINES.wait, _END_S)
+
+
+class ProgressLines:
+    """Prints how far something is, every ten seconds, and nothing before the first ten."""
+
+    def __init__(self) -> None:
+        """Begin to count."""
+        self._due = time.monotonic() + _EVERY_S
+
+    def tell(self, text: str) -> None:
+        """Say how far it is; printed where a line is due."""
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + _EVERY_S
+            print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Show how far something is.
+
+    Yields:
+        What is called with what is done now, and the share of all that is done, 0 to 1.
+    """
+    from rich.console import Console  # nodes print lines, and need none of this
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    lines = ProgressLines()
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
+        refresh_per_second=2,  # a thread that takes its share of two cores
+    ) as progress:
+        task = progress.add_task("", total=1.0)
+
+        def tell(text: str, share: float) -> None:
+            progress.update(task, description=text, completed=share)
+            if not console.is_terminal:
+                lines.tell(f"{text}: {share:.0%}")
+
+        yield tell

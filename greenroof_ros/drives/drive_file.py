@@ -10,7 +10,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.records import Word, entry, error_at, find, read_record
+from greenroof_ros.common.parameter import Word, entry, error_at, find, read_record
 from greenroof_ros.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.records import entry
+from greenroof_ros.common.parameter import entry
 
 if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient

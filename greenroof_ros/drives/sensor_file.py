@@ -9,7 +9,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.records import Word, entry, error_at, read_record
+from greenroof_ros.common.parameter import Word, entry, error_at, read_record
 from greenroof_ros.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,

@@ -99,7 +99,7 @@ class Incident:
         ended: the same; None while it lasts.
         began_tick: of simulated time; None on a live site.
         ended_tick: the same; None while it lasts, too.
-        code: for programs; of :mod:`greenroof_ros.common.conditions`.
+        code: for programs; of :mod:`greenroof_ros.common.interface`.
     """
 
     number: int

@@ -40,8 +40,8 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+from greenroof_ros.weather.series import GAPS, REFUSE
 
 _PARAMETER = "parameter_"  # begins the names of the controller's parameters among the arguments
 

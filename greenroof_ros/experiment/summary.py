@@ -88,7 +88,7 @@ def build_unfinished(
         "tau_s": run.site.tau,
         "site": str(run.site_file),
         "weather": run.weather.source,
-        "weather_notes": list(run.weather.records.notes),
+        "weather_notes": list(run.weather.notes),
         "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
         "forecast": {

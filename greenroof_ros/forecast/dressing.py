@@ -52,9 +52,18 @@ from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, QUANTITIES, Archive, Issue
-from greenroof_ros.formats.table import Table, numbered_lines, read_table
+from greenroof_ros.formats.records import (
+    HOUR,
+    PRECIPITATION,
+    QUANTITIES,
+    Archive,
+    Issue,
+    Table,
+    numbered_lines,
+    read_table,
+)
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.reading import bridged
 from greenroof_ros.weather.series import Weather, refuse_between_hours
 
 Array = NDArray[np.float64]
@@ -148,7 +157,7 @@ class Dressing:
         fell[follows, lead[follows]] = np.where(np.isnan(known), rain, known)
         ended = lead >= self.hours - 1
         for index in np.flatnonzero(ended & np.isnan(fell).any(axis=1)):
-            fell[index] = _bridged(fell[index])
+            fell[index] = bridged(fell[index], _BRIDGED)
         stays = ~(ended & np.isnan(fell).any(axis=1))
         return replace(
             self, issued=self.issued[stays], forecast=self.forecast[stays], fell=fell[stays]
@@ -252,7 +261,7 @@ def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
     refuse_between_hours(archive.issues, weather)
     longest = min(hours, max(issue.hours for issue in archive.issues))
     edges = (0, *(end for end in _ENDS if end < longest), longest)
-    record = _bridged(weather.precipitation)
+    record = bridged(weather.precipitation, _BRIDGED)
     rows = []
     for issue in archive.issues:
         begin = (issue.issued - weather.rain_from) // HOUR
@@ -269,17 +278,6 @@ def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
         )
     issued, forecast, fell = map(np.array, zip(*rows, strict=True))
     return Dressing(f"{archive.source} and {weather.source}", edges, issued, forecast, fell)
-
-
-def _bridged(rain: Array) -> Array:
-    """Return a record in which short gaps are a straight line (mm/h), shape (hours,)."""
-    known = np.flatnonzero(~np.isnan(rain))
-    found = rain.copy()
-    for before, after in pairwise(known):
-        if 1 < after - before <= _BRIDGED + 1:
-            gap = np.arange(before + 1, after)
-            found[gap] = np.interp(gap, [before, after], rain[[before, after]])
-    return found
 
 
 def chosen_archive(choice: ForecastChoice, site: Site) -> Archive:
@@ -327,13 +325,9 @@ def dress_issue(issue: Issue, dressing: Dressing) -> Issue:
 
 def dressing_text(dressing: Dressing) -> str:
     """Return a dressing as a file, which :func:`read_dressing` reads."""
-    columns = [
-        "issued", *(_forecast_column(*block) for block in pairwise(dressing.edges)),
-        *(_fell_column(hour) for hour in range(dressing.hours)),
-    ]
     lines = [
         "# What was forecast, and what fell then, for --dressed of simulate, run and verify; of",
-        f"# {dressing.source}.", ",".join(columns),
+        f"# {dressing.source}.", ",".join(_columns(dressing.edges, dressing.hours)),
     ]
     values = np.concatenate([dressing.forecast, dressing.fell], axis=1).tolist()
     for issued, row in zip(dressing.issued.tolist(), values, strict=True):
@@ -379,15 +373,11 @@ def _read_header(table: Table) -> tuple[tuple[int, ...], int]:
         if found is None:
             break
         edges.append(int(found[2]))
-    due = [_forecast_column(*block) for block in pairwise(edges)]
     hours = len(table.header) - len(edges)
-    due = ["issued", *due, *(_fell_column(hour) for hour in range(hours))]
-    for cell, expected in zip(table.header, due, strict=True):
-        if cell != expected:
-            raise table.refuse(
-                f"the column must be '{expected}': a file for --dressed is made by 'greenroof "
-                "verify --dress ARCHIVE --weather RECORD -o FILE'", cell,
-            )
+    table.require_header(
+        _columns(edges, hours), ": a file for --dressed is made by 'greenroof verify --dress "
+        "ARCHIVE --weather RECORD -o FILE'",
+    )
     if len(edges) < 2 or sorted(set(edges)) != edges or hours < edges[-1]:
         raise table.refuse(
             "must have blocks of a forecast, one after the other, and all hours of them"
@@ -395,9 +385,7 @@ def _read_header(table: Table) -> tuple[tuple[int, ...], int]:
     return tuple(edges), hours
 
 
-def _forecast_column(begin: int, end: int) -> str:
-    return f"forecast of hours {begin} to {end} [mm]"
-
-
-def _fell_column(hour: int) -> str:
-    return f"fell in hour {hour} [mm]"
+def _columns(edges: Sequence[int], hours: int) -> list[str]:
+    """Return the header of a file."""
+    blocks = [f"forecast of hours {begin} to {end} [mm]" for begin, end in pairwise(edges)]
+    return ["issued", *blocks, *(f"fell in hour {hour} [mm]" for hour in range(hours))]

@@ -119,7 +119,6 @@ class LiveForecast:
         issue = self._newest(now)
         if self._dressing is not None:
             issue = self._dressing.dress(issue)
-        self._refuse_short(issue, now)
         return self._outlook(issue, now, observed_rain)
 
     def of_record(
@@ -134,13 +133,24 @@ class LiveForecast:
             return None
         try:
             issue = self._dressing.climate(now, evapotranspiration / self._area * 1000 * 86400)
-            self._refuse_short(issue, now)
+            return self._outlook(issue, now, observed_rain)
         except (ConfigurationError, NoForecastError):
             return None
-        return self._outlook(issue, now, observed_rain)
 
     def _outlook(self, issue: Issue, now: datetime, observed_rain: float | None) -> Outlook:
+        """Return what an issue says at a time.
+
+        Raises:
+            NoForecastError: it ends before the look-ahead does.
+        """
         assert issue.evapotranspiration is not None  # such a file is not taken
+        end = issue.issued + issue.hours * HOUR
+        if now + timedelta(seconds=float(self._ends[-1])) > end:
+            raise NoForecastError(
+                f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
+                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead; "
+                f"a horizon of at most {(end - now) // HOUR} h would do now"
+            )
         present = (now - issue.issued) // HOUR
         known = Known(
             issue.issued, issue.rain[:, present:], issue.evapotranspiration[present:], self._area,
@@ -171,20 +181,6 @@ class LiveForecast:
             )
         return issue
 
-    def _refuse_short(self, issue: Issue, now: datetime) -> None:
-        """Refuse an issue that ends before the look-ahead does.
-
-        Raises:
-            NoForecastError: it does.
-        """
-        end = issue.issued + issue.hours * HOUR
-        if now + timedelta(seconds=float(self._ends[-1])) > end:
-            raise NoForecastError(
-                f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
-                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead; "
-                f"a horizon of at most {(end - now) // HOUR} h would do now"
-            )
-
 
 # An hour is measured where the gauge was good in this share of its ticks (1).
 _MEASURED = 0.9
@@ -192,6 +188,9 @@ _MEASURED = 0.9
 
 class LiveDressing:
     """The file of a dressing; forecasts and the hours that the gauge measures are added to it.
+
+    Attributes:
+        few: why the newest issue is used as it was issued; empty where it is dressed.
 
     A forecast counts as an analog once all its hours have passed. The file is written after each
     hour by the disk's thread. One process adds to a file; another one uses it as it finds it.
@@ -212,23 +211,12 @@ class LiveDressing:
         self._ticks_an_hour = 3600.0 / tick_s
         self._hour: int | None = None
         self._sum, self._measured = 0.0, 0  # rain (m/s) and ticks of this hour
-        self._dressed: Issue | None = None
-        self._from: Issue | None = None
-        self._few = self._locked = ""
+        self._newest: tuple[Issue, Issue] | None = None  # as issued, and dressed
+        self.few = self._locked = ""
         try:
             self._only: FileIO | None = take_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError) as error:
             self._only, self._locked = None, f"nothing is added to it: {error}"
-
-    @property
-    def hours(self) -> int:
-        """Of a dressed forecast."""
-        return self._dressing.hours
-
-    @property
-    def few(self) -> str:
-        """Why the newest issue is used as it was issued; empty where it is dressed."""
-        return self._few
 
     @property
     def problem(self) -> str:
@@ -261,14 +249,14 @@ class LiveDressing:
 
         Where too few are known it is returned as it was issued.
         """
-        if self._dressed is None or issue is not self._from:
+        if self._newest is None or issue is not self._newest[0]:
             self._dressing = self._dressing.with_issue(issue)
             try:
-                self._dressed, self._few = dress_issue(issue, self._dressing), ""
+                dressed, self.few = dress_issue(issue, self._dressing), ""
             except ConfigurationError as error:
-                self._dressed, self._few = issue, str(error)
-            self._from = issue
-        return self._dressed
+                dressed, self.few = issue, str(error)
+            self._newest = (issue, dressed)
+        return self._newest[1]
 
     def climate(self, now: datetime, evapotranspiration: float) -> Issue:
         """Return a draw from the record, which stays the same for a day, as an issue of this hour.
@@ -285,7 +273,7 @@ class LiveDressing:
         return Issue(
             hour, Path(self._dressing.source), None,
             self._dressing.members(day, np.empty((1, 0))),
-            np.full(self.hours, evapotranspiration),
+            np.full(self._dressing.hours, evapotranspiration),
         )
 
     def close(self) -> None:

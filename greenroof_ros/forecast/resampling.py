@@ -6,7 +6,8 @@ import math
 from array import array
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Protocol, TypeAlias
+from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,25 +120,12 @@ class Known:
         self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
-class Forecast(Protocol):
-    """What was known at a tick about the steps that follow it; the first entry is now."""
-
-    @property
-    def repeats_from(self) -> datetime | None:
-        """The earliest time from which on a forecast knows nothing, and what it says is assumed."""
-        ...
-
-    def precipitation(self, tick: int) -> Rain:
-        """Mean rain of each step (m/s), shape (steps,); of all members, (members, steps)."""
-        ...
-
-    def evapotranspiration(self, tick: int) -> array[float]:
-        """Mean evapotranspiration off the whole bed (m3/s) of each step, shape (steps,)."""
-        ...
-
-
 class PerfectForecast:
-    """Knows the weather of the M ticks that come, as the paper assumes."""
+    """Knows the weather of the M ticks that come, as the paper assumes.
+
+    Attributes:
+        repeats_from: the earliest time from which on it knows nothing, and what it says is assumed.
+    """
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
         """Take the run's weather and the look-ahead M (ticks)."""
@@ -172,6 +160,9 @@ class SteppedForecast:
     """Means of an hourly forecast over steps.
 
     The present hour is not forecast but observed: its rates are those of the records.
+
+    Attributes:
+        repeats_from: as :class:`PerfectForecast` has it.
     """
 
     def __init__(
@@ -193,13 +184,12 @@ class SteppedForecast:
             ConfigurationError: there is no forecast for a part of the run.
         """
         self._model, self._weather, self._site = model, weather, site
-        self._all_members = all_members
-        self._ends = ends
+        self._ends, self._all_members = ends, all_members
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + steps * site.tau
-        self._hour = self._tick = -1
-        self._known: Known
-        self._outlook: Outlook
+        # Rain and evapotranspiration of a tick are computed together.
+        self._known = lru_cache(maxsize=1)(self._known_in)
+        self._at = lru_cache(maxsize=1)(self._outlook)
         self.repeats_from = self._ask_for_all()
 
     def precipitation(self, tick: int) -> Rain:
@@ -210,16 +200,11 @@ class SteppedForecast:
         """Return mean evapotranspiration off the whole bed (m3/s), shape (steps,)."""
         return self._at(tick).evapotranspiration
 
-    def _at(self, tick: int) -> Outlook:
-        """Return rain and evapotranspiration of a tick, which are computed together."""
-        if tick != self._tick:
-            time = self._offset + tick * self._site.tau
-            hour = int(time // _HOUR_S)
-            if hour != self._hour:
-                self._known = self._known_in(hour)
-            self._hour, self._tick = hour, tick
-            self._outlook = self._known.at(time - hour * _HOUR_S, self._all_members)
-        return self._outlook
+    def _outlook(self, tick: int) -> Outlook:
+        """Return what is known at a tick."""
+        time = self._offset + tick * self._site.tau
+        hour = int(time // _HOUR_S)
+        return self._known(hour).at(time - hour * _HOUR_S, self._all_members)
 
     def _ask_for_all(self) -> datetime | None:
         """Ask for every hour's forecast, and return the earliest time from which one repeats."""
@@ -245,6 +230,10 @@ class SteppedForecast:
         evapotranspiration[0] = self._weather.evapotranspiration[present]
         issued = self._weather.first + hour * HOUR
         return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
+
+
+Forecast: TypeAlias = PerfectForecast | SteppedForecast
+"""What was known at a tick about the steps that follow it; the first entry is now."""
 
 
 def look_ahead_ends(site: Site, horizon: float) -> Array:

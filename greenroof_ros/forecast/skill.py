@@ -1,6 +1,18 @@
-"""How good forecasts are: a file of constants, and what they make of each lead.
+"""How good forecasts are: a file of constants, of the rain of a place and of what they have wrong.
 
-Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
+**Climate.** An hour's rain r (mm) is a standard normal number z in another form: dry where z is at
+most a threshold c, and above it
+
+    r = k (exp(b (z - c)) - 1)
+
+so that small amounts are the most frequent and large ones fall off as a lognormal's do. From hour
+to hour z is a first-order autoregression with the correlation exp(-h / T) at h hours apart. So rain
+comes in spells, and what an hour's forecast may have wrong is a matter of correlated normal
+numbers. A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and
+Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
+28(5):1247 (1992).
+
+**Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
 
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
@@ -20,8 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.records import entry, read_record
-from greenroof_ros.forecast.climate import Climate
+from greenroof_ros.common.parameter import entry, read_record
 
 Array = NDArray[np.float64]
 
@@ -35,6 +46,48 @@ SKILLS = {
 }
 # The reach of forecasts that know nothing of the next hour (h).
 _NO_REACH = 1e-6
+
+
+@dataclass(frozen=True)
+class Climate:
+    """The rain of a place, hour by hour.
+
+    The constants of Toronto City Centre, May to October 2015 to 2025, are those of
+    ``config/forecasts/skill.yaml``.
+    """
+
+    wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
+    scale: float = entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)
+    growth: float = entry("b, how much faster than z rain grows (1)", 0.1, 5.0)
+    memory: float = entry("T, hours after which z is correlated by 1/e", 0.5, 24.0)
+
+    @property
+    def threshold(self) -> float:
+        """c: z of the least rain (1)."""
+        # Here, since every command reads skills and few need this: it takes long to import.
+        from scipy.special import ndtri
+
+        return float(-ndtri(self.wet_share))
+
+    def rain(self, normal: Array) -> Array:
+        """Return the rain (mm) of hours from their z (1), any shape."""
+        above = np.maximum(normal - self.threshold, 0.0)
+        rain: Array = self.scale * np.expm1(self.growth * above)
+        return rain
+
+    def normal(self, rain: Array) -> Array:
+        """Return z (1) of hours with rain (mm), any shape; the threshold where there is none."""
+        normal: Array = self.threshold + np.log1p(rain / self.scale) / self.growth
+        return normal
+
+    def spectrum(self, hours: int) -> Array:
+        """Return the power of z at each frequency of so many hours in a circle.
+
+        Its mean over all frequencies is 1, the variance of z; shape (hours // 2 + 1,).
+        """
+        apart = np.minimum(np.arange(hours), hours - np.arange(hours))
+        power: Array = np.fft.rfft(np.exp(-apart / self.memory)).real
+        return power
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ where they are further apart, three hours or six, each hour between has its shar
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 _DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
-_NAME = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(?:_(\d{3}))?")
+_NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?")
 _VARIABLE = re.compile(r"(\w+)_P_PR0?_SFC")
 # What CaSPAr's numbers, which have 32 bits, can be.
 _LARGEST = float(np.finfo(np.float32).max)
@@ -51,6 +52,10 @@ _FURTHEST_DEG = 0.5
 _LONGEST_STEP = 6
 # By how much a sum may fall by rounding (mm); in HRDPS 2e-9 mm were seen.
 _ROUNDING_MM = 0.05
+
+
+_Refuse: TypeAlias = Callable[..., ConfigurationError]
+"""What is wrong with a file, by what would be right, key and value."""
 
 
 class _Member(NamedTuple):
@@ -99,8 +104,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
 def _issue(members: Sequence[_Member]) -> Issue:
     """Return an issue of all its members."""
-    parts = [member.issue for member in members]
-    first, wrong = parts[0], ""
+    first, wrong = members[0].issue, ""
     numbers = [member.number for member in members]
     if numbers != list(range(len(members))):
         listed = ", ".join(f"{number:03}" for number in numbers)
@@ -111,115 +115,97 @@ def _issue(members: Sequence[_Member]) -> Issue:
         raise ConfigurationError(
             f"the issue of {to_minutes(first.issued)} has {wrong}", file=first.file
         )
-    for part in parts:
-        if part.hours != first.hours:
+    for issue, *_ in members:
+        if issue.hours != first.hours:
             raise ConfigurationError(
-                f"has {part.hours} hours, but must have {first.hours} as {first.file.name}",
-                file=part.file,
+                f"has {issue.hours} hours, but must have {first.hours} as {first.file.name}",
+                file=issue.file,
             )
-    return replace(first, rain=np.concatenate([part.rain for part in parts]))
+    return replace(first, rain=np.concatenate([issue.rain for issue, *_ in members]))
 
 
 def _read(file: Path, latitude: float, longitude: float) -> _Member:
     """Read a file at the point that is nearest to a place (degrees)."""
     with in_extra("netcdf"):
         from netCDF4 import Dataset
-    issued, number = _named(file)
+    refuse = partial(ConfigurationError, file=file)
+    try:
+        match = _NAME.fullmatch(file.stem)
+        issued = datetime.strptime(f"{match and match[1]} +0000", "%Y%m%d%H %z")
+    except ValueError:
+        raise refuse("must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc") from None
+    assert match is not None
     try:
         with Dataset(file) as dataset:
-            name, product = _variable(file, dataset)
-            hours = _hours(file, dataset, issued)
-            point = _nearest(file, dataset, dataset[name], latitude, longitude)
-            sums = _numbers(file, dataset[name], *point)
+            variable, product = _variable(refuse, dataset)
+            leads = _leads(refuse, dataset, issued)
+            point = _nearest(refuse, dataset, variable, latitude, longitude)
+            sums = 1000 * _numbers(refuse, variable, *point)
+            rain = _rain(partial(refuse, key=variable.name), leads, sums)
     except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
-        raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
-    rain = _rain(file, name, hours, 1000 * sums)
-    return _Member(Issue(issued, file, None, rain[None, :]), number, product)
+        raise refuse(f"is not NetCDF that can be read: {error}") from error
+    return _Member(Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product)
 
 
-def _named(file: Path) -> tuple[datetime, int]:
-    """Return issue and member that a file's name says."""
-    match = _NAME.fullmatch(file.stem)
-    try:
-        if match is None:
-            raise ValueError
-        year, month, day, hour = map(int, match.groups()[:4])
-        issued = datetime(year, month, day, hour, tzinfo=timezone.utc)
-    except ValueError:
-        raise ConfigurationError(
-            "must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc", file=file
-        ) from None
-    return issued, int(match[5] or 0)
-
-
-def _variable(file: Path, dataset: Dataset) -> tuple[str, str]:
-    """Return the name of the variable of precipitation, and its product."""
-    found = [name for name in dataset.variables if _VARIABLE.fullmatch(name)]
+def _variable(refuse: _Refuse, dataset: Dataset) -> tuple[Variable[Any], str]:
+    """Return the variable of precipitation, and its product."""
+    found = [match for name in dataset.variables if (match := _VARIABLE.fullmatch(name))]
     if len(found) != 1:
-        raise ConfigurationError(
+        names = [match[0] for match in found] or dataset.variables
+        raise refuse(
             "must have one variable of precipitation, such as HRDPS_P_PR_SFC; it has "
-            f"{', '.join(found or dataset.variables)}", file=file,
+            f"{', '.join(names)}"
         )
-    match = _VARIABLE.fullmatch(found[0])
-    assert match is not None
-    if match[1] not in _DELAYS_H:
-        raise ConfigurationError(
-            f"must be of {', '.join(_DELAYS_H)}", file=file, value=found[0]
-        )
-    units = _attribute(dataset[found[0]], "units")
+    name, product = found[0][0], found[0][1]
+    if product not in _DELAYS_H:
+        raise refuse(f"must be of {', '.join(_DELAYS_H)}", value=name)
+    units = _attribute(dataset[name], "units")
     if units != "m":
-        raise ConfigurationError(
-            "must be 'm', of the sum since the issue", file=file, key=f"{found[0]}:units",
-            value=units,
-        )
-    return found[0], match[1]
+        raise refuse("must be 'm', of the sum since the issue", key=f"{name}:units", value=units)
+    return dataset[name], product
 
 
-def _hours(file: Path, dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
-    """Return the leads of a file's times (h)."""
+def _leads(refuse: _Refuse, dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
+    """Return 0 and the leads of a file's times (h)."""
     if "time" not in dataset.variables:
-        raise ConfigurationError("must have a variable 'time'", file=file)
+        raise refuse("must have a variable 'time'")
     time = dataset["time"]
     if time.dimensions != ("time",):  # sums without a time, or times without a sum
-        raise ConfigurationError(
-            f"must have the dimension time, not ({', '.join(time.dimensions)})",
-            file=file, key="time",
-        )
+        dimensions = ", ".join(time.dimensions)
+        raise refuse(f"must have the dimension time, not ({dimensions})", key="time")
     units = _attribute(time, "units")
     due = f"hours since {issued:%Y-%m-%d %H:%M:%S}"
     if units != due:
-        raise ConfigurationError(
-            f"must be '{due}', by the file's name", file=file, key="time:units", value=units
-        )
-    times = _numbers(file, time)
+        raise refuse(f"must be '{due}', by the file's name", key="time:units", value=units)
+    times = _numbers(refuse, time)
     leads = np.concatenate(([0.0], times if times.size and times[0] else times[1:]))
     steps = np.diff(leads)
     wrong = np.flatnonzero(~((steps >= 1) & (steps <= _LONGEST_STEP) & (steps % 1 == 0)))
     if wrong.size or not steps.size:
         after = f" after {leads[wrong[0]]:g}" if wrong.size else ""
-        raise ConfigurationError(
+        raise refuse(
             f"must have further hours, 1 to {_LONGEST_STEP} from each to the next{after}",
-            file=file, key="time",
+            key="time",
         )
     return leads.astype(np.int64)
 
 
 def _nearest(
-    file: Path, dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
+    refuse: _Refuse, dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
 ) -> tuple[int, int]:
     """Return the indices of the point of the grid that is nearest to a place.
 
     Nearest is the least angle between both on the sphere, by the haversine.
     """
     (north, latitudes), (east, longitudes) = (
-        _coordinate(file, dataset, name) for name in _ENDS
+        _coordinate(refuse, dataset, name) for name in _ENDS
     )
     places = north if north == east else (*north, *east)
     if len(places) != 2 or variable.dimensions != ("time", *places):
-        raise ConfigurationError(
+        raise refuse(
             f"must have the dimensions time and two of the places, as latitude ({', '.join(north)})"
             f" and longitude ({', '.join(east)}) have them, not "
-            f"({', '.join(variable.dimensions)})", file=file, value=variable.name,
+            f"({', '.join(variable.dimensions)})", value=variable.name,
         )
     if latitudes.ndim == 1:  # an axis; against the other it is the grid
         latitudes = latitudes[:, np.newaxis]
@@ -231,28 +217,28 @@ def _nearest(
     nearest = int(np.argmin(haversine))
     degrees = float(np.degrees(2 * np.arcsin(np.sqrt(haversine.flat[nearest]))))
     if not degrees <= _FURTHEST_DEG:
-        raise ConfigurationError(
+        raise refuse(
             f"has no point within {_FURTHEST_DEG:g} degrees of the site's place, {latitude:g}, "
-            f"{longitude:g}; the nearest is {degrees:.3g} away", file=file,
+            f"{longitude:g}; the nearest is {degrees:.3g} away"
         )
     row, column = np.unravel_index(nearest, haversine.shape)
     return int(row), int(column)
 
 
 def _coordinate(
-    file: Path, dataset: Dataset, name: str
+    refuse: _Refuse, dataset: Dataset, name: str
 ) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     """Return the dimensions and degrees of the variable of a standard name."""
     for variable in dataset.variables.values():
         if _attribute(variable, "standard_name") == name:
-            degrees, end = _numbers(file, variable), _ENDS[name]
+            degrees, end = _numbers(refuse, variable), _ENDS[name]
             if not (degrees.size and (np.abs(degrees) <= end).all()):
-                raise ConfigurationError(
+                raise refuse(
                     f"must have degrees from {-end:g} to {end:g} for every point of the grid, and "
-                    "one point or more", file=file, key=variable.name,
+                    "one point or more", key=variable.name,
                 )
             return variable.dimensions, degrees
-    raise ConfigurationError(f"must have a variable of standard_name '{name}'", file=file)
+    raise refuse(f"must have a variable of standard_name '{name}'")
 
 
 def _attribute(variable: Variable[Any], name: str) -> str:
@@ -260,42 +246,37 @@ def _attribute(variable: Variable[Any], name: str) -> str:
     return str(getattr(variable, name, ""))
 
 
-def _numbers(file: Path, variable: Variable[Any], *point: int) -> NDArray[np.float64]:
+def _numbers(refuse: _Refuse, variable: Variable[Any], *point: int) -> NDArray[np.float64]:
     """Return the values of a variable, at one point where its last dimensions are the places'.
 
     NaN is a missing value. NetCDF also has types of text, lists and records, and text of digits
     would become numbers.
     """
-    kind = variable.datatype
+    kind, name = variable.datatype, variable.name
     if not (isinstance(kind, np.dtype) and kind.kind in "iuf"):
-        raise ConfigurationError(
-            "must be of a type of numbers, such as float or int", file=file, key=variable.name
-        )
-    for name in _PACKING:
-        number = getattr(variable, name, np.float64(0.0))
+        raise refuse("must be of a type of numbers, such as float or int", key=name)
+    for packing in _PACKING:
+        number = getattr(variable, packing, np.float64(0.0))
         if not isinstance(number, np.number):
-            raise ConfigurationError(
-                "must be a number", file=file, key=f"{variable.name}:{name}", value=str(number)
-            )
+            raise refuse("must be a number", key=f"{name}:{packing}", value=str(number))
     values: NDArray[np.float64] = np.ma.filled(variable[(..., *point)].astype(np.float64), np.nan)
     beyond = np.argwhere(np.abs(values) > _LARGEST)
     if beyond.size:
         index = tuple(beyond[0].tolist())
-        raise ConfigurationError(
-            "must be finite, and a number of 32 bits", file=file,
-            key=f"{variable.name}[{', '.join(map(str, index))}]", value=float(values[index]),
+        raise refuse(
+            "must be finite, and a number of 32 bits",
+            key=f"{name}[{', '.join(map(str, index))}]", value=float(values[index]),
         )
     return values
 
 
 def _rain(
-    file: Path, name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]
+    refuse: _Refuse, leads: NDArray[np.int64], sums: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the rain of each hour (mm/h) from its sums since the issue (mm).
 
     Args:
-        file: for messages.
-        name: of the variable, likewise.
+        refuse: names file and variable.
         leads: 0, and those of the sums (h), shape (n + 1,).
         sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
             last.
@@ -303,22 +284,20 @@ def _rain(
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
     known = np.flatnonzero(~np.isnan(sums))[-1] + 1
     if known == 1 or np.isnan(sums[:known]).any():
-        at = leads[np.argmax(np.isnan(sums))]
-        raise ConfigurationError(f"is missing {at} h after the issue", file=file, key=name)
+        raise refuse(f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue")
     amounts, steps = np.diff(sums[:known]), np.diff(leads[:known])
     falls = np.flatnonzero(amounts < -_ROUNDING_MM)
     if falls.size:
-        raise ConfigurationError(
+        raise refuse(
             f"must be the sum since the issue; it falls by {-amounts[falls[0]]:.3g} mm to "
-            f"{leads[falls[0] + 1]} h after it", file=file, key=name,
+            f"{leads[falls[0] + 1]} h after it"
         )
     rain = np.maximum(amounts, 0.0) / steps
     _, low, high = QUANTITIES[PRECIPITATION]
     beyond = np.flatnonzero(rain > high)
     if beyond.size:
-        raise ConfigurationError(
+        raise refuse(
             f"must be {low:g} to {high:g} mm/h, not {rain[beyond[0]]:.4g} before "
-            f"{leads[beyond[0] + 1]} h after the issue", file=file, key=name,
+            f"{leads[beyond[0] + 1]} h after the issue"
         )
-    hourly: NDArray[np.float64] = np.repeat(rain, steps)
-    return hourly
+    return np.repeat(rain, steps)

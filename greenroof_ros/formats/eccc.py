@@ -9,8 +9,7 @@ from pathlib import Path
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import QUANTITIES, Records
-from greenroof_ros.formats.table import Table, numbered_lines, read_table
+from greenroof_ros.formats.records import QUANTITIES, Records, Table, numbered_lines, read_table
 from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"

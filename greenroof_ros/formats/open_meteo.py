@@ -26,8 +26,8 @@ Local times have one offset from UTC in the whole file, also over a change of da
 runs** have ``precipitation_previous_day1`` to 7: of an hour the newest forecast that was at least N
 x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). There are no runs in them,
 and nothing that is newer than 24 h. So what was known of an hour at some time is the value of
-the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ...;
-the first is the control run. Which run it is, the answer does not say, so the file's name must end
+the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ..., the
+first being the control run. Which run it is, the answer does not say, so the file's name must end
 in it, as in ``gem_2024060112.json``. The first time is no sign of it: an answer to ``run=`` begins
 at the run, but one without begins at midnight, or days before with ``past_days=``, and what fell
 until the download would be foreseen.
@@ -68,9 +68,12 @@ from greenroof_ros.formats.records import (
     Archive,
     Issue,
     Records,
+    Table,
+    Unit,
     join,
+    numbered_lines,
+    read_table,
 )
-from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 
@@ -189,36 +192,32 @@ def _parse_saved(text: str) -> datetime:
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
     """Return what a JSON answer says of its place, and its hours; numbers are text as in CSV."""
+    refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
     except json.JSONDecodeError as error:
-        raise ConfigurationError(
-            f"is not valid JSON: {error}", file=file, line=error.lineno
-        ) from error
+        raise refuse(f"is not valid JSON: {error}", line=error.lineno) from error
     except RecursionError as error:
-        raise ConfigurationError("is JSON nested too deep to be an answer", file=file) from error
+        raise refuse("is JSON nested too deep to be an answer") from error
     if not isinstance(content, dict):
-        raise ConfigurationError("must be of one place; download each by itself", file=file)
+        raise refuse("must be of one place; download each by itself")
     if content.get("error"):
-        raise ConfigurationError(
-            f"is no forecast but the service's refusal: {content.get('reason', '')}", file=file
-        )
-    units, hourly = (_mapping(file, content, key) for key in ("hourly_units", "hourly"))
+        why = content.get("reason", "")
+        raise refuse(f"is no forecast but the service's refusal: {why}")
+    units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
+    for key, value in (("hourly_units", units), ("hourly", hourly)):
+        if not isinstance(value, dict):
+            raise refuse("must be a mapping, as in answers for hours", key=key)
     hourly = {"time": [], **hourly}
-    names = {
-        name if name == "time" else f"{name} ({units.get(name, '')})": series
-        for name, series in hourly.items()
-    }
+    header = [name if name == "time" else f"{name} ({units.get(name, '')})" for name in hourly]
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
-            raise ConfigurationError(
-                "must be a list of values, one for each time", file=file, key=f"hourly.{name}"
-            )
+            raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
     return (
         Table(file, list(about), lambda: list(about.values())),
         Table(
-            file, list(names), lambda: [list(map(_cell, series)) for series in names.values()],
+            file, header, lambda: [list(map(_cell, series)) for series in hourly.values()],
             key="hourly.",
         ),
     )
@@ -227,13 +226,6 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
 def _cell(value: Any, missing: str = "") -> str:
     """Return a value of JSON as CSV has it."""
     return missing if value is None else str(value)
-
-
-def _mapping(file: Path, content: dict[str, Any], key: str) -> dict[str, Any]:
-    value = content.get(key, {})
-    if not isinstance(value, dict):
-        raise ConfigurationError("must be a mapping, as in answers for hours", file=file, key=key)
-    return value
 
 
 def _check_place(place: Table, site: Site) -> timezone:
@@ -328,7 +320,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     ])
     return Archive(
         files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
-        list(_daily(whole)), _DAY_H,
+        _daily(whole), _DAY_H,
     )
 
 
@@ -371,32 +363,29 @@ def read_run(file: Path, site: Site, issued: datetime) -> Issue:
 def _run(hours: Records, run: datetime) -> Issue:
     """Return the run of a file."""
     (file,) = hours.files
+    refuse = partial(ConfigurationError, file=file)
     rain = np.stack(_members(hours))
     start, rest = divmod(run - hours.first, HOUR)
     if rest or not 0 <= start < rain.shape[1]:
-        raise ConfigurationError(
+        raise refuse(
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
-            f"{to_minutes(hours.first + HOUR)}", file=file,
+            f"{to_minutes(hours.first + HOUR)}"
         )
     rain = rain[:, start:]
     if rain.shape[1] > _LONGEST_RUN:
-        raise ConfigurationError(
+        raise refuse(
             f"has {rain.shape[1]} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
-            "are previous runs, precipitation_previous_day1 and so on", file=file,
+            "are previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(rain).all(axis=0))
     if not known.size:
-        raise ConfigurationError(
-            f"has no precipitation after its run, {to_minutes(run)}", file=file
-        )
+        raise refuse(f"has no precipitation after its run, {to_minutes(run)}")
     rain = rain[:, : known[-1] + 1]  # beyond the model's horizon there is none
     missing = np.argwhere(np.isnan(rain))
     if missing.size:
         member, hour = missing[0].tolist()
-        raise ConfigurationError(
-            f"member {member} is missing at {to_minutes(run + (hour + 1) * HOUR)}, within the run",
-            file=file,
-        )
+        time = to_minutes(run + (hour + 1) * HOUR)
+        raise refuse(f"member {member} is missing at {time}, within the run")
     return Issue(run, file, None, rain)
 
 
@@ -406,16 +395,12 @@ def _members(hours: Records) -> list[NDArray[np.float64]]:
         int(match[1] or 0): series for name, series in hours.values.items()
         if (match := _MEMBER.fullmatch(name))
     }
-    numbers = sorted(found)
+    refuse, numbers = partial(ConfigurationError, file=hours.files[0]), sorted(found)
     if numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] > 1:
-        raise ConfigurationError(
-            f"must have its members without gap; it has {', '.join(map(str, numbers))}",
-            file=hours.files[0],
-        )
+        there = ", ".join(map(str, numbers))
+        raise refuse(f"must have its members without gap; it has {there}")
     if len(numbers) > MOST_MEMBERS:
-        raise ConfigurationError(
-            f"must have at most {MOST_MEMBERS} members, not {len(numbers)}", file=hours.files[0]
-        )
+        raise refuse(f"must have at most {MOST_MEMBERS} members, not {len(numbers)}")
     return [found[number] for number in numbers]
 
 
@@ -441,21 +426,18 @@ def _known_of(previous: Records) -> list[Issue]:
     Raises:
         ConfigurationError: nothing is known at all, or at none of these times.
     """
-    days = _days(previous)
-    leads = np.arange(_DAY_H * max(days))
     issues = []
-    for start in _starts(previous, 0, ISSUE_HOURS):
-        rain = np.full(len(leads), np.nan)
-        for day in sorted(days, reverse=True):
-            values = _at(days[day], start + leads)
-            known = (leads + 1 <= _DAY_H * day) & ~np.isnan(values)
-            rain[known] = values[known]
-        missing = np.flatnonzero(np.isnan(rain))
-        rain = rain[: missing[0]] if missing.size else rain
-        if rain.size:
-            issues.append(_issue(previous, start, rain))
+    for issued, by_days in _windows(previous, ISSUE_HOURS):
+        leads = np.arange(by_days.shape[1])
+        old_enough = np.arange(len(by_days))[:, None] >= leads // _DAY_H
+        known = old_enough & ~np.isnan(by_days)
+        hours = int(np.append(known.any(axis=0), False).argmin())
+        if hours:
+            newest = known.argmax(axis=0)
+            rain = by_days[newest, leads][None, :hours]
+            issues.append(Issue(issued, previous.files[0], None, rain))
     if not issues:
-        nothing = all(np.isnan(series).all() for series in days.values())
+        nothing = all(np.isnan(series).all() for series in previous.values.values())
         raise ConfigurationError(
             "has no precipitation: every value is missing" if nothing else
             "must have a value for an hour from 00, 06, 12 or 18 UTC on, when issues begin",
@@ -464,39 +446,35 @@ def _known_of(previous: Records) -> list[Issue]:
     return issues
 
 
-def _daily(previous: Records) -> Iterator[Issue]:
-    """Yield one issue a day, at 00 UTC, with each hour from its own N alone.
+def _daily(previous: Records) -> list[Issue]:
+    """Return one issue a day, at 00 UTC, with each hour from its own N alone.
 
     The hours from 24 (N - 1) to 24 N after it are those of N, so that each value of the file is in
     one issue, by the day that it stands for; missing ones are NaN. They are for verification: of
     :func:`_known_of` four have the same value, and some the value of another N.
     """
-    days = _days(previous)
-    last = max(days)
-    for start in _starts(previous, -_DAY_H * last, _DAY_H):
-        rain = np.full(_DAY_H * last, np.nan)
-        for day, series in days.items():
-            leads = np.arange(_DAY_H * (day - 1), _DAY_H * day)
-            rain[leads] = _at(series, start + leads)
-        yield _issue(previous, start, rain)
+    issues = []
+    for issued, by_days in _windows(previous, _DAY_H):
+        leads = np.arange(by_days.shape[1])
+        rain = by_days[leads // _DAY_H, leads][None, :]
+        issues.append(Issue(issued, previous.files[0], None, rain))
+    return issues
 
 
-def _days(previous: Records) -> dict[int, NDArray[np.float64]]:
-    """Return the series by the days N that they were made before."""
-    return {int(name[-1]): series for name, series in previous.values.items()}
+def _windows(
+    previous: Records, every: int
+) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
+    """Yield the times that begin so often a day in UTC, and the values of the hours that follow.
 
-
-def _starts(previous: Records, begin: int, every: int) -> Iterator[int]:
-    """Yield the hours from one on, counted from the first, that begin so often a day in UTC."""
+    They are a row for each N, from 1 to the greatest, and as many days long; NaN where missing.
+    """
+    days = {int(name[-1]): series for name, series in previous.values.items()}
+    most = max(days)
+    span = _DAY_H * most
+    padded = np.full((most, previous.hours + 2 * span), np.nan)
+    for day, series in days.items():
+        padded[day - 1, span:-span] = series
     since_1970 = hours_since_1970(previous.first)
-    return (hour for hour in range(begin, previous.hours) if (since_1970 + hour) % every == 0)
-
-
-def _at(series: NDArray[np.float64], hours: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return values at some hours; NaN before the first and after the last."""
-    inside = (hours >= 0) & (hours < len(series))
-    return np.where(inside, series[np.clip(hours, 0, len(series) - 1)], np.nan)
-
-
-def _issue(previous: Records, start: int, rain: NDArray[np.float64]) -> Issue:
-    return Issue(previous.first + start * HOUR, previous.files[0], None, rain[None, :])
+    for start in range(-span, previous.hours):
+        if (since_1970 + start) % every == 0:
+            yield previous.first + start * HOUR, padded[:, span + start : 2 * span + start]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -22,8 +21,10 @@ from greenroof_ros.formats.records import (
     Archive,
     Issue,
     Records,
+    Table,
+    numbered_lines,
+    read_table,
 )
-from greenroof_ros.formats.table import Table, numbered_lines, read_table
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 
@@ -52,8 +53,8 @@ def read_records(file: Path, _site: Site, /) -> Records:
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
-    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` names its
-    method in its first words. Each further line is the hour that starts at its ``time``
+    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]``
+    names its method in its first words. Each further line is the hour that starts at its ``time``
     (ISO 8601 with the offset from UTC), hour after hour.
 
     Raises:
@@ -114,7 +115,13 @@ def read_forecasts(path: Path) -> list[Issue]:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
     table = _table(path)
-    _check_header(table)
+    columns = ["issued", "time", "member", *_FORECAST.values()]
+    optional = [one for one in columns if one in _OPTIONAL]
+    table.require_header(
+        [one for one in columns if one not in _OPTIONAL or one in table.header],
+        f"; they are {', '.join(map(repr, columns))}; {', '.join(optional)} may be left "
+        "out",
+    )
     issued, times = table.times("issued"), table.times("time")
     members = _members(table) if "member" in table.header else [0] * len(times)
     values = {
@@ -122,34 +129,19 @@ def read_forecasts(path: Path) -> list[Issue]:
         for quantity, column in _FORECAST.items() if column in table.header
     }
     rows_of: dict[datetime, dict[int, list[int]]] = {}  # of each issue and member
-    last = issued[0]
     for row, (issue, time, member) in enumerate(zip(issued, times, members, strict=True)):
+        last = next(reversed(rows_of), issue)
         if issue < last:
             raise table.refuse(
                 f"must not be before {to_minutes(last)}, as above: the issues must be in the order "
                 "of time", "issued", row,
             )
-        last = issue
         rows = rows_of.setdefault(issue, {}).setdefault(member, [])
         due = issue + len(rows) * HOUR
         table.check_due("time", row, time, due, "from its issue on, each forecast")
         rows.append(row)
     count = len(rows_of[issued[0]])
     return [_issue(table, issue, rows, count, values) for issue, rows in rows_of.items()]
-
-
-def _check_header(table: Table) -> None:
-    """Refuse other columns, or another order of them."""
-    columns = ["issued", "time", "member", *_FORECAST.values()]
-    expected = [one for one in columns if one not in _OPTIONAL or one in table.header]
-    for cell, due in itertools.zip_longest(table.header, expected):
-        if cell != due:
-            wrong = "is one column too many" if due is None else f"the column must be '{due}'"
-            raise table.refuse(
-                f"{wrong}; they are {', '.join(map(repr, columns))}; "
-                f"{', '.join(each for each in columns if each in _OPTIONAL)} may be left out",
-                cell or "",
-            )
 
 
 def _members(table: Table) -> list[int]:

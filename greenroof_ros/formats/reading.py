@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
@@ -19,18 +19,17 @@ SUFFIXES = (".csv", ".json", ".nc")
 _HEAD_BYTES = 4096
 
 _Read = TypeVar("_Read")
-_Formats: TypeAlias = Sequence[tuple[Callable[[Path, bytes], bool], _Read]]
-"""By what a file is recognised, by its name and first bytes, and what reads it."""
 
-# The first that recognises a file reads it, the last recognises any.
-_WEATHER: _Formats[Callable[[Path, Site], Records]] = (
-    (eccc.recognises, eccc.read_records), (open_meteo.recognises, open_meteo.read_records),
-    (own_csv.recognises, own_csv.read_records),
-)
-_FORECASTS: _Formats[Callable[[Sequence[Path], Site], Archive]] = (
-    (caspar.recognises, caspar.read_archive), (open_meteo.recognises, open_meteo.read_archive),
-    (own_csv.recognises, own_csv.read_archive),
-)
+# What reads a file, by what recognises it from its name and first bytes: the first that does. The
+# last recognises any.
+_WEATHER = {
+    eccc.recognises: eccc.read_records, open_meteo.recognises: open_meteo.read_records,
+    own_csv.recognises: own_csv.read_records,
+}
+_FORECASTS = {
+    caspar.recognises: caspar.read_archive, open_meteo.recognises: open_meteo.read_archive,
+    own_csv.recognises: own_csv.read_archive,
+}
 
 
 def read_records(file: Path, site: Site) -> Records:
@@ -55,8 +54,9 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
         delay: h after its nominal time from which an issue is known; its kind's unless given.
 
     Raises:
-        ConfigurationError: a file is not as its format must be, two have the same issue, or issues
-            have different members, or evapotranspiration in some of them only.
+        ConfigurationError: a file is not as its format must be, they are of several formats, two
+            have the same issue, or issues have different members, or evapotranspiration in some of
+            them only.
     """
     files = [source]
     if source.is_dir():
@@ -71,7 +71,13 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
                     f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, as all files in a "
                     "directory of forecasts", file=file,
                 )
-    archive = _read_forecasts(files, site)
+    read = _reader_of(files[0], _FORECASTS)
+    for file in files[1:]:
+        if _reader_of(file, _FORECASTS) is not read:
+            raise ConfigurationError(
+                f"must be of the format of {files[0].name}: an archive has one", file=file
+            )
+    archive = read(files, site)
     issues = sorted(archive.issues, key=lambda issue: issue.issued)
     for one, other in itertools.pairwise(issues):
         _check_alike(one, other)
@@ -96,22 +102,7 @@ def _check_alike(one: Issue, other: Issue) -> None:
         raise ConfigurationError(wrong, file=other.file, line=other.line)
 
 
-def _read_forecasts(files: Sequence[Path], site: Site) -> Archive:
-    """Return the forecasts in some files, which are of one format.
-
-    Raises:
-        ConfigurationError: they are of several, or one is not as its format must be.
-    """
-    read = _reader_of(files[0], _FORECASTS)
-    for file in files[1:]:
-        if _reader_of(file, _FORECASTS) is not read:
-            raise ConfigurationError(
-                f"must be of the format of {files[0].name}: an archive has one", file=file
-            )
-    return read(files, site)
-
-
-def _reader_of(file: Path, formats: _Formats[_Read]) -> _Read:
+def _reader_of(file: Path, formats: Mapping[Callable[[Path, bytes], bool], _Read]) -> _Read:
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of some", file=file)
     try:
@@ -119,4 +110,4 @@ def _reader_of(file: Path, formats: _Formats[_Read]) -> _Read:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
-    return next(read for recognises, read in formats if recognises(file, head))
+    return next(read for recognises, read in formats.items() if recognises(file, head))

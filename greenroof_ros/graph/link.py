@@ -290,7 +290,7 @@ class LinkedNode(Node):
             part: its name.
             level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
             message: a sentence.
-            code: of :mod:`greenroof_ros.common.conditions`; empty where all is well.
+            code: of :mod:`greenroof_ros.common.interface`; empty where all is well.
             cause: the code that it follows from, if that is known.
         """
         before = self.reports.diagnoses.get(part)

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, String
 from greenroof_ros.common.command_line import Finding
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import Qos, read_topics
-from greenroof_ros.common.progress_lines import ProgressLines
+from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.inputs import call_node
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements

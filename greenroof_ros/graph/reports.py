@@ -58,7 +58,7 @@ class Reports:
     node's fully qualified name, and its values are written as JSON. The status of a part has the
     part's name behind it: ``/mpc: inputs``. Name and hardware of a status are the same after a
     restart: tools take them for the identity of what they show. A status that is not OK, and one of
-    a node that waits, has a code of :mod:`greenroof_ros.common.conditions`: programs
+    a node that waits, has a code of :mod:`greenroof_ros.common.interface`: programs
     go by that, and none by a sentence.
 
     Attributes:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.records import entry, parameters_of
+from greenroof_ros.common.parameter import entry, parameters_of
 from greenroof_ros.model.plant import Plant
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.

@@ -13,8 +13,7 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.records import entry, keys, parameters_of
+from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
 
 # No parameter of any site is beyond these, and nothing computed from them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)

@@ -60,9 +60,8 @@ from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
-from greenroof_ros.weather.series import WeatherSeries
+from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 
 _FROST = "/weather/frost"
 _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"

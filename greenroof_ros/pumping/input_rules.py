@@ -37,7 +37,7 @@ class Verdict(NamedTuple):
     """What is wrong with an input.
 
     Attributes:
-        code: names the rule that it breaks, in :mod:`greenroof_ros.common.conditions`; empty where
+        code: names the rule that it breaks, in :mod:`greenroof_ros.common.interface`; empty where
             it is good.
         why: what it does, for a sentence that begins with its name.
     """

@@ -13,7 +13,7 @@ says what follows:
   ``drive_local`` and ``drive_timeout`` by a person at the panel.
 
 What each code means, and what to do about it, is in ``msg_defs/conditions.yaml``
-(:mod:`greenroof_ros.common.conditions`).
+(:mod:`greenroof_ros.common.interface`).
 
 To add an interlock, add its row here and its words there, and give a reason under its code in
 :mod:`.limits` (levels, weather, how long and how much), :mod:`.pump_control` (what the drive shows)

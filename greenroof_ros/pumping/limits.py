@@ -9,8 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.records import entry, keys
+from greenroof_ros.common.parameter import Parameter, entry, keys
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site

@@ -25,7 +25,7 @@ from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.weather.filling import REFUSE
+from greenroof_ros.weather.series import REFUSE
 
 NO_ERRORS = "none"
 """of a level sensor and pumps that do not err"""

@@ -46,9 +46,8 @@ from greenroof_ros.model.initial_state import (
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.reading import find_files, read_weather
-from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")

@@ -13,9 +13,9 @@ from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.records import Key, keys
-from greenroof_ros.forecast.climate import Climate, NormalRecords
-from greenroof_ros.forecast.skill import REAL, Errors, Skill, read_skill
+from greenroof_ros.common.parameter import Key, keys
+from greenroof_ros.forecast.models import NormalRecords
+from greenroof_ros.forecast.skill import REAL, Climate, Errors, Skill, read_skill
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.verification.pairs import Class, Sum
 from greenroof_ros.verification.scores import Tally

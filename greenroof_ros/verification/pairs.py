@@ -15,7 +15,7 @@ from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.models import make_model
-from greenroof_ros.formats.records import HOUR, ISSUE_HOURS
+from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, ISSUE_HOURS, PRECIPITATION
 from greenroof_ros.model.site import Site
 from greenroof_ros.verification.scores import Tally
 from greenroof_ros.weather.series import Weather, refuse_between_hours
@@ -109,7 +109,9 @@ def _modelled(
     """
     rain = np.nan_to_num(weather.precipitation)
     starts = range(-hours_since_1970(weather.first) % ISSUE_HOURS, len(rain), ISSUE_HOURS)
-    known = replace(weather, precipitation=rain, evapotranspiration=np.zeros_like(rain))
+    known = replace(
+        weather, values={PRECIPITATION: rain, EVAPOTRANSPIRATION: np.zeros_like(rain)}
+    )
     model = make_model(replace(choice, delay=0.0), known, site, all_members=True)
     options = [f"{name} {value}" for name, value in choice.options().items()]
     return IssuedForecasts(

@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from greenroof_ros.common.conditions import read_conditions
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import read_conditions, read_topics
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble

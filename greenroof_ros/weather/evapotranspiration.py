@@ -160,13 +160,12 @@ def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
         hours: indices of hours of the run in which it is NaN.
     """
     reasons = []
-    near = range(max(0, int(hours.min()) - 24), min(records.hours, int(hours.max()) + 25))
+    near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
     for name in (*FOR_EVAPOTRANSPIRATION, RADIATION):
-        if name not in records.values:
-            continue
-        missing = [hour for hour in near if np.isnan(records.values[name][hour])]
-        if missing:
-            reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")
+        if name in records.values:
+            missing = near.start + np.flatnonzero(np.isnan(records.values[name][near]))
+            if missing.size:
+                reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")
     if not reasons:
         return "their day is not whole in the file (0 to 24 h of local standard time)"
     return "missing are " + "; ".join(reasons)

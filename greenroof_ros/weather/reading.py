@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
@@ -17,15 +18,22 @@ from greenroof_ros.formats.records import (
     HOUR,
     PRECIPITATION,
     Records,
+    gaps,
     join,
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import FAO56, fao56
-from greenroof_ros.weather.filling import FILL, REFUSE, fill_long_gaps, fill_short_gaps
-from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
-# At and below this temperature there is frost: nothing is pumped (degC).
-_FREEZING = 0.0
+Array = NDArray[np.float64]
+
+# The longest gap that is filled, by a straight line between the hours before and after it (h).
+# Temperature and wind follow the sun, so half a day must be left to see it by; dew point and
+# pressure follow the air mass, which changes within days. Rain is never guessed.
+LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
+
+# Hours from a missing one to those of the same time of day whose mean stands for it.
+_SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 
 def default_weather() -> Path:
@@ -39,7 +47,7 @@ def read_weather(
 ) -> Weather:
     """Read weather files, each of one of the formats, and join them.
 
-    Gaps of at most :data:`greenroof_ros.weather.filling.LONGEST_GAP` hours, within a file or
+    Gaps of at most :data:`LONGEST_GAP` hours, within a file or
     between two, are filled and noted in the records; a run that needs an hour of a longer one is
     refused by :class:`greenroof_ros.weather.series.WeatherSeries`, unless they are filled, too.
 
@@ -48,34 +56,34 @@ def read_weather(
         site: its place on earth, where evapotranspiration is computed or a format needs it.
         method: of the evapotranspiration: ``fao56``, or the files' own column. The
             latter if there is one and otherwise ``fao56``, unless given.
-        gaps: one of :data:`greenroof_ros.weather.filling.GAPS`: what is done about longer ones.
+        gaps: one of :data:`greenroof_ros.weather.series.GAPS`: what is done about longer ones.
         rain_only: leave evapotranspiration unknown (NaN): a rain gauge does not measure it.
 
     Raises:
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    records = fill_short_gaps(_whole_hours(join([read_records(file, site) for file in files])))
+    measured = _whole_hours(join([read_records(file, site) for file in files]))
+    values = fill_short_gaps(measured.values)
     if gaps == FILL:
-        records = fill_long_gaps(records)
-    frost = None
-    if "temperature" in records.values:
-        frost = records.values["temperature"] <= _FREEZING
+        values = fill_long_gaps(values)
+    records = replace(measured, values=values, filled={
+        quantity: np.isnan(measured.values[quantity]) & ~np.isnan(series)
+        for quantity, series in values.items()
+    })
     if rain_only:
-        evapotranspiration, method = np.full(records.hours, np.nan), ""
-    elif EVAPOTRANSPIRATION in records.values and method in (None, records.method):
-        evapotranspiration, method = records.values[EVAPOTRANSPIRATION], records.method
+        values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
+    elif EVAPOTRANSPIRATION in values and method in (None, records.method):
+        method = records.method
     elif method in (None, FAO56):
-        evapotranspiration, method = fao56(records, site), FAO56
+        values[EVAPOTRANSPIRATION], method = fao56(records, site), FAO56
     else:
         own = f", or {records.method} from its own column" if records.method else ""
         raise ConfigurationError(
             f"must be {FAO56}{own}: {records.source} has no evapotranspiration of another name",
             key="evapotranspiration", value=method,
         )
-    return Weather(
-        records, records.values[PRECIPITATION], evapotranspiration, method, frost, gaps
-    )
+    return Weather(**{**vars(records), "method": method}, gaps=gaps)
 
 
 def _whole_hours(records: Records) -> Records:
@@ -117,3 +125,47 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     if not found:
         raise ConfigurationError("must name at least one file", key=key)
     return found
+
+
+def fill_short_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
+    """Fill the gaps of at most :data:`LONGEST_GAP` hours that have records on both sides."""
+    return {
+        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        for quantity, series in values.items()
+    }
+
+
+def bridged(series: Array, longest: int) -> Array:
+    """Return hourly values in which gaps of so many hours at most are a straight line."""
+    found = series.copy()
+    for low, high in gaps(np.isnan(series)):
+        if high - low <= longest and low > 0 and high < len(series):
+            found[low:high] = np.interp(
+                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
+            )
+    return found
+
+
+def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
+    """Fill what is still missing: rain with none, all else with the mean of the days about it.
+
+    That is the mean at the same time of day over the three days before and the three days after,
+    of those hours that are known, be it by a short gap. Where none of them is, the hour stays
+    missing. Years are worth more with a few hours guessed than cut into pieces; but rain that was
+    not measured is lost, so that this must be asked for.
+    """
+    filled = {}
+    for quantity, series in values.items():
+        missing = np.isnan(series)
+        filled[quantity] = series.copy()
+        filled[quantity][missing] = 0.0 if quantity == PRECIPITATION else _about(series, missing)
+    return filled
+
+
+def _about(series: Array, missing: NDArray[np.bool_]) -> Array:
+    """Return for each missing hour the mean of the days about it; NaN where none is known."""
+    padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
+    hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
+    near = padded[hours[:, None] + _SAME_TIME_OF_DAY]
+    known = np.count_nonzero(~np.isnan(near), axis=1)
+    return np.where(known > 0, np.nansum(near, axis=1) / np.maximum(known, 1), np.nan)

@@ -9,7 +9,6 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import NamedTuple, overload
 
 import numpy as np
@@ -17,99 +16,108 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, Issue, Records, name_hours
+from greenroof_ros.formats.records import (
+    EVAPOTRANSPIRATION,
+    HOUR,
+    PRECIPITATION,
+    TEMPERATURE,
+    Issue,
+    Records,
+    name_hours,
+)
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import FAO56, why_missing
-from greenroof_ros.weather.filling import REFUSE, suspicious_rain
+from greenroof_ros.weather.evapotranspiration import FAO56, day_of_year, why_missing
 
 _HOUR_NS = 3_600_000_000_000
+# At and below this temperature there is frost: nothing is pumped (degC).
+_FREEZING = 0.0
+
+REFUSE, FILL = "refuse", "fill"
+GAPS = (REFUSE, FILL)
+"""What is done about an hour that a run needs and that no short gap has: the first by default."""
+
+_PERCENTILE = 95
+# So many times the percentile is too much, and so many below 0 degC.
+_FACTOR, _FROST_FACTOR = 9.0, 5.0
+# Of the year, to either side of the hour's own; with fewer wet hours in them nothing is said.
+_DAYS, _LEAST_WET = 14, 20
+_YEAR = 366
 
 
 @dataclass(frozen=True)
-class Weather:
-    """Hourly records without a gap in time; each holds for the hour that starts at its time.
+class Weather(Records):
+    """Hourly records without a gap in time, evapotranspiration among them.
 
     Attributes:
-        records: as read, gaps filled.
-        precipitation: depth of rain in each hour (mm/h), shape (hours,); NaN where missing.
-        evapotranspiration: depth over the vegetation bed (mm/day), shape (hours,); NaN where
-            missing.
-        method: of the evapotranspiration: ``fao56``, computed here, or as the file's header
-            names it.
-        frost: whether the air is at or below 0 degC, shape (hours,); None where the file has no
-            temperature.
-        gaps: what was done about gaps that are not short, one of
-            :data:`greenroof_ros.weather.filling.GAPS`.
+        gaps: what was done about gaps that are not short, one of :data:`GAPS`.
     """
 
-    records: Records
-    precipitation: NDArray[np.float64]
-    evapotranspiration: NDArray[np.float64]
-    method: str
-    frost: NDArray[np.bool_] | None
     gaps: str = REFUSE
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """Where the records come from, in the order of time."""
-        return self.records.files
+    def precipitation(self) -> NDArray[np.float64]:
+        """Depth of rain in each hour (mm/h), shape (hours,); NaN where missing."""
+        return self.values[PRECIPITATION]
 
     @property
-    def source(self) -> str:
-        """The files by one name, for messages and tables."""
-        return self.records.source
+    def evapotranspiration(self) -> NDArray[np.float64]:
+        """Depth over the vegetation bed (mm/day), shape (hours,); NaN where missing."""
+        return self.values[EVAPOTRANSPIRATION]
 
     @property
-    def first(self) -> datetime:
-        """Start of the first hour, with its offset from UTC."""
-        return self.records.first
+    def frost(self) -> NDArray[np.bool_] | None:
+        """Whether the air is at or below 0 degC, shape (hours,); None without a temperature."""
+        temperature = self.values.get(TEMPERATURE)
+        return None if temperature is None else temperature <= _FREEZING
 
     @property
     def rain_from(self) -> datetime:
         """Start of the hour in which the first record's rain fell."""
-        return self.first - self.records.rain_late * HOUR
+        return self.first - self.rain_late * HOUR
 
     @property
     def end(self) -> datetime:
         """End of the last hour."""
-        return self.first + len(self.precipitation) * HOUR
+        return self.first + self.hours * HOUR
 
 
-class _Clock:
+class _Clock(NamedTuple):
     """Which hour of the records a tick is in; beyond their end it is the last."""
 
-    def __init__(self, offset_ns: int, tick_ns: int, last: int) -> None:
-        """Take the time of tick 0 since hour 0, the duration of a tick (ns), and the last hour."""
-        self._offset_ns = offset_ns
-        self._tick_ns = tick_ns
-        self._last = last
+    offset_ns: int
+    """time of tick 0 since hour 0"""
+    tick_ns: int
+    """duration of a tick"""
+    last: int
+    """the last hour"""
 
     def hour(self, tick: int) -> int:
         """Return the hour of a tick."""
-        return min((self._offset_ns + tick * self._tick_ns) // _HOUR_NS, self._last)
+        return min((self.offset_ns + tick * self.tick_ns) // _HOUR_NS, self.last)
 
     def hours(self, ticks: range) -> NDArray[np.int64]:
         """Return the hour of each tick, shape (ticks,)."""
-        elapsed_ns = self._offset_ns + np.asarray(ticks, dtype=np.int64) * self._tick_ns
-        return np.minimum(elapsed_ns // _HOUR_NS, self._last)
+        elapsed_ns = self.offset_ns + np.asarray(ticks, dtype=np.int64) * self.tick_ns
+        return np.minimum(elapsed_ns // _HOUR_NS, self.last)
 
     def first_tick(self, hour: int) -> int:
         """Return the first tick that begins in an hour or after it."""
-        return -((self._offset_ns - hour * _HOUR_NS) // self._tick_ns)
+        return -((self.offset_ns - hour * _HOUR_NS) // self.tick_ns)
 
 
+@dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
     """Hourly values as one for each tick; a slice is an array."""
 
-    def __init__(self, values: NDArray[np.float64], clock: _Clock, ticks: int) -> None:
-        """Take the values of all hours of the records, and the number of ticks."""
-        self._values = values
-        self._clock = clock
-        self._ticks = range(ticks)
+    hourly: NDArray[np.float64]
+    """of all hours of the records"""
+    clock: _Clock
+    ticks: range
+    """all there are"""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
-        return len(self._ticks)
+        return len(self.ticks)
 
     @overload
     def __getitem__(self, key: int) -> float: ...
@@ -119,16 +127,16 @@ class PerTick(Sequence[float]):
 
     def __getitem__(self, key: int | slice) -> float | array[float]:
         """Return the value of a tick, or those of several."""
-        ticks = self._ticks[key]
+        ticks = self.ticks[key]
         if isinstance(ticks, int):
-            return float(self._values[self._clock.hour(ticks)])
-        return array("d", self._values[self._clock.hours(ticks)].tobytes())
+            return float(self.hourly[self.clock.hour(ticks)])
+        return array("d", self.hourly[self.clock.hours(ticks)].tobytes())
 
     @property
     def largest(self) -> float:
         """The largest value of a tick."""
-        first, last = self._clock.hour(0), self._clock.hour(len(self) - 1)
-        return float(self._values[first : last + 1].max())
+        first, last = self.clock.hour(0), self.clock.hour(len(self) - 1)
+        return float(self.hourly[first : last + 1].max())
 
 
 class Hour(NamedTuple):
@@ -190,11 +198,11 @@ class WeatherSeries:
         first = clock.hour(0)
         _check_known(weather, np.arange(first, clock.hour(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
-        self.precipitation = PerTick(weather.precipitation / 1000 / 3600, clock, ticks)
+        self.precipitation = PerTick(weather.precipitation / 1000 / 3600, clock, range(ticks))
         self.evapotranspiration = PerTick(
-            weather.evapotranspiration / 1000 / 86400 * site.a2, clock, ticks
+            weather.evapotranspiration / 1000 / 86400 * site.a2, clock, range(ticks)
         )
-        self.frost = PerTick(frost, clock, ticks)
+        self.frost = PerTick(frost, clock, range(ticks))
         # Of tick 0 to the end of tick N-1; the window beyond is not part of the run.
         run = range(first, clock.hour(steps - 1) + 1)
         begins = [clock.first_tick(hour) for hour in run[1:]]
@@ -205,17 +213,14 @@ class WeatherSeries:
         self.precipitation_in_frost = float(
             (frozen * weather.precipitation[run.start : run.stop]).sum() * site.tau / 3600
         )
-        self.suspicious = suspicious_rain(weather.records, run)
-        days = range(max(0, run.start - 24), min(last, run.stop - 1 + 24) + 1)
+        self.suspicious = suspicious_rain(weather, run)
+        days = slice(max(0, run.start - 24), run.stop + 24)
+        filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
         self.filled = {
-            quantity: name_hours(weather.first, [index for index in days if marks[index]])
-            for quantity, marks in weather.records.filled.items()
-            if marks[days.start : days.stop].any()
+            quantity: name_hours(weather.first, days.start + np.flatnonzero(marks))
+            for quantity, marks in filled.items() if marks.any()
         }
-        filled = np.zeros(last + 1, dtype=np.bool_)
-        for marks in weather.records.filled.values():
-            filled |= marks
-        self.filled_hours = int(filled[days.start : days.stop].sum())
+        self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
 
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and until when it stays."""
@@ -229,28 +234,32 @@ class WeatherSeries:
 
 def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Refuse a run that needs an hour that is missing and was not filled."""
-    first, records = weather.first, weather.records
     way_out = "choose another window, or put in what another station has"
     if weather.gaps == REFUSE:
         way_out += (
             "; or have the gaps filled (--gaps fill, in a grid gaps: fill): missing rain counts as "
             "none, and all else is the mean at that time of day over three days before and after"
         )
-    for quantity in (PRECIPITATION, "temperature"):
-        series = records.values.get(quantity)
-        if series is not None and np.isnan(series[hours]).any():
-            missing = hours[np.isnan(series[hours])]
-            raise ConfigurationError(
-                f"{quantity} is missing at {', '.join(name_hours(first, missing))}; {way_out}",
-                file=weather.source,
-            )
+    for quantity in (PRECIPITATION, TEMPERATURE):
+        if quantity in weather.values:
+            _refuse_missing(weather, quantity, hours, f"; {way_out}")
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     if unknown.size:
+        named = ", ".join(name_hours(weather.first, unknown))
         raise ConfigurationError(
-            f"there is no {FAO56} evapotranspiration for {', '.join(name_hours(first, unknown))}: "
-            f"{why_missing(records, unknown)}; {way_out}",
-            file=weather.source,
+            f"there is no {FAO56} evapotranspiration for {named}: {why_missing(weather, unknown)}; "
+            f"{way_out}", file=weather.source,
         )
+
+
+def _refuse_missing(
+    weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
+) -> None:
+    """Refuse records that lack a quantity in some hours; the message goes on with what follows."""
+    missing = hours[np.isnan(weather.values[quantity][hours])]
+    if missing.size:
+        named = ", ".join(name_hours(weather.first, missing))
+        raise ConfigurationError(f"{quantity} is missing at {named}{further}", file=weather.source)
 
 
 def records_at(
@@ -261,17 +270,12 @@ def records_at(
     Raises:
         ConfigurationError: one of them is missing.
     """
-    series: NDArray[np.float64] = getattr(weather, quantity)
-    index = np.clip(hours, 0, len(series) - 1)
-    values = series[index]
-    if np.isnan(values).any():
-        missing = np.unique(index[np.isnan(values)])
-        raise ConfigurationError(
-            f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, and the "
-            "run's forecasts need it; choose another window or another kind of forecast",
-            file=weather.source,
-        )
-    return values
+    index = np.clip(hours, 0, weather.hours - 1)
+    _refuse_missing(
+        weather, quantity, np.unique(index), ", and the run's forecasts need it; choose "
+        "another window or another kind of forecast",
+    )
+    return weather.values[quantity][index]
 
 
 def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
@@ -287,3 +291,44 @@ def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
                 f"{weather.source} begins",
                 file=issue.file, line=issue.line, key="issued", value=to_minutes(issue.issued),
             )
+
+
+def suspicious_rain(records: Records, hours: range) -> list[str]:
+    """Name the hours with more rain than the station's own records make believable.
+
+    That is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of the
+    year, in all years of the records, or 5 times below 0 degC. Fewer than 20 wet hours say nothing.
+    It is the climatological outlier check for daily precipitation of GHCN-Daily (Durre, Menne,
+    Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615, doi:10.1175/
+    2010JAMC2375.1), applied to hours.
+
+    Args:
+        records: all there are: the more years, the better.
+        hours: indices of those to look at.
+
+    Returns:
+        A text for each such hour, with its rain (mm), time and percentile.
+    """
+    rain = records.values[PRECIPITATION]
+    wet = np.flatnonzero(rain > 0)
+    first = np.datetime64(records.first.replace(tzinfo=None), "h")  # by the records' own clock
+    days = day_of_year((first + wet).astype("datetime64[D]"))
+    temperature = records.values.get(TEMPERATURE, np.full_like(rain, np.nan))
+    there = (wet >= hours.start) & (wet < hours.stop)
+    found = []
+    for day in np.unique(days[there]):
+        apart = np.abs(days - day)
+        near = rain[wet[np.minimum(apart, _YEAR - apart) <= _DAYS]]
+        if len(near) < _LEAST_WET:
+            continue
+        usual = float(np.percentile(near, _PERCENTILE))
+        for hour in wet[there & (days == day)]:
+            factor = _FROST_FACTOR if temperature[hour] < 0 else _FACTOR
+            if rain[hour] >= factor * usual:
+                found.append((int(hour), usual))
+    return [
+        f"{rain[hour]:g} mm at {to_minutes(records.first + hour * HOUR)}, "
+        f"{rain[hour] / usual:.1f} times what 95 % of the wet hours at that time of the year "
+        f"have at most, {usual:.3g} mm"
+        for hour, usual in sorted(found)
+    ]

@@ -13,7 +13,7 @@ from twins import TWIN, write
 
 from greenroof_ros.calibration.csv_record import read_csv_record, steps_of_rows
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.formats.table import Table
+from greenroof_ros.formats.records import Table
 
 
 def small(header: str, *cells: str) -> str:

@@ -78,6 +78,15 @@ def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
     assert read_yaml(file)["a"] == value
 
 
+def test_lines_and_anchors(tmp_path: Path) -> None:
+    """Each key's line; what an anchor names stands wherever its alias does."""
+    file = tmp_path / "a.yaml"
+    file.write_text("# c\na: &x [1, {b: 2}]\nc:\n  d: *x\n")
+    content = read_yaml(file)
+    assert content == {"a": [1, {"b": 2}], "c": {"d": [1, {"b": 2}]}}
+    assert (content.lines, content["c"].lines) == ({"a": 2, "c": 3}, {"d": 4})
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -91,6 +100,8 @@ def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
         ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text"),
         ("a: 1\nb: &x *y\n", ", line 2: is not valid YAML"),
         ("a: 1\nb: !!python/name:os.system\n", ", line 2: is not valid YAML"),
+        ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
+        ("a: &x {b: *x}\n", ": is not valid YAML: a value holds itself"),
         ("- " * 100_000 + "x", ": is nested more than 200 levels deep"),
         ("25.0\n", ": must hold 'key: value' lines"),
     ],

@@ -1,4 +1,4 @@
-"""Lines for people: they hold up neither who says them nor the end, whatever reads them."""
+"""Lines for people hold up neither who says them nor the end, whatever reads them; progress."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from places import CHECKOUT
 
 from greenroof_ros.common import standard_error
 from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.standard_error import Lines, say
+from greenroof_ros.common.standard_error import Lines, ProgressLines, say
 
 TOO_LONG_S = 60
 
@@ -81,6 +81,19 @@ def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
         assert DISK.wait(TOO_LONG_S)
         _empty(reading)
         assert lines.wait(TOO_LONG_S)
+
+
+def test_a_line_every_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Told every second for 35 s: what was told at 10, 20 and 30 s is printed."""
+    now = 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    lines = ProgressLines()
+    for second in range(36):
+        now = 1000.0 + second
+        lines.tell(f"{second} s")
+    assert capsys.readouterr().err == "10 s\n20 s\n30 s\n"
 
 
 def _empty(reading: int) -> bytes:

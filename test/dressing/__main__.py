@@ -40,8 +40,8 @@ def halves(weather: Weather, archives: list[Archive]) -> tuple[Weather, Weather]
     months = sorted(set(month[month > 0]), key=lambda one: np.nansum(rain[month == one]))
     drier = np.isin(month, months[: (len(months) + 1) // 2])
     return (
-        replace(weather, precipitation=np.where(drier, rain, np.nan)),
-        replace(weather, precipitation=np.where(drier | (month == 0), np.nan, rain)),
+        replace(weather, values={"precipitation": np.where(drier, rain, np.nan)}),
+        replace(weather, values={"precipitation": np.where(drier | (month == 0), np.nan, rain)}),
     )
 
 

@@ -200,7 +200,7 @@ def test_weather_without_evapotranspiration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("content", "words"), FORECASTS.values(), ids=FORECASTS)
 def test_refused_forecasts(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
-    """Of what only a file of forecasts has; test_table.py has the rules of all CSV."""
+    """Of what only a file of forecasts has; test_records.py has the rules of all CSV."""
     (tmp_path / "FILE.csv").write_bytes(content)
     with pytest.raises(ConfigurationError) as refused:
         read_forecasts(tmp_path / "FILE.csv")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta, timezone
-from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import site_with
+from paper import site_with, weather_of
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, PerfectForecast, make_forecast
-from greenroof_ros.formats.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 CHANCE = np.random.default_rng(11)
@@ -20,9 +18,7 @@ FIRST = datetime(2021, 7, 1, tzinfo=timezone.utc)
 
 def drawn(hours: int) -> Weather:
     """Return made up weather."""
-    rain, evaporated = CHANCE.gamma(0.3, size=hours), CHANCE.gamma(2.0, size=hours)
-    records = Records((Path("drawn.csv"),), FIRST, {"precipitation": rain}, "drawn")
-    return Weather(records, rain, evaporated, "drawn", None)
+    return weather_of(CHANCE.gamma(0.3, size=hours), CHANCE.gamma(2.0, size=hours), FIRST)
 
 
 @pytest.mark.parametrize("tau", [1.0, 0.7, 613.0, 3600.0])

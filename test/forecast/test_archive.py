@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from archives import write_runs
-from paper import PAPER_SITE, paper_run
+from paper import PAPER_SITE, paper_run, weather_of
 from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -19,7 +19,6 @@ from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.models import FileModel, make_model
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import Records
 from greenroof_ros.study.grid import read_grid
 from greenroof_ros.weather.series import Weather
 
@@ -30,9 +29,7 @@ ANYWHERE = replace(PAPER_SITE, latitude=None, longitude=None, elevation=None)
 
 def weather_from(first: datetime, hours: int = 48) -> Weather:
     """Return dry records."""
-    dry = np.zeros(hours)
-    records = Records((Path("drawn.csv"),), first, {"precipitation": dry}, "drawn")
-    return Weather(records, dry, dry + 2, "drawn", None)
+    return weather_of(np.zeros(hours), first=first)
 
 
 @pytest.mark.parametrize(("delay", "late"), [(None, 6), (0.0, 0), (1.0, 1), (4.25, 5), (9.0, 9)])
@@ -87,7 +84,7 @@ def test_late_rain(tmp_path: Path) -> None:
         runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
     )
     weather = weather_from(first, 100)
-    late = replace(weather, records=replace(weather.records, rain_late=1))
+    late = replace(weather, rain_late=1)
     model = FileModel(archive, late, False)
     for hour in range(24):
         since = hour + 12 - 3  # as of runs that are known after three hours, not two

@@ -21,7 +21,7 @@ from greenroof_ros.forecast.dressing import (
     learn,
     read_dressing,
 )
-from greenroof_ros.formats.records import Archive, Issue, Records
+from greenroof_ros.formats.records import Archive, Issue
 from greenroof_ros.verification.dressed import worth
 from greenroof_ros.weather.series import Weather
 
@@ -32,8 +32,8 @@ Array = np.ndarray
 
 def record(rain: Array) -> Weather:
     """Return hourly records of rain from the first hour on."""
-    records = Records((Path("gauge.csv"),), FIRST, {"precipitation": rain})
-    return Weather(records, rain, np.zeros(len(rain)), "given", None)
+    values = {"precipitation": rain, "evapotranspiration": np.zeros(len(rain))}
+    return Weather((Path("gauge.csv"),), FIRST, values, "given")
 
 
 def archive(issues: dict[int, Array]) -> Archive:
@@ -212,7 +212,7 @@ def test_rain_that_stands_an_hour_late() -> None:
     """What fell is taken by when it fell; the record's first hour was the one before it."""
     rain = np.arange(60.0 * 24)
     late = record(rain)
-    late = replace(late, records=replace(late.records, rain_late=1))
+    late = replace(late, rain_late=1)
     dressing = learn(archive({at: np.ones((1, 24)) for at in (0, 24, 48)}), late, 24)
     assert dressing.fell[:, 0].tolist() == [1.0, 25.0, 49.0]
 

@@ -28,8 +28,7 @@ from scipy.stats import norm
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.climate import NormalRecords
-from greenroof_ros.forecast.error_model import ErrorModel
+from greenroof_ros.forecast.models import ErrorModel, NormalRecords
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.verification.fitting import fit_climate
 
@@ -347,9 +346,8 @@ def test_evapotranspiration(rain: dict[int, Array]) -> None:
 
 def test_believable(rain: dict[int, Array]) -> None:
     """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
-    weather = replace(
-        season_weather(2016, np.full(300, 400.0)), evapotranspiration=np.full(300, 49.0)
-    )
+    weather = season_weather(2016, np.full(300, 400.0))
+    weather.values["evapotranspiration"] = np.full(300, 49.0)
     found = [ErrorModel(weather, seed, REAL).known(61, 200) for seed in range(20)]
     assert max(float(fallen.max()) for fallen, _ in found) == 500.0
     assert max(float(evapotranspiration.max()) for _, evapotranspiration in found) == 50.0

@@ -7,7 +7,6 @@ import json
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -19,13 +18,13 @@ from graphs import bag_file, bring_up, environment
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, paper_run, site_with
+from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import ForecastChoice, choose
-from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.models import (
+    ErrorModel,
     FileModel,
     ForecastModel,
     PerfectModel,
@@ -36,25 +35,10 @@ from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, 
 from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import Records
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
-MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
-
-
-def weather_of(
-    rain: Sequence[float] | Array,
-    evapotranspiration: Sequence[float] | Array | None = None,
-    first: datetime = MIDNIGHT,
-) -> Weather:
-    """Return hours of mm/h and mm/day (2 mm/day unless given)."""
-    fallen = np.array(rain, dtype=float)
-    if evapotranspiration is None:
-        evapotranspiration = np.full(len(fallen), 2.0)
-    records = Records((Path("drawn.csv"),), first, {"precipitation": fallen}, "drawn")
-    return Weather(records, fallen, np.array(evapotranspiration, dtype=float), "drawn", None)
 
 
 # --- means over steps --------------------------------------------------------------------------

@@ -22,11 +22,11 @@ from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators.forecast_service import ForecastService
-from greenroof_ros.weather.filling import FILL
 from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.series import FILL
 
 SITE = read_site(shared_directory() / "config" / "site.yaml")
-RECORDS = read_weather([default_weather()], SITE, gaps=FILL).records
+RECORDS = read_weather([default_weather()], SITE, gaps=FILL)
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.forecast.error_model import ErrorModel
+from greenroof_ros.forecast.models import ErrorModel
 from greenroof_ros.forecast.skill import Skill
-from greenroof_ros.formats.records import Records
 from greenroof_ros.weather.series import Weather
 
 DATA = Path(__file__).resolve().parent.parent / "data"
@@ -50,8 +49,8 @@ def begin(year: int) -> datetime:
 
 def season_weather(year: int, rain: np.ndarray) -> Weather:
     """Return a season as weather with 2 mm/day of evapotranspiration."""
-    records = Records((Path("season.csv"),), begin(year), {"precipitation": rain}, "drawn")
-    return Weather(records, rain, np.full(len(rain), 2.0), "drawn", None)
+    values = {"precipitation": rain, "evapotranspiration": np.full(len(rain), 2.0)}
+    return Weather((Path("season.csv"),), begin(year), values, "drawn")
 
 
 def services() -> dict[tuple[int, int], np.ndarray]:

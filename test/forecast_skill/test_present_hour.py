@@ -37,7 +37,7 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(tmp_path: Path) 
     file.write_text(write_forecasts([issue]))
     fell = chance.gamma(0.2, 3.0, size=24)
     weather = season_weather(2021, fell)
-    weather = replace(weather, records=replace(weather.records, first=ISSUED))
+    weather = replace(weather, first=ISSUED)
     site = replace(PAPER_SITE, tau=60.0, M=1)
     run = SteppedForecast(
         FileModel(read_archive(file, site), weather, all_members=True), weather, site, ISSUED,

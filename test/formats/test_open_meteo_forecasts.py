@@ -262,9 +262,6 @@ WRONG = {
         '{"error": true, "reason": "Daily API request limit exceeded."}',
         ": is no forecast but the service's refusal: Daily API request limit exceeded.",
     ),
-    "offset.json": (
-        edited(utc_offset_seconds="CET"), ": utc_offset_seconds = 'CET': must be a whole number",
-    ),
     "daily.json": (edited(hourly=None), ": hourly: must be a mapping, as in answers for hours"),
     "unix.json": (
         edited(hourly_units__time="unixtime", hourly__time=[1717243200] * 6),
@@ -330,10 +327,6 @@ WRONG = {
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
         ": must have a value for an hour from 00, 06, 12 or 18 UTC on",
-    ),
-    "unit.csv": (
-        in_service_csv({}).replace("day1 (mm)", "day1 (cm)") + "2024-03-01T00:00,0,0,0,0,0\n",
-        ", line 4: 'precipitation_previous_day1 (cm)': must be in mm or inch, and one column",
     ),
 }
 

@@ -61,7 +61,7 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
     assert weather.first.isoformat() == "2021-07-07T10:00:00-05:00"
     assert weather.end.isoformat() == "2021-07-07T15:00:00-05:00"
     assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
-    values = weather.records.values
+    values = weather.values
     assert values["solar radiation"].tolist() == [110, 120, 130, 140, 150]
     assert values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
     assert values["dew point"].tolist() == [12, 12.1, 12.2, 12.3, 12.4]
@@ -70,7 +70,7 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
     assert values["station pressure"] == pytest.approx([100.05, 100.15, 100.25, 100.35, 100.45])
     assert weather.method == "fao56"
     assert not np.isnan(weather.evapotranspiration).any()
-    assert weather.records.notes == (
+    assert weather.notes == (
         "precipitation and solar radiation of the files are of the hour before their time, and "
         "were moved an hour back",
     )
@@ -85,8 +85,8 @@ def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
     header = cells(HEADER).replace("no number", "weather_code (wmo code)")
     weather = read_weather([write(tmp_path, [cells(hour) for hour in HOURS], header)], TORONTO)
     assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
-    assert weather.records.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
-    assert weather.records.shifted == ("precipitation",)
+    assert weather.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
+    assert weather.shifted == ("precipitation",)
     assert np.isnan(weather.evapotranspiration).all()  # which then needs whole days
 
 
@@ -136,7 +136,7 @@ def test_units(
 ) -> None:
     """Each that the service has is converted."""
     path = write(tmp_path, edited(0, *cells), HEADER.replace(theirs, ours))
-    values = read_weather([path], TORONTO).records.values
+    values = read_weather([path], TORONTO).values
     assert values[quantity][0] == pytest.approx(expected, rel=1e-12)
 
 
@@ -152,8 +152,8 @@ def test_inches(tmp_path: Path) -> None:
 def test_missing_cells(tmp_path: Path, missing: str) -> None:
     """Temperature is filled between 20.0 and 21.0 degC; rain and radiation never are."""
     weather = read_weather([write(tmp_path, edited(1, ",20.5,", f",{missing},"))], TORONTO)
-    assert weather.records.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
-    assert weather.records.filled["temperature"].tolist() == [False, True, False, False, False]
+    assert weather.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
+    assert weather.filled["temperature"].tolist() == [False, True, False, False, False]
     weather = read_weather([write(tmp_path, edited(2, ",0.30,", f",{missing},"))], TORONTO)
     assert np.isnan(weather.precipitation[1])
     site = replace(TORONTO, tau=600.0, M=1)
@@ -259,9 +259,9 @@ def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
     ]
     whole, joined = read_weather([write(tmp_path)], TORONTO), read_weather(both, TORONTO)
     assert joined.first == whole.first
-    assert sorted(joined.records.values) == sorted(whole.records.values)
-    for quantity, series in whole.records.values.items():
-        assert joined.records.values[quantity].tolist() == series.tolist()
+    assert sorted(joined.values) == sorted(whole.values)
+    for quantity, series in whole.values.items():
+        assert joined.values[quantity].tolist() == series.tolist()
     assert joined.evapotranspiration.tobytes() == whole.evapotranspiration.tobytes()
 
 

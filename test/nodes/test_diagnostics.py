@@ -16,8 +16,8 @@ from ros_rig import ERROR, OK, STALE, WARN, Observer
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
 
-from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import read_yaml
+from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.controllers.registry import BUILT_IN
 
 HERE = socket.gethostname()

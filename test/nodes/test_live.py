@@ -46,8 +46,8 @@ from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators.forecast_service import ForecastService
-from greenroof_ros.weather.filling import FILL
 from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.series import FILL
 
 
 def test_a_bad_input_stops_the_pump(site: Site) -> None:
@@ -440,7 +440,7 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
 def test_live_weather_that_is_fetched(site: Site) -> None:
     """The forecast comes from a service; when that is gone, what it said before counts."""
     paper = read_site(CONFIG / "site.yaml")
-    records = read_weather([default_weather()], paper, gaps=FILL).records
+    records = read_weather([default_weather()], paper, gaps=FILL)
     service = ForecastService(paper, records, records.first, 0)
     service.fault = "error"
     service.start()

@@ -13,7 +13,7 @@ from paper import PAPER_SITE
 from places import CHECKOUT
 from pump_rig import Rig
 
-from greenroof_ros.common.conditions import read_conditions
+from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import (
     ENABLE,
     INHIBIT,

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from said import ERROR, OK, STALE, STOPPED, WARN, node
 
-from greenroof_ros.common.conditions import read_conditions
+from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.alarms import FOREIGN, OTHER, Alarms, advise, find_causes
 from greenroof_ros.watch.registry import Trouble

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from commands import run_command
 from graphs import environment
+from paper import weather_of
 from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.formats.records import Records
 from greenroof_ros.model.site import read_site
-from greenroof_ros.weather.filling import FILL, REFUSE, suspicious_rain
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import Weather, WeatherSeries
+from greenroof_ros.weather.series import FILL, Weather, WeatherSeries, suspicious_rain
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")
 JULY = DATA / "en_climate_hourly_07-2022.csv"
@@ -62,7 +62,7 @@ def test_long_gaps_have_the_mean_of_the_days_about_them(
 ) -> None:
     """Three days before and three after, at the same time of day; short gaps are as they were."""
     weather, plain = read_weather([JULY], TORONTO, gaps=FILL), read_weather([JULY], TORONTO)
-    found, before = weather.records.values[quantity], plain.records.values[quantity]
+    found, before = weather.values[quantity], plain.values[quantity]
     raw = observed(JULY, column)
     long = 0
     for hour, value in enumerate(raw):
@@ -76,7 +76,7 @@ def test_long_gaps_have_the_mean_of_the_days_about_them(
             mean = statistics.fmean(each for each in there if not math.isnan(each))
             assert found[hour] == pytest.approx(mean, rel=1e-12)
             long += 1
-    assert weather.records.filled[quantity].tolist() == [math.isnan(value) for value in raw]
+    assert weather.filled[quantity].tolist() == [math.isnan(value) for value in raw]
     if quantity in ("temperature", "dew point"):
         assert long > longest
 
@@ -111,8 +111,8 @@ def test_what_no_day_has_stays_missing(tmp_path: Path) -> None:
     path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n", encoding="utf-8")
     weather = read_weather([path], TORONTO, gaps=FILL)
     # Of 6 to 13 July, 6 to 8 have days before the gap, 11 to 13 days after it.
-    missing = np.flatnonzero(np.isnan(weather.records.values["temperature"]))
-    known = read_weather([path], TORONTO).records.values["temperature"]
+    missing = np.flatnonzero(np.isnan(weather.values["temperature"]))
+    known = read_weather([path], TORONTO).values["temperature"]
     assert set(range(8 * 24, 10 * 24)) <= set(missing.tolist())
     assert missing.tolist() == [
         hour for hour in range(5 * 24, 13 * 24)
@@ -161,7 +161,7 @@ def test_storms_are_believed() -> None:
     """Both Julys, and the sleet of March."""
     for month in ("07-2021", "03-2021", "07-2022"):
         weather = read_weather([DATA / f"en_climate_hourly_{month}.csv"], TORONTO)
-        assert suspicious_rain(weather.records, range(weather.records.hours)) == []
+        assert suspicious_rain(weather, range(weather.hours)) == []
 
 
 def test_factors_of_the_check() -> None:
@@ -200,9 +200,8 @@ def years(hours: int) -> Weather:
     """Return made up records of so many hours."""
     chance = np.random.default_rng(5)
     rain, evaporated = chance.gamma(0.1, size=hours), chance.gamma(2.0, size=hours)
-    values = {"precipitation": rain, "temperature": chance.normal(5, 10, size=hours)}
-    records = Records((JULY,), datetime(2014, 6, 1, tzinfo=LST), values, "made")
-    return Weather(records, rain, evaporated, "made", values["temperature"] <= 0, REFUSE)
+    first = datetime(2014, 6, 1, tzinfo=LST)
+    return weather_of(rain, evaporated, first, temperature=chance.normal(5, 10, size=hours))
 
 
 @pytest.mark.parametrize("tau", [1.0, 7.0, 0.3, 3600.0, 1234.5])

@@ -85,7 +85,7 @@ def test_july_in_toronto_by_both_methods() -> None:
     """
     site = read_site(CONFIG / "site.yaml")
     weather = read_weather([DATA / "en_climate_hourly_07-2021.csv"], site, "fao56")
-    temperature = weather.records.values["temperature"].reshape(31, 24)
+    temperature = weather.values["temperature"].reshape(31, 24)
     days = np.arange("2021-07-01", "2021-08-01", dtype="datetime64[D]")
     assert site.latitude is not None
     depth = hargreaves(site.latitude, days, temperature.min(axis=1), temperature.max(axis=1))

@@ -40,11 +40,11 @@ def same(one: Weather, other: Weather) -> None:
     assert (one.first, one.end, one.method) == (other.first, other.end, other.method)
     assert one.precipitation.tobytes() == other.precipitation.tobytes()
     assert one.evapotranspiration.tobytes() == other.evapotranspiration.tobytes()
-    for quantity, series in one.records.values.items():
-        assert series.tobytes() == other.records.values[quantity].tobytes()
-        if quantity in one.records.filled:
-            filled = other.records.filled[quantity]
-            assert one.records.filled[quantity].tobytes() == filled.tobytes()
+    for quantity, series in one.values.items():
+        assert series.tobytes() == other.values[quantity].tobytes()
+        if quantity in one.filled:
+            filled = other.filled[quantity]
+            assert one.filled[quantity].tobytes() == filled.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -92,12 +92,12 @@ def test_short_gap_between_files(tmp_path: Path) -> None:
     """Between 05:00 and 08:00 of 1 July: 23.9 and 25.6 degC of the service, a straight line."""
     files = [piece(tmp_path, "a.csv", 0, 5), piece(tmp_path, "b.csv", 8, 743)]
     weather, whole = read_weather(files, TORONTO), read_weather([JULY], TORONTO)
-    values, known = weather.records.values, whole.records.values
+    values, known = weather.values, whole.values
     begin, end = known["temperature"][5], known["temperature"][8]
     assert values["temperature"][6:8] == pytest.approx(
         [(2 * begin + end) / 3, (begin + 2 * end) / 3], rel=1e-12
     )
-    assert weather.records.filled["temperature"][:10].nonzero()[0].tolist() == [6, 7]
+    assert weather.filled["temperature"][:10].nonzero()[0].tolist() == [6, 7]
     assert np.isnan(weather.precipitation[6:8]).all()  # rain is never guessed
     assert not np.isnan(weather.precipitation[[5, 8]]).any()
 

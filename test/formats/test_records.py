@@ -11,7 +11,7 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.table import Table, Unit, numbered_lines, read_table
+from greenroof_ros.formats.records import Table, Unit, numbered_lines, read_table
 
 FILE = Path("hours.csv")
 RAIN = ("mm/h", 0.0, 500.0)
