@@ -26,8 +26,8 @@ Local times have one offset from UTC in the whole file, also over a change of da
 runs** have ``precipitation_previous_day1`` to 7: of an hour the newest forecast that was at least N
 x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). There are no runs in them,
 and nothing that is newer than 24 h. So what was known of an hour at some time is the value of
-the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ..., the
-first being the control run. Which run it is, the answer does not say, so the file's name must end
+the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ...;
+the first is the control run. Which run it is, the answer does not say, so the file's name must end
 in it, as in ``gem_2024060112.json``. The first time is no sign of it: an answer to ``run=`` begins
 at the run, but one without begins at midnight, or days before with ``past_days=``, and what fell
 until the download would be foreseen.
