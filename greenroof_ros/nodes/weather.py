@@ -216,6 +216,7 @@ class WeatherNode(LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
+        self._fetcher: Fetcher | None = None
         site = self.declare_site()
         values = declare(self, parameters(site))
         self._site = site
@@ -225,7 +226,6 @@ class WeatherNode(LinkedNode):
             # A file of many members takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
             self._live_forecast: LiveForecast | None = None
-            self._fetcher: Fetcher | None = None
             if values["forecast"] and (file := _forecast(values).file) is not None:
                 self._live_forecast = LiveForecast(
                     ForecastFile(file), site, values["horizon"], values["issue_limit"],
@@ -335,9 +335,13 @@ class WeatherNode(LinkedNode):
         well = "is kept" if self._rain_gauge.good else well
         self.say("record of forecasts", why, well, code, WARN)
 
+    def progress(self) -> dict[str, Any]:
+        """Return whose forecast is used, which its licence wants said where it is shown."""
+        return {} if self._fetcher is None else {"forecast_by": ATTRIBUTION}
+
     def on_stop(self) -> None:
         """Let what was learned be written."""
-        if self.live and self._fetcher is not None:
+        if self._fetcher is not None:
             self._fetcher.end()
         if self.live and self._dressing is not None:
             self._dressing.close()

@@ -131,6 +131,9 @@ def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]
         )
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
+    weather = store.graph.node("weather")
+    if weather is not None and (source := weather.text("forecast_by")):
+        notes.append(f"{source[:1].upper()}{source[1:]}.")
     newest = store.newest.values()
     silent = min((one.silent_for(store.wall) for one in newest), default=None)
     if store.mode != "none" and silent and all(one.stale for one in newest):

@@ -579,6 +579,8 @@ def test_notes() -> None:
     assert shown(one)["notes"] == [
         "Levels are judged by the paper's site, a.yaml.", "Shows samples: no bag.",
     ]
+    one.add_statuses(100.0, node("/weather", "weather", forecast_by="forecasts by somebody"), 0)
+    assert shown(one)["notes"][-1] == "Forecasts by somebody."
 
 
 CALL = 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: %s}"'
