@@ -277,8 +277,8 @@ class Fetcher:
                     self._archive / f"{issue.issued:%Y%m%d%H}.csv", write_forecasts([issue])
                 )
                 self._kept = issue
-        except (ServiceError, OSError) as error:
-            self.problem = str(error)
+        except Exception as error:  # whatever it is, the next forecast is asked for
+            self.problem = str(error) or type(error).__name__
             asked = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, asked or 0.0)
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)

@@ -296,7 +296,8 @@ def test_a_longer_forecast_does_no_harm_on_a_measured_roof(
             "--evapotranspiration", "fao56", "--weather", str(JULY),
             "--start", "2021-07-01T00:00", "--hours", "480",
         )
-        weather = replace(run.weather, precipitation=run.weather.precipitation * 2)
+        rain = run.weather.precipitation * 2
+        weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
         perfect = SteppedForecast(
             PerfectModel(weather), weather, run.site, run.start, growing_steps(float(horizon)),
             run.steps, run.controller.ensemble,

@@ -178,7 +178,8 @@ def two_weeks(directory: Path, *options: str) -> Run:
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
         "--hours", "336", "--evapotranspiration", "fao56",
     )
-    weather = replace(run.weather, precipitation=run.weather.precipitation / 10)
+    rain = run.weather.precipitation / 10
+    weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
     series = WeatherSeries(weather, run.site, run.start, run.steps)
     return replace(run, weather=weather, series=series)
 

@@ -69,11 +69,8 @@ def archive(text: str) -> Archive:
 def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
     """Yield the rows of the table."""
     drier, wetter = halves(weather, archives)
-    both = replace(
-        weather, precipitation=np.where(
-            np.isnan(drier.precipitation), wetter.precipitation, drier.precipitation
-        ),
-    )
+    rain = np.where(np.isnan(drier.precipitation), wetter.precipitation, drier.precipitation)
+    both = replace(weather, values={"precipitation": rain})
     if len(archives) > 1:
         archives = [*archives, together(archives)]
     for fit, judge, words in (

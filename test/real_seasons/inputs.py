@@ -153,9 +153,9 @@ class Inputs:
         return {
             wet: learn(
                 self.issued[source],
-                replace(self.record, precipitation=np.where(
-                    [one is wet for one in half], rain, np.nan
-                )),
+                replace(self.record, values={
+                    "precipitation": np.where([one is wet for one in half], rain, np.nan),
+                }),
                 ROOFS[roof].hours,
             )
             for wet in (False, True)
