@@ -280,11 +280,11 @@ def test_it_fits_every_width(open_page: Open, width: int) -> None:
         ("suction level 750 mm", True), ("low outlet 1000 mm", True),
         ("outlet 3000 mm \u2191", False),
     ]
-    words = page.evaluate(
+    read = (
         "[...document.querySelectorAll('.tile[data-key=cistern] .text')]"
         ".map((one) => one.getBoundingClientRect())"
     )
-    assert len(words) == 3
+    words = wait_for(lambda: len(found := page.evaluate(read)) == 3 and found, 60, "three words")
     for one, other in combinations(words, 2):
         assert (
             one["right"] <= other["left"] or other["right"] <= one["left"]
