@@ -21,7 +21,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
-from greenroof_ros.forecast.service import INTERFACES, OPEN_METEO
+from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.supervision import PUMP, RECORDER
 from greenroof_ros.model.site import read_site
 
@@ -124,7 +124,7 @@ class LiveSite:
             return {"forecast": str(self.forecast or "")}
         return {
             "forecast": str(state / "forecast.csv"),
-            "fetch": INTERFACES[self.controller.ensemble],
+            "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
             "fetch_model": self.fetch_model,
             "fetch_url": self.fetch_url,
         }

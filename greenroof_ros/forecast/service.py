@@ -34,14 +34,13 @@ from greenroof_ros.weather.evapotranspiration import fao56
 
 OPEN_METEO = "open-meteo"
 """How the service is named where a file of forecasts could be."""
-ENSEMBLE = "ensemble"
-INTERFACES = ("forecast", ENSEMBLE)
+FORECAST, ENSEMBLE = INTERFACES = ("forecast", "ensemble")
 MOST_DAYS = 16
 """that the interface "forecast" reaches"""
 ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
-_FORECAST = "https://api.open-meteo.com/v1/forecast"
-_ENSEMBLE = "https://ensemble-api.open-meteo.com/v1/ensemble"
+_FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
+_ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 # How long the service may take to be reached, and to answer in all (s); how much it may send
 # (bytes): 64 members of 36 days are 3 MB.
 _PAUSE_S, _WHOLE_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
@@ -82,7 +81,7 @@ class ServiceRequest:
 
     def address(self) -> str:
         """Return the interface's address."""
-        return self.url or (_ENSEMBLE if self.ensemble else _FORECAST)
+        return self.url or (_ENSEMBLE_URL if self.ensemble else _FORECAST_URL)
 
     def parameters(self, site: Site) -> dict[str, str | float]:
         """Return what the address is asked with.
