@@ -15,7 +15,8 @@ _INVENTED = (
     "dry, and water pumped into a frozen pipe. With a real pump see yourself that there is water "
     "in the cistern, room on the roof and no frost, and give the --period of the site's tau (1): "
     "at 0.1 the least times on and off pass ten times as fast for the motor, which is started nine "
-    "times."
+    "times. At less than tau this package's pump node refuses any drive but the drive simulator; "
+    "it ends with the check, as with the plant of a run."
 )
 _LIMIT = (
     "The flows that it answers are the only witness: whether the pump's shaft really stands is not "

@@ -133,7 +133,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             },
             {} if drive is None else {PUMP: of_drive},
         )
-        summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         (directory / "log").mkdir()
         supervisor = Supervisor(
             directory / "log", [parameters, *own], arguments.namespace, stop_drive,
@@ -143,6 +142,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         progress = RunProgress(run.steps, run.site.tau, LINES)
         log = IncidentLog(progress.say, directory / INCIDENTS)
         status, reason, code = summary.DONE, "", EXIT_DONE
+        summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         try:
             with supervisor, progress:
                 if drive is not None:

@@ -217,9 +217,11 @@ class DriveExchange(DeviceThread[Snapshot]):
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
-          |                 v
+          |                 v                       and from these and CONNECTING:
           +-------------- SILENT                    *stop* is refused on two connections, or the
                                                     speed does not fall, or cannot be read
+
+    From CONNECTING a drive that stands is STOPPED at once.
 
     Each connection begins with *stop*. RUNNING ends where off is asked for, `demand` is late, the
     drive does not come to run, or somebody else writes to it. In silence nothing is sent for longer
@@ -237,6 +239,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         *,
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
+        seeks_simulator: bool = False,
     ) -> None:
         """Prepare it.
 
@@ -248,6 +251,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: what counts as the drive's own communication timeout while that is
                 unknown, or off (s).
+            seeks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: there is no Modbus library.
@@ -274,7 +278,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
-        self._simulator_only = False
+        self._seeks_simulator, self._simulator_only = seeks_simulator, False
 
     def close(self, within_s: float = math.inf) -> bool:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
@@ -324,7 +328,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def only_simulator(self) -> None:
         """Run nothing but the drive simulator from now on: the time of the graph is not real."""
-        self._simulator_only = True
+        self._seeks_simulator = self._simulator_only = True
 
     # --- in the thread ----------------------------------------------------------------------------
 
@@ -456,7 +460,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             if error.kind == "connection":
                 raise
             seconds, note, known = None, str(error), False
-        no_simulator = self._drive.why_no_simulator() if self._simulator_only else None
+        no_simulator = self._drive.why_no_simulator() if self._seeks_simulator else None
         self._settings_at = time.monotonic()
         self._update(
             timeout_s=seconds, timeout_known=known, timeout_note=note, no_simulator=no_simulator
@@ -468,7 +472,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         try:
             runs, problem = self._order()
             status = self._read()
-            unknown = self._simulator_only and self._snapshot.no_simulator is None
+            unknown = self._seeks_simulator and self._snapshot.no_simulator is None
             if unknown or time.monotonic() - self._settings_at > SETTINGS_S:
                 self._read_settings()
         except DriveError as error:

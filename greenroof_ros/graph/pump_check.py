@@ -24,6 +24,7 @@ from greenroof_ros.common.interface import Qos, read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.inputs import call_node
+from greenroof_ros.graph.lockstep import RUN, RunIdentity
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
@@ -31,6 +32,8 @@ from greenroof_ros.model.site import Site
 # What the check publishes, in the order of a tick; the command comes last.
 _COMMAND = "/pump/command"
 _PLAYED = ("/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND)
+# More ticks than any check has.
+_LAST_TICK = 1e9
 # The simulated time of the first tick (ns since 1970): a summer's day.
 _EPOCH_NS = 1_751_371_200_000_000_000
 # Within this the ends of topics find each other on one machine (s).
@@ -291,11 +294,14 @@ class PumpCheck:
             topic = self._interface[name]
             profile = qos_profile(topic.qos)
             self._node.create_subscription(of, topic.graph_name, hear, profile)
-        for name in _PLAYED:
+        for name in (RUN, *_PLAYED):
             self._publishers[name] = self._publisher(self._node, name)
+        # The same run for every check of a driver, at the speed at which its levels change.
+        speed = max(1.0, self._site.tau / self._limits.period)
+        self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, speed).values)
         self._spin(_DISCOVERY_S)
 
-    def _publisher(self, node: Node, name: str) -> Callable[[float], None]:
+    def _publisher(self, node: Node, name: str) -> Callable[[Any], None]:
         """Open a topic, and return what publishes a value on it."""
         topic = self._interface[name]
         encode = encoder(topic.type)

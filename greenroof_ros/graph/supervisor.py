@@ -173,7 +173,9 @@ class Supervisor:
         self._directory = logs
         self._logs: dict[str, RotatingFileHandler] = {}
         self._environment: dict[str, str] = {}
-        self._ros_arguments = ["--ros-args"]
+        # rcl writes files of its own on the node's thread: besides what a node prints, they would
+        # grow for months, and a disk that hangs would stop the node.
+        self._ros_arguments = ["--ros-args", "--disable-external-lib-logs"]
         for file in parameters:
             self._ros_arguments += ["--params-file", str(file)]
         if namespace:
@@ -412,8 +414,6 @@ class LiveSupervisor(Supervisor):
             restarts: of one node within ten minutes; one more, and the site is stopped.
         """
         super().__init__(logs, parameters, namespace, stop_drive, on_failure)
-        # Files of rcl's own, besides what a node prints, would grow for months.
-        self._ros_arguments.append("--disable-external-lib-logs")
         self._environment[LEASE] = _LIVE_LEASE_S
         self.inhibit = "starting"
         self._inhibited_since = time.monotonic()

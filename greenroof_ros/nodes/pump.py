@@ -131,12 +131,14 @@ class _Drive:
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
+        self._live = values["live"]
         self._renew()
 
     def _renew(self) -> None:
         """Have an exchange that has not begun."""
         self.exchange = DriveExchange(
-            self.file, self._address, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit
+            self.file, self._address, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
+            seeks_simulator=not self._live,
         )
         self._begun = self._leaving = False
 
@@ -183,6 +185,19 @@ class _Drive:
         if snapshot.timeout_s is not None:
             rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
         raise OSError(f"{what}; {rest}")
+
+    def why_no_run(self, run: RunIdentity | None) -> str:
+        """Return why it is not run before the plant has said at what speed; empty where it may be.
+
+        Levels without a plant are made up, and may pass at any speed.
+        """
+        why = self.snapshot.no_simulator
+        if self._live or run is not None or why == "":
+            return ""
+        return (
+            "no plant has said at what speed the time of its levels passes (/run), and "
+            f"{why or 'whether the drive is the drive simulator is not known yet'}"
+        )
 
     def keep_to_speed_of(self, run: RunIdentity | None) -> None:
         """Take part in a run that is not in real time with the drive simulator alone.
@@ -515,6 +530,7 @@ class PumpNode(Lifecycle, LinkedNode):
             if not self._without_timeout:
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
+            reasons["no_run"] = "" if self.live else self._drive.why_no_run(self.lockstep.run)
         reasons["no_permit"] = self._permit.missing(boot_time())
         reasons["two_controllers"] = self._command.publishers.said(time.monotonic())
         if self.live:

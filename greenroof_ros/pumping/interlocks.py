@@ -78,6 +78,7 @@ INTERLOCKS = {
         "drive_timeout_limit, local_settings_stop_the_pump, activate_without_drive_timeout",
     ),
     "drive_guards_later": Interlock(ENABLE, _NODE),
+    "no_run": Interlock(ENABLE, _NODE),
     "no_permit": Interlock(ENABLE, _NODE),
     "two_controllers": Interlock(ENABLE, _NODE),
     "two_pumps": Interlock(ENABLE, _NODE),

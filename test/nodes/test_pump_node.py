@@ -129,7 +129,7 @@ def test_a_timeout_that_does_not_guard(
 ) -> None:
     drive = _Drive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
-        "local_settings_stop_the_pump": False, **given,
+        "local_settings_stop_the_pump": False, "live": True, **given,
     }, "pump")
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
@@ -405,12 +405,14 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
-    """Another drive ends it, and is not run."""
-    run = rig.observer.publisher("/run")
-    run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
+    """Another drive is not run before a plant has said the speed, and then ends it."""
     registers = acs880()
     with closing(Wire(registers)) as wire:
         node = rig.start(wire.gateway, popen={"stderr": subprocess.PIPE, "text": True})
+        rig.join()
+        rig.until_code("pump", "no_run")
+        run = rig.observer.publisher("/run")
+        run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
         _, said = node.communicate(timeout=60)
     assert "the plant's speed = '10': is for the drive simulator" in said
     assert node.returncode == 2
@@ -503,7 +505,7 @@ def test_check_pump_finds_it_right(rig: PumpRig) -> None:
     assert check.wait(120) == 0, check.stdout() + check.stderr()
     assert "22 of 22 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0
-    assert node.poll() is None
+    assert node.wait(60) == 1  # as with the plant of a run
 
 
 def test_live(rig: PumpRig) -> None:

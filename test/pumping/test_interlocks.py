@@ -32,7 +32,7 @@ def codes(decision: Decision) -> list[str]:
 
 NODE = [
     "not_active", "drive_lost", "drive_local", "second_master", "drive_timeout",
-    "drive_guards_later", "no_permit", "two_controllers", "two_pumps", "no_command",
+    "drive_guards_later", "no_run", "no_permit", "two_controllers", "two_pumps", "no_command",
 ]
 CAUSES: dict[str, dict[str, Any]] = {
     "drive_fault": {"change": {"drive_fault": "overload"}},
