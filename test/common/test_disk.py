@@ -72,9 +72,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert Kept(file).read() == {"a": 1.5, "b": -0.1}
 
 
-@pytest.mark.parametrize(
-    "content", ["", "[1.0]", '{"a": "1.0"}', '{"a": NaN}', '{"a": true}', "\0\1"]
-)
+@pytest.mark.parametrize("content", ["[1.0]", '{"a": NaN}', '{"a": true}', "\0\1"])
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "numbers.json"
     file.write_text(content)

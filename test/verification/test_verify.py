@@ -13,13 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from browsers import started_browser
 from commands import run_command
 from places import DATA
 from scipy import stats
-
-from greenroof_ros.common.files import shared_directory
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
@@ -42,37 +39,12 @@ def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def columns(file: Path) -> dict[datetime, list[str]]:
-    """Return the cells of a file of previous runs by the start of their hour, in UTC."""
-    with file.open() as stream:
-        return {
-            datetime.fromisoformat(f"{row[0]}+00:00") - HOUR: row[1:]
-            for row in list(csv.reader(stream))[1:]
-        }
-
-
-def records(directory: Path, without: tuple[int, ...]) -> Path:
-    """Write GEM's forecasts of a day before as if they had been observed, without some hours."""
-    path = directory / "records.csv"
-    lines = [
-        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation",
-        "43.62,-79.42,77.0,0,GMT,GMT", "",
-        "time,temperature_2m (°C),precipitation (mm),dew_point_2m (°C),wind_speed_10m (km/h),"
-        "surface_pressure (hPa)",
-    ]
-    for number, (start, cells) in enumerate(columns(GEM).items()):
-        rain = "NaN" if number in without else cells[0]
-        lines.append(f"{start + HOUR:%Y-%m-%dT%H:%M},10.0,{rain},5.0,9.0,1010.0")
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    return path
-
-
-def gauge(directory: Path, rain: Sequence[float]) -> None:
-    """Write hours of rain from 1 March 2024 on as a weather file."""
-    first = datetime.fromisoformat("2024-03-01T00:00+00:00")
+def gauge(directory: Path, rain: Sequence[object], first: str = "2024-03-01T00:00+00:00") -> None:
+    """Write hours of rain as a weather file; an empty cell is an hour that is missing."""
+    begin = datetime.fromisoformat(first)
     (directory / "own.csv").write_text("\n".join([
         "time,precipitation [mm/h],given evapotranspiration [mm/day]",
-        *(f"{(first + hour * HOUR).isoformat()},{one},1.0" for hour, one in enumerate(rain)), "",
+        *(f"{(begin + hour * HOUR).isoformat()},{one},1.0" for hour, one in enumerate(rain)), "",
     ]))
 
 
@@ -89,15 +61,18 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 
     The forecast of one day before stands for the records; some of its hours are missing.
     """
-    missing = (30, 31, 200)
-    weather = records(tmp_path, missing)
-    rows = scores(tmp_path, str(GEM), "--weather", str(weather))
+    with GEM.open() as stream:  # the service's hours end at their time
+        hours = {
+            datetime.fromisoformat(f"{row[0]}+00:00") - HOUR: row[1:]
+            for row in list(csv.reader(stream))[1:]
+        }
+    rain = {start: "" if number in (30, 31, 200) else cells[0]
+            for number, (start, cells) in enumerate(hours.items())}
+    gauge(tmp_path, list(rain.values()), min(hours).isoformat())
+    rows = scores(tmp_path, str(GEM), "--weather", "own.csv")
     got = {(int(row["lead_to_h"]) // 24, int(row["sum_hours"])): row for row in rows}
     assert len(got) == 20
-    hours = columns(GEM)
-    # The first hour has no temperature, the last no rain: neither is of the records.
-    known = [start for number, start in enumerate(hours) if number not in missing][1:]
-    observed = {start: float(hours[start][0]) for start in known if hours[start][0]}
+    observed = {start: float(value) for start, value in rain.items() if value}
     for day in range(1, 6):
         forecast = {start: float(cells[day - 1]) for start, cells in hours.items()
                     if cells[day - 1]}
@@ -106,14 +81,10 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
             pairs = [(ours[start], theirs[start]) for start in theirs if start in ours]
             row = got[day, length]
             assert (int(row["n"]), float(row["event_mm"])) == (len(pairs), event)
-            hits = sum(one >= event and other >= event for one, other in pairs)
-            warned = sum(one >= event for one, _ in pairs)
-            events = sum(other >= event for _, other in pairs)
             said, fell = map(np.array, zip(*pairs, strict=True))
             for name, value in (
-                ("bias", said.sum() / fell.sum()), ("pod", hits / events),
-                ("far", 1 - hits / warned), ("r", stats.pearsonr(said, fell).statistic),
-                ("brier", (warned + events - 2 * hits) / len(pairs)),
+                ("bias", said.sum() / fell.sum()), ("r", stats.pearsonr(said, fell).statistic),
+                ("pod", (said >= event)[fell >= event].mean()),
                 ("crps_mm", np.abs(said - fell).mean()),
             ):
                 assert float(row[name]) == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
@@ -190,25 +161,20 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
-    """Perfect forecasts are perfect, those without errors, too; persistence is as it counts.
+    """Perfect forecasts are perfect; persistence is as it counts.
 
     Of the usual sums those are scored that divide the lead.
     """
     common = ("--weather", str(JULY), "--horizon", "24", "--lead", "12")
-    skill = yaml.safe_load((shared_directory() / "config" / "forecasts" / "skill.yaml").read_text())
-    skill["errors"] |= {"reach": 1e6, "fading": 10.0, "timing": 0.0}
-    (tmp_path / "all_known.yaml").write_text(yaml.safe_dump(skill))
-    for model in (("perfect",), ("errors", "--forecast-skill", "all_known.yaml")):
-        rows = scores(tmp_path, *model, *common)
-        (tmp_path / "scores.csv").unlink()
-        assert [(row["sum_hours"], row["event_mm"]) for row in rows[:3]] == [
-            ("1", "1"), ("6", "2"), ("12", "3")
-        ]
-        assert len(rows) == 6
-        for row in rows:
-            assert [float(row[name]) for name in ("r", "pod", "ets")] == pytest.approx([1.0] * 3)
-            wrong = [float(row[name]) for name in ("far", "brier", "crps_mm")]
-            assert wrong == pytest.approx([0.0] * 3, abs=1e-6)
+    rows = scores(tmp_path, "perfect", *common)
+    (tmp_path / "scores.csv").unlink()
+    assert [(row["sum_hours"], row["event_mm"]) for row in rows] == 2 * [
+        ("1", "1"), ("6", "2"), ("12", "3")
+    ]
+    for row in rows:
+        assert [float(row[name]) for name in ("r", "pod", "ets")] == pytest.approx([1.0] * 3)
+        wrong = [float(row[name]) for name in ("far", "brier", "crps_mm")]
+        assert wrong == pytest.approx([0.0] * 3, abs=1e-6)
     (hourly, *_) = scores(tmp_path, "persistence", *common)
     with JULY.open(encoding="utf-8-sig") as stream:
         rain = [float(row["Precip. Amount (mm)"]) for row in csv.DictReader(stream)]

@@ -50,7 +50,6 @@ def same(one: Weather, other: Weather) -> None:
 @pytest.mark.parametrize(
     "spans",
     [
-        [(0, 299), (300, 743)],
         [(481, 743), (0, 480)],  # in a gap of station pressure, 20 July 13:00 to 17:00
         [(0, 400), (200, 600), (100, 150), (550, 743)],
     ],
@@ -86,20 +85,6 @@ def test_months_far_from_each_other() -> None:
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
         "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours)"
     )
-
-
-def test_short_gap_between_files(tmp_path: Path) -> None:
-    """Between 05:00 and 08:00 of 1 July: 23.9 and 25.6 degC of the service, a straight line."""
-    files = [piece(tmp_path, "a.csv", 0, 5), piece(tmp_path, "b.csv", 8, 743)]
-    weather, whole = read_weather(files, TORONTO), read_weather([JULY], TORONTO)
-    values, known = weather.values, whole.values
-    begin, end = known["temperature"][5], known["temperature"][8]
-    assert values["temperature"][6:8] == pytest.approx(
-        [(2 * begin + end) / 3, (begin + 2 * end) / 3], rel=1e-12
-    )
-    assert weather.filled["temperature"][:10].nonzero()[0].tolist() == [6, 7]
-    assert np.isnan(weather.precipitation[6:8]).all()  # rain is never guessed
-    assert not np.isnan(weather.precipitation[[5, 8]]).any()
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
