@@ -15,11 +15,11 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.records import Table
 
 
-def small(header: str, *cells: str) -> str:
-    """A file of 120 rows with the same cells in each."""
-    rows = (",".join([f"2021-06-01T{row // 12:02}:{row % 12 * 5:02}", *cells])
-            for row in range(120))
-    return "\n".join([header, *rows, ""])
+def small(header: str, *cells: str, rows: int = 120) -> str:
+    """A file of rows with the same cells in each, five minutes apart."""
+    times = (f"2021-06-{1 + row // 288:02}T{row % 288 // 12:02}:{row % 12 * 5:02}"
+             for row in range(rows))
+    return "\n".join([header, *(",".join([time, *cells]) for time in times), ""])
 
 
 def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
@@ -206,13 +206,13 @@ def test_two_rows_of_one_step_are_put_together(tmp_path: Path) -> None:
     """
     lines = small(
         "time,rain [mm],runoff [mm/h],level [m],least temperature [degC],"
-        "greatest temperature [degC]", "0.1", "0.6", "0.02", "5", "15",
+        "greatest temperature [degC]", "0.1", "0.6", "0.02", "5", "15", rows=250,
     ).splitlines()
     lines.insert(26, "2021-06-01T02:02,0.3,1.8,0.04,,")
     file = tmp_path / "record.csv"
     file.write_text("\n".join(lines) + "\n")
     record = read_csv_record(file, TWIN)
-    assert record.steps == 120
+    assert record.steps == 250
     assert record.rain[23:26] == pytest.approx([0.1, 0.4, 0.1])
     assert record.runoff[23:26] == pytest.approx([0.05, 0.1, 0.05])
     assert record.level[23:26] == pytest.approx([0.02, 0.03, 0.02])
