@@ -109,6 +109,7 @@ def test_longer_sums(hours: int) -> None:
         (scaled("runoff", 10), ("unit-error", "excess", "runoff")),
         (scaled("runoff", 0.1), ("unit-error", "shares", "runoff")),
         (of_level(scaled("level", 0.01)), ("unit-error", "rises", "level")),
+        (scaled("level", 10), ("unit-error", "rises", "level")),
         (fixed("level", 0.03, 20 * day), ("sensor-stuck", "stuck", "level")),
         (fixed("rain", 0.3, 12, 20), ("sensor-stuck", "stuck", "rain")),
         (fixed("rain", 0.0, 30 * day), ("gauge-blocked", "runoff", "rain")),

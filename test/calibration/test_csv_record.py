@@ -162,22 +162,6 @@ def steps(since: np.ndarray) -> tuple[list[int], float]:
     return slots.tolist(), step_s
 
 
-def test_a_clock_that_is_set_moves_no_row_that_comes_after() -> None:
-    """Set on by 2 min before row 200 and before row 400; then it is 4 min late, nearer to the next.
-
-    Before row 1000 it is set right by an hour without rows, less 2 min: 2 min late again.
-    """
-    since = 300.0 * np.arange(1200)
-    for first in (200, 400):
-        since[first:] += 120
-    since[1000:] += 3600 - 120
-    found, step_s = steps(since)
-    assert step_s == 300.0
-    assert found[:400] == list(range(400))
-    assert found[400:1000] == list(range(401, 1001))
-    assert found[1000:] == list(range(1012, 1212))
-
-
 @pytest.mark.parametrize(
     ("since", "message"),
     [

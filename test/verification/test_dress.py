@@ -107,26 +107,17 @@ def test_a_study_with_dressed_forecasts(site: Path) -> None:
     assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
 
 
-WEATHER = ["--weather", "gauge.csv"]
 WRONG = {
-    "model": (
-        ["verify", "--dress", "errors", *WEATHER, "-o", "new.csv"],
+    "a model": (
+        ["--dress", "errors", "-o", "new.csv"],
         "FORECASTS = 'errors': must be an archive with --dress: a model's forecasts are made of ",
     ),
     "nowhere": (
-        ["verify", "--dress", "archive.csv", *WEATHER],
+        ["--dress", "archive.csv"],
         "--output: must be given once with --dress: FILE.csv, for --dressed",
     ),
-    "again": (
-        ["verify", "--dress", "archive.csv", *WEATHER, "-o", "new.csv", "--dressed", "dressed.csv"],
-        "--dressed: is for scores; --dress",
-    ),
-    "of a model": (
-        ["simulate", "--forecast", "errors", "--dressed", "dressed.csv"],
-        "--dressed = 'dressed.csv': is an option of a file; the forecast is errors",
-    ),
     "other": (
-        ["verify", "archive.csv", *WEATHER, "--dressed", "gauge.csv"],
+        ["archive.csv", "--dressed", "gauge.csv"],
         "gauge.csv, line 1: 'time': the column must be 'issued': a file for --dressed is made by ",
     ),
 }
@@ -137,7 +128,7 @@ def test_wrong_use(site: Path, name: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
     before = sorted(site.iterdir())
     arguments, reason = WRONG[name]
-    done = command(site, *arguments)
+    done = command(site, "verify", *arguments, "--weather", "gauge.csv")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {reason}")
     assert sorted(site.iterdir()) == before
