@@ -10,12 +10,12 @@ judged there.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 import altair as alt
 import numpy as np
@@ -33,6 +33,7 @@ from greenroof_ros.calibration.scores import score  # noqa: E402
 from greenroof_ros.calibration.simulation import least_reading  # noqa: E402
 from greenroof_ros.common.files import shared_directory  # noqa: E402
 from greenroof_ros.model.site import read_site  # noqa: E402
+from greenroof_ros.model.soil import MeasuredSoil  # noqa: E402
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel  # noqa: E402
 
 OURS, SWMM, BUCKET = MODELS = "fitted roof", "SWMM", "bucket"
@@ -116,30 +117,34 @@ def judge(roof, directory, scratch):
     return rows, answers, notes
 
 
-# What stands for a part of the model that is left out.
+class NoLayer(MeasuredSoil):
+    """What percolates leaves the roof at once."""
+
+    def layer_outflow(self, layer, inflow, seconds):
+        """Return the outflow (m3/s)."""
+        return inflow
+
+
+class NoStress(MeasuredSoil):
+    """Plants take as much from a dry soil."""
+
+    def water_stress(self, x2):
+        """Return the share that evaporates."""
+        return 1.0
+
+
+class NoPercolation(MeasuredSoil):
+    """Nothing percolates below field capacity."""
+
+    def mean_percolation(self, x2, arriving, seconds):
+        """Return what leaves the substrate (m3/s)."""
+        return max(0.0, x2 - self._capacity) / seconds
+
+
 PARTS = {
-    "all of it": {},
-    "without the drainage layer": {
-        "layer_outflow": lambda site, layer, inflow, seconds: inflow,
-    },
-    "without water stress": {"water_stress": lambda site, x2: 1.0},
-    "without percolation below field capacity": {
-        "mean_percolation": lambda site, x2, arriving, seconds: (
-            max(0.0, x2 - site.z_cap) / seconds
-        ),
-    },
+    "all of it": MeasuredSoil, "without the drainage layer": NoLayer,
+    "without water stress": NoStress, "without percolation below field capacity": NoPercolation,
 }
-
-
-@contextlib.contextmanager
-def left_out(part):
-    """Simulate without a part of the model."""
-    before = {name: getattr(simulation, name) for name in PARTS[part]}
-    vars(simulation).update(PARTS[part])
-    try:
-        yield
-    finally:
-        vars(simulation).update(before)
 
 
 def parts(roof, directory, scratch):
@@ -147,8 +152,8 @@ def parts(roof, directory, scratch):
     site = start_site(roof)
     record = read_roof(roof, directory, site, scratch)
     earlier, later = halve(record, comparable(record) & warm(record)).values()
-    for part in PARTS:
-        with left_out(part):
+    for part, soil in PARTS.items():
+        with patch.object(simulation, "MeasuredSoil", soil):
             runoff = fit(site, record, earlier).simulated.runoff
         yield part_row(roof, part, record, runoff, later)
     shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
