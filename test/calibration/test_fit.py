@@ -84,7 +84,7 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
 
     So the interval of the field capacity allows for any wilting point, also for the true one.
     """
-    record = replace(twin(1, 150), level=None)
+    record = replace(twin(1, 100), level=None)
     found = fit(ELSEWHERE, record, record.known)
     by_name = {one.name: one for one in found.parameters}
     assert not by_name["wilting_point"].told
@@ -99,7 +99,7 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
 
 
 def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
-    record = replace(twin(1, 150), runoff=None)
+    record = replace(twin(1, 100), runoff=None)
     found = fit(ELSEWHERE, record, record.known)
     by_name = {one.name: one for one in found.parameters}
     assert by_name["drainage_time"].words == "the data do not depend on it"
@@ -108,8 +108,8 @@ def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
 
 
 def test_a_dead_day_of_a_sensor_does_not_decide() -> None:
-    """A level that reads 8 cm too much for a day, among 150: the loss is robust."""
-    record = twin(1, 150)
+    """A level that reads 8 cm too much for a day, among 100: the loss is robust."""
+    record = twin(1, 100)
     level = record.level.copy()
     level[20 * 24:21 * 24] += 0.08
     found = fit(ELSEWHERE, replace(record, level=level), record.known)

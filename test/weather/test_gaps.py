@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 import tracemalloc
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -21,7 +19,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.formats.records import Records
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import fill_long_gaps, read_weather
-from greenroof_ros.weather.series import FILL, Weather, WeatherSeries, suspicious_rain
+from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries, suspicious_rain
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")
 JULY = DATA / "en_climate_hourly_07-2022.csv"
@@ -29,27 +27,13 @@ DECEMBER = DATA / "en_climate_hourly_12-2015.csv"
 LST = timezone(timedelta(hours=-5))
 
 
-def observed(file: Path, column: str) -> list[float]:
-    """Return a column as it stands in a file of the service; NaN where nothing was observed."""
-    values = []
-    with file.open(encoding="utf-8-sig", newline="") as stream:
-        rows = csv.reader(stream)
-        index = next(rows).index(column)
-        for row in rows:
-            there = len(row) > index and row[index] and row[index + 1] != "M"
-            values.append(float(row[index]) if there else math.nan)
-    return values
-
-
 def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
-    """The hours without a number of the service, and no other."""
-    weather = read_weather([JULY], TORONTO, gaps=FILL)
-    raw = observed(JULY, "Precip. Amount (mm)")
-    assert weather.precipitation.tolist() == [0 if math.isnan(mm) else mm for mm in raw]
-    series = WeatherSeries(weather, TORONTO, weather.first, 31 * 86_400)
-    missing = [hour for hour, mm in enumerate(raw) if math.isnan(mm)]
-    assert missing
-    assert series.filled["precipitation"] == [
+    plain, weather = (read_weather([JULY], TORONTO, gaps=gaps) for gaps in (REFUSE, FILL))
+    missing = np.flatnonzero(np.isnan(plain.precipitation)).tolist()
+    assert weather.precipitation.tolist() == np.nan_to_num(plain.precipitation).tolist()
+    named = WeatherSeries(weather, TORONTO, weather.first, 31 * 86_400).filled["precipitation"]
+    assert "2022-07-21T11:00-05:00" in named
+    assert named == [
         (weather.first + timedelta(hours=hour)).isoformat(timespec="minutes") for hour in missing
     ]
     assert not np.isnan(weather.evapotranspiration).any()

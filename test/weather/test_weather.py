@@ -79,13 +79,6 @@ def test_packaged_weather_is_the_72_hours() -> None:
     assert weather.end.isoformat() == "2021-07-10T00:00:00-05:00"
 
 
-def test_units_by_hand(tmp_path: Path) -> None:
-    """3.0 mm/h are 1/1,200,000 m/s; 1.22675507 mm/day off 68.8 m2 are 0.0844007 m3 in 86,400 s."""
-    run = series(tmp_path, "2021-07-07T04:00-05:00", 3600)
-    assert run.precipitation[0] == pytest.approx(8.333333333333333e-7, rel=1e-15)
-    assert run.evapotranspiration[0] == pytest.approx(0.084400748816 / 86400, rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("steps", "repeats"), [(3 * 3600, True), (3 * 3600 - 9, True), (3 * 3600 - 10, False)]
 )
