@@ -51,7 +51,7 @@ def fixed(column: str, value: float, first: int, end: int | None = None) -> Chan
 
 
 def of_level(change: Change) -> Change:
-    """Change a record of which the runoff was not measured."""
+    """Change a record without runoff."""
     return lambda record: change(replace(record, runoff=None))
 
 

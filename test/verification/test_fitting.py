@@ -40,8 +40,7 @@ def rain() -> dict[int, Array]:
 def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
     """Forecasts of one lead at a stroke are as good as those that the model issues.
 
-    r, POD and FAR of half days, by another count, over six seasons, of which they scatter by some
-    0.04.
+    r, POD and FAR of half days, by another count, over six seasons; those of one scatter more.
     """
     six = {year: rain[year] for year in range(2015, 2021)}
     sample = Sample(REAL.climate, list(six.values()), [HALF_DAY])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ HOURS = [
     "2021-07-07T04:00-05:00,3.0,1.22675507",
     "2021-07-07T05:00-05:00,0.0,2.4",
 ]
-RAIN = [0.2 / 1000 / 3600, 3.0 / 1000 / 3600, 0.0]
 
 
 def write(directory: Path, *lines: str, header: str = HEADER) -> Path:
@@ -33,15 +31,6 @@ def write(directory: Path, *lines: str, header: str = HEADER) -> Path:
     path = directory / "weather.csv"
     path.write_text("\n".join(["# Nowhere", header, *lines]) + "\n")
     return path
-
-
-def series(
-    directory: Path, start: str, steps: int, tau: float = 1.0, lookahead: int = 10
-) -> WeatherSeries:
-    """Lay the three hours out for a run."""
-    site = replace(PAPER_SITE, tau=tau, M=lookahead)
-    weather = read_weather([write(directory, *HOURS)], site)
-    return WeatherSeries(weather, site, parse_time(start), steps)
 
 
 def refusal(path: Path) -> str:
@@ -102,8 +91,9 @@ def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeat
 )
 def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None:
     """A second too early, an hour by another offset, a second too long."""
+    weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
     with pytest.raises(ConfigurationError) as caught:
-        series(tmp_path, start, steps)
+        WeatherSeries(weather, PAPER_SITE, parse_time(start), steps)
     assert str(caught.value).startswith(
         f"{tmp_path / 'weather.csv'}: holds 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but"
     )
