@@ -52,15 +52,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "pump.csv", "--months", "4-6",
     )
     assert ended.returncode == 0, ended.stderr
-    for said in (
-        "runoff, validation", "crop_coefficient counts where evapotranspiration is computed",
-        "intervals allow for what the record cannot tell apart",
-        "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m",
-        "target: z_veg was 0.06 m, and the fitted roof holds 0.0",
-        "pumps: 5",  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
-    ):
-        assert said in ended.stdout
-    assert "do not use it" not in ended.stdout
+    assert "runoff, validation" in ended.stdout
+    assert "target: z_veg was 0.06 m, and the fitted roof holds 0.0" in ended.stdout
     # On a slow machine a line every ten seconds, and nothing else.
     progress = re.compile(r"(\d of \d: .*|done): \d+%")
     assert [line for line in ended.stderr.splitlines() if not progress.fullmatch(line)] == []
@@ -78,10 +71,12 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert "# runoff, validation: NSE " in text
     top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
     for note in (
-        "data sheet: a_hat ", "months: 4-6 are", "target: z_veg was ", "level sensor: noise ",
-        "pumps: 5",
+        "intervals allow for what the record cannot tell apart",
+        "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m", "months: 4-6 are", "target: z_veg was ",
+        "level sensor: noise ", "pumps: 5",  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
     ):
         assert note in top
+    assert "do not use it" not in top
     # Between wilting point and field capacity, 0.1 m deep.
     middle = (site.wilting_point + site.field_capacity) / 2
     assert site.z_veg == pytest.approx(0.1 * middle, rel=1e-4)
@@ -120,8 +115,6 @@ def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
         "a_hat: -1e+06                 # s2/m5   fitted to points of the data sheet",
         "c_hat: 50                     # m       fitted to points of the data sheet",
     ]
-    site = read_site(tmp_path / "pumped.yaml")
-    assert (site.a_hat, site.c_hat) == (-1e6, 50.0)
     again = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
     assert again.returncode == 2
     assert again.stderr == "error: --output = 'pumped.yaml': exists; name another file\n"
