@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.calibration.record import Record
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
@@ -17,7 +19,8 @@ from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
 STEP_S = 300
 NOISE_M = 0.002
 TIP_MM = 0.005
-_DAY = 86400 // STEP_S
+DAY = 86400 // STEP_S
+_TICK_S = 5.0
 
 TWIN = replace(
     PAPER_SITE, a2=100.0, z_soil=0.1, z_veg=0.02, x2_star=2.0, field_capacity=0.42,
@@ -28,12 +31,22 @@ TWIN = replace(
 FILLED_AT_FIRST = 0.5
 
 
+def a_record(
+    rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
+) -> Record:
+    """A record from the beginning of a month on; of what is not given there is nothing."""
+    nothing = np.zeros(len(rain))
+    given = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
+    start = datetime(2021, month, 1, tzinfo=timezone.utc)
+    return Record(Path("roof.csv"), start, step_s, rain, **given)
+
+
 def storms(days: int, random: np.random.Generator) -> np.ndarray:
     """Rain (mm in a step): a storm every three days or so, of 6 mm or so, over hours."""
-    rain = np.zeros(days * _DAY)
+    rain = np.zeros(days * DAY)
     at = 0.0
     while True:
-        at += random.exponential(3 * _DAY)
+        at += random.exponential(3 * DAY)
         length = 2 + int(random.exponential(36))
         if at + length >= len(rain):
             return rain
@@ -41,13 +54,13 @@ def storms(days: int, random: np.random.Generator) -> np.ndarray:
         rain[int(at):int(at) + length] += random.exponential(6.0) * shape / shape.sum()
 
 
+@cache
 def record_rows(
-    site: Site, days: int, seed: int, *, gaps: bool = True, pumping: bool = False,
-    tick_s: float = 5.0,
+    site: Site, days: int, seed: int, *, gaps: bool = True, pumping: bool = False
 ) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of ``tick_s`` while it rains and those of the
+    The true roof is stepped by the plant, with ticks of 5 s while it rains and those of the
     record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
     gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
     minutes at a quarter of the flow, where the cistern is not too low; its level has the same
@@ -60,19 +73,19 @@ def record_rows(
     middle = 14 - 10 * np.cos(2 * np.pi * (np.arange(days) + 71) / 365) + random.normal(0, 2, days)
     least, greatest = middle - 5, middle + 5
     seconds = (np.datetime64(start, "s") + STEP_S * np.arange(len(rain))).astype(np.int64)
-    day = np.arange(len(rain)) // _DAY
+    day = np.arange(len(rain)) // DAY
     reference = over_the_day(
         hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
         site.longitude - 15 * site.utc_offset,
     )
     x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
     x1, layer = 2.5 * site.a1, 0.0
-    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (tick_s, float(STEP_S)))
-    pair = np.arange(len(rain)) % (4 * _DAY) // 2
+    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (_TICK_S, float(STEP_S)))
+    pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
     for step, (fell, wanted) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
-        plant, ticks = (wet, round(STEP_S / tick_s)) if fell > 0 or command[step] > 0 else (dry, 1)
+        plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
         plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
         cistern.append(plant.levels()[0])
         level.append(plant.levels()[1])
@@ -91,8 +104,8 @@ def record_rows(
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
     missing = np.zeros(len(rain), dtype=bool)
     if gaps:
-        for begin in random.integers(0, len(rain) - _DAY, 3):
-            missing[begin:begin + _DAY] = True
+        for begin in random.integers(0, len(rain) - DAY, 3):
+            missing[begin:begin + DAY] = True
     rows = [["time", "rain [mm]", "runoff [mm]", "level [m]", "least temperature [degC]",
              "greatest temperature [degC]"]]
     for step, fell in enumerate(rain):
@@ -100,7 +113,7 @@ def record_rows(
         cells = ["", ""] if missing[step] else [f"{tips[step]:.3f}", f"{measured[step]:.4f}"]
         rows.append([time.isoformat(), f"{fell:.4f}", *cells,
                      *([f"{least[day[step]]:.1f}", f"{greatest[day[step]]:.1f}"]
-                       if step % _DAY == 0 else ["", ""])])
+                       if step % DAY == 0 else ["", ""])])
     if pumping:
         rows[0] += ["pump state [%]", "cistern level [m]"]
         for step, depth in enumerate(np.array(cistern) + random.normal(0, NOISE_M, len(rain))):
@@ -117,7 +130,7 @@ def summed(rows: list[list[str]], hours: int) -> list[list[str]]:
     count = hours * 3600 // STEP_S
     result = [rows[0]]
     for at in range(1, len(rows) - count + 1, count):
-        part, day = rows[at:at + count], rows[1 + (at - 1) // _DAY * _DAY]
+        part, day = rows[at:at + count], rows[1 + (at - 1) // DAY * DAY]
         sums = ["" if any(not row[column] for row in part)
                 else f"{sum(float(row[column]) for row in part):.4f}" for column in (1, 2)]
         result.append([part[0][0], *sums, part[0][3], *day[4:6]])

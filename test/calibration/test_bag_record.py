@@ -63,21 +63,14 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
 
 
 def test_a_command_that_no_pump_follows_is_not_known(tmp_path: Path) -> None:
+    """And without drainage levels count alone."""
     bag = write_bag(
         tmp_path / "bag", list(range(0, 1810, 10)), 0.0,
         command=lambda now: 1.5 if now == 700 else 1.0,
     )
-    command = read_bag_record(bag, TWIN).command
-    assert command == pytest.approx([0.8, 1.0, np.nan, 1.0, 1.0, 1.0], nan_ok=True)
-
-
-def test_a_gap_is_no_rain(tmp_path: Path) -> None:
-    """Nothing from 10 to 40 minutes: those six steps are empty."""
-    bag = write_bag(tmp_path / "bag", [*range(0, 610, 10), *range(2400, 3610, 10)], 1e-4)
     record = read_bag_record(bag, TWIN)
-    assert np.flatnonzero(np.isnan(record.rain)).tolist() == [2, 3, 4, 5, 6, 7]
-    assert np.flatnonzero(np.isnan(record.level)).tolist() == [2, 3, 4, 5, 6, 7]
-    assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [2, 3, 4, 5, 6, 7]
+    assert record.command == pytest.approx([0.8, 1.0, np.nan, 1.0, 1.0, 1.0], nan_ok=True)
+    assert list(record.measured) == ["level"]
 
 
 @pytest.mark.parametrize(
@@ -101,20 +94,24 @@ def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
     assert read_bag_record(bag, TWIN).reference == pytest.approx(np.full(6, reference))
 
 
-def test_the_roof_dries_through_a_gap(tmp_path: Path) -> None:
+def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> None:
     """Before a day has passed as before the gap; from then on as a day before.
 
     Evapotranspiration is 0.01 mm in 5 min at first and ten times that from 6 to 12 h of each day.
     """
     hour, gaps = 3600, ((2, 8), (27, 33))
-    times = [now for now in range(0, 36 * hour, 60)
+    times = [now for now in range(0, 36 * hour, 300)
              if not any(low * hour < now < high * hour for low, high in gaps)]
     mm = TWIN.a2 / 1000 / 300
     bag = write_bag(
         tmp_path / "bag", times, 0.0,
         lambda now: mm * (0.1 if 6 <= now / hour % 24 < 12 else 0.01),
     )
-    reference = read_bag_record(bag, TWIN).reference
+    record = read_bag_record(bag, TWIN)
+    for series in (record.rain, record.level, record.pumped):
+        gap = np.flatnonzero(np.isnan(series))
+        assert gap.tolist() == [*range(2 * 12, 8 * 12), *range(27 * 12, 33 * 12)]
+    reference = record.reference
     assert reference[2 * 12 + 1:8 * 12] == pytest.approx(0.01)
     assert reference[8 * 12 + 1:12 * 12] == pytest.approx(0.1)
     # Of a day before, when it was held.
@@ -122,18 +119,18 @@ def test_the_roof_dries_through_a_gap(tmp_path: Path) -> None:
     assert reference[32 * 12 + 1:33 * 12] == pytest.approx(0.1)
 
 
-def test_a_bag_without_evapotranspiration_is_refused(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", list(range(0, 910, 10)), 0.0, lambda now: 0.0)
-    with pytest.raises(ConfigurationError, match="/weather/evapotranspiration: is not in the bag"):
-        read_bag_record(bag, TWIN)
-
-
-def test_without_drainage_levels_count_alone(tmp_path: Path) -> None:
-    record = read_bag_record(write_bag(tmp_path / "bag", list(range(0, 910, 10)), 0.0), TWIN)
-    assert list(record.measured) == ["level"]
-
-
-def test_a_bag_of_minutes_is_too_short(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", list(range(0, 500, 10)), 0.0)
-    with pytest.raises(ConfigurationError, match="is 490 s long; it must have two steps of 300 s"):
+@pytest.mark.parametrize(
+    ("end", "evapotranspiration", "message"),
+    [
+        (910, 0.0, "/weather/evapotranspiration: is not in the bag"),
+        (500, 1e-5, "is 490 s long; it must have two steps of 300 s"),
+    ],
+)
+def test_a_bag_that_tells_nothing_is_refused(
+    tmp_path: Path, end: int, evapotranspiration: float, message: str
+) -> None:
+    bag = write_bag(
+        tmp_path / "bag", list(range(0, end, 10)), 0.0, lambda now: evapotranspiration
+    )
+    with pytest.raises(ConfigurationError, match=message):
         read_bag_record(bag, TWIN)

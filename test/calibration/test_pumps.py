@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from changes import a_record
-from twins import NOISE_M, STEP_S, TWIN, storms
+from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.calibration.record import Record
@@ -15,14 +15,14 @@ from greenroof_ros.common.quality import Severity
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 
-TICK_S = 30.0
-DAY = 86400 // STEP_S
+TICK_S = 60.0
 SITE = replace(TWIN, a_in=1000.0)
 """With the pump curve of Table I, and rain of a catchment that fills the cistern again."""
 
 
+@cache
 def twin(
-    site: Site, days: int, seed: int, *, refills: bool = False, shortest: bool = False
+    site: Site, days: int, seed: int = 1, *, refills: bool = False, shortest: bool = False
 ) -> Record:
     """A cistern whose pumps run twice a day: ten minutes at full command, twenty at half.
 
@@ -77,14 +77,13 @@ WORN = replace(SITE, c_hat=48.0)
 """They lift a tenth less than the site's curve says; levels change the head of 40 m by 2."""
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_flow_of_worn_pumps_is_found(seed: int) -> None:
-    found = fit_pumps(SITE, twin(WORN, 60, seed))
-    assert cases(found) == ["flow"] and hits(found, WORN)
+def test_the_flow_of_worn_pumps_is_found() -> None:
+    """With a refill a week, of a fifth to all of what a run takes."""
+    found = fit_pumps(SITE, twin(WORN, 60, refills=True))
+    assert cases(found) == ["flow", "left out"] and hits(found, WORN)
     figures = found.findings[0].figures
     assert figures["runs"] > 20
     assert figures["half"] < 0.01 * figures["flow"]
-    assert abs(figures["late_s"]) <= figures["late_half_s"]
     shape, height = found.parameters
     assert (shape.name, shape.value, shape.told) == ("a_hat", SITE.a_hat, False)
     assert shape.words == "the data cannot tell it apart from c_hat"
@@ -93,9 +92,9 @@ def test_the_flow_of_worn_pumps_is_found(seed: int) -> None:
     assert found.site == replace(SITE, c_hat=height.value)
 
 
-@pytest.mark.parametrize("steps", [-2, -1, 1, 2])
+@pytest.mark.parametrize("steps", [-2, 1])
 def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
-    found = fit_pumps(SITE, later(twin(WORN, 30, 1), steps))
+    found = fit_pumps(SITE, later(twin(WORN, 30), steps))
     assert cases(found) == ["flow", "shifted"] and hits(found, WORN)
     figures = found.findings[0].figures
     assert figures["half"] < 0.02 * figures["flow"]
@@ -106,37 +105,28 @@ def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
     )
 
 
-def test_refills_do_not_matter() -> None:
-    """One a week, of a fifth to all of what a run takes."""
-    found = fit_pumps(SITE, twin(WORN, 60, 1, refills=True))
-    assert cases(found) == ["flow", "left out"] and hits(found, WORN)
-    figures = found.findings[0].figures
-    assert figures["half"] < 0.01 * figures["flow"]
-
-
 def test_short_runs_are_said_to_tell_less() -> None:
     """Runs of one step, with a pump state that is a step late."""
-    found = fit_pumps(SITE, later(twin(SITE, 30, 1, shortest=True), 1))
+    found = fit_pumps(SITE, later(twin(SITE, 30, shortest=True), 1))
     assert cases(found)[-1] == "short" and hits(found, SITE)
 
 
-@pytest.mark.parametrize("refills", [False, True])
-def test_intervals_of_one_week_hold_the_truth(refills: bool) -> None:
-    """In 20 records of ten runs and more; right intervals miss four times and more in 1.6 %."""
+def test_intervals_of_one_week_hold_the_truth() -> None:
+    """In 12 records of ten runs and more; right intervals miss three times and more in 2 %."""
     inside, fits, seed = 0, 0, 0
-    while fits < 20:
+    while fits < 12:
         seed += 1
-        found = fit_pumps(SITE, later(twin(WORN, 7, seed, refills=refills), 1))
+        found = fit_pumps(SITE, later(twin(WORN, 7, seed, refills=True), 1))
         if found.parameters:
             fits += 1
             inside += hits(found, WORN)
-    assert inside >= 17
+    assert inside >= 10
 
 
 def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
     """A lift of 2 to 4 m, as the cistern stands."""
     low = replace(SITE, d=3.0, c_hat=4.0, a_hat=-9e4)
-    found = fit_pumps(replace(low, c_hat=5.0, a_hat=-6e4), twin(low, 60, 1))
+    found = fit_pumps(replace(low, c_hat=5.0, a_hat=-6e4), twin(low, 60))
     assert hits(found, low)
     for one in found.parameters:
         assert one.low <= getattr(low, one.name) <= one.high
@@ -146,7 +136,7 @@ def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
 
 def test_where_no_run_is_seen_nothing_is_said() -> None:
     """It rains all the time; the cistern stands at its outlet or its valve; gaps part all runs."""
-    record = twin(SITE, 10, 1)
+    record = twin(WORN, 30)
     level = record.cistern.copy()
     level[::2] = np.nan  # between two there is never one step of a run
     for site, seen in (
@@ -163,12 +153,12 @@ def test_where_no_run_is_seen_nothing_is_said() -> None:
 
 def test_what_no_pumps_do_is_refused() -> None:
     """A cistern that stands still; percent that are called shares; a clock three steps late."""
-    record = twin(SITE, 20, 1)
+    record = twin(WORN, 30)
     still = np.random.default_rng(1).normal(2.0, NOISE_M, record.steps)
     for wrong, code, text in (
         (replace(record, cistern=still), "unit-error", "cistern level: falls while the pumps run"),
-        (replace(record, command=record.command * 100), "unit-error", "as if they lifted 0.08"),
-        (later(twin(SITE, 30, 1), 3), "clock-shifted", "pump state: is more than 10 min after the"),
+        (replace(record, command=record.command * 100), "unit-error", "as if they lifted 0.07"),
+        (later(record, 3), "clock-shifted", "pump state: is more than 10 min after the"),
     ):
         found = fit_pumps(SITE, wrong)
         (one,) = found.findings

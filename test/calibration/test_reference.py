@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from changes import DAY, LEAST, change, twin
-from twins import TWIN, record_rows, summed, write
+from twins import TWIN
 
 from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.record import Record
@@ -19,13 +18,13 @@ NAME = "reference evapotranspiration [mm/day]"
 
 
 def read(
-    file: Path, minutes: np.ndarray, values: list[str], month: int = 6
+    file: Path, minutes: np.ndarray, values: list[str], month: int = 6, column: str = NAME
 ) -> Record:
     """A record of rows so long after the month's beginning, and their evapotranspiration."""
     start = datetime(2021, month, 1)  # noqa: DTZ001 - on the clock of the site
     rows = [f"{(start + timedelta(minutes=float(after))).isoformat()},0,0.02,{value}"
             for after, value in zip(minutes, values, strict=True)]
-    file.write_text("\n".join([f"time,rain [mm],level [m],{NAME}", *rows]) + "\n")
+    file.write_text("\n".join([f"time,rain [mm],level [m],{column}", *rows]) + "\n")
     return read_csv_record(file, TWIN)
 
 
@@ -38,47 +37,39 @@ def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
     file = tmp_path / "record.csv"
     row = np.arange(120)
     values = 2 + 0.01 * row
-    for missing in (1, 12, 13):
+
+    def without(missing: int) -> Record:
         gone = (row >= 30) & (row < 30 + missing)
-        cells = ["" if lost else f"{value:.2f}" for lost, value in zip(gone, values, strict=True)]
         kept = row if what == EMPTY else row[~gone]
-        if missing <= 12:
-            record = read(file, 5 * kept, [cells[one] for one in kept])
-            assert record.reference == pytest.approx(values / 288)
-            continue
-        with pytest.raises(ConfigurationError) as error:
-            read(file, 5 * kept, [cells[one] for one in kept])
-        assert str(error.value).startswith(
-            f"{file}, line 32: {NAME}: {what}, and none has a value for 65 min: it may be missing "
-            "for an hour at most"
-        )
+        return read(file, 5 * kept, ["" if gone[one] else f"{values[one]:.2f}" for one in kept])
+
+    assert without(12).reference == pytest.approx(values / 288)
+    with pytest.raises(ConfigurationError) as error:
+        without(13)
+    assert str(error.value).startswith(
+        f"{file}, line 32: {NAME}: {what}, and none has a value for 65 min: it may be missing "
+        "for an hour at most"
+    )
 
 
-@pytest.mark.parametrize("rows", [slice(0, 12), slice(108, 120)])
-def test_at_the_ends_an_hour_may_be_missing_too(rows: slice, tmp_path: Path) -> None:
-    cells = ["3"] * 120
-    cells[rows] = [""] * 12
+def test_at_the_ends_an_hour_may_be_missing_too(tmp_path: Path) -> None:
+    cells = [""] * 12 + ["3"] * 96 + [""] * 12
     record = read(tmp_path / "record.csv", 5 * np.arange(120), cells)
     assert record.reference == pytest.approx(np.full(120, 3 / 288))
-    cells[rows.start - 1 if rows.start else rows.stop] = ""
-    with pytest.raises(ConfigurationError, match="is empty, and none has a value for 65 min"):
-        read(tmp_path / "record.csv", 5 * np.arange(120), cells)
+    for more in (12, 107):
+        longer = [*cells[:more], "", *cells[more + 1:]]
+        with pytest.raises(ConfigurationError, match="is empty, and none has a value for 65 min"):
+            read(tmp_path / "record.csv", 5 * np.arange(120), longer)
 
 
-@pytest.mark.parametrize(
-    ("step", "rows", "set_on", "missing"),
-    [(5, 600, 1, [300]), (6 * 60, 500, 55, [400])],
-)
-def test_a_clock_that_is_set_leaves_no_gap(
-    step: int, rows: int, set_on: int, missing: list[int], tmp_path: Path
-) -> None:
+def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
     """Set on four times, together by more than half a step: one step has no row then."""
-    minutes = step * np.arange(rows)
+    minutes = 360 * np.arange(500)
     for row in range(100, 500, 100):
-        minutes[row:] += set_on
-    record = read(tmp_path / "record.csv", minutes, ["3"] * rows, month=4)
-    assert np.flatnonzero(np.isnan(record.level)).tolist() == missing
-    assert record.reference == pytest.approx(np.full(record.steps, 3 * step / 1440))
+        minutes[row:] += 55
+    record = read(tmp_path / "record.csv", minutes, ["3"] * 500, month=4)
+    assert np.flatnonzero(np.isnan(record.level)).tolist() == [400]
+    assert record.reference == pytest.approx(np.full(record.steps, 3 * 360 / 1440))
 
 
 def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
@@ -88,33 +79,43 @@ def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
     assert str(error.value).startswith(f"{file}: {NAME}: is 0 throughout")
 
 
+def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:
+    """Write two months of hours from 1 April on, and the temperatures of some of their days."""
+    first = datetime(2021, 4, 1)  # noqa: DTZ001 - on the clock of the site
+    rows = ["time,rain [mm],level [m],least temperature [degC],greatest temperature [degC]"]
+    for day in range(60):
+        begin = first + timedelta(days=day)
+        rows += [f"{(begin + timedelta(hours=hour)).isoformat()},0,0.02,{extremes.get(day, ',')}"
+                 for hour in range(24)]
+    file.write_text("\n".join(rows) + "\n")
+    return file
+
+
 def test_temperatures_that_end_are_refused_and_may_be_missing_in_other_months(
     tmp_path: Path,
 ) -> None:
-    """None in the first half of April, as of a logger that was out in winter."""
-    rows = change(LEAST, lambda row, text: text if row < 10 * DAY else "")(twin(30, 1))
+    """None after ten days; none in the first half of April, as of a logger out in winter."""
+    file = with_temperatures(tmp_path / "record.csv", dict.fromkeys(range(10), "5,15"))
     with pytest.raises(ConfigurationError, match="no temperature within 3 days of 2021-04-14"):
-        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
-    rows = [
-        [*row[:4], "", ""] if row[0] < "2021-04-16" else row for row in record_rows(TWIN, 60, 1)
-    ]
-    file = write(rows, tmp_path / "record.csv")
+        read_csv_record(file, TWIN)
+    file = with_temperatures(tmp_path / "record.csv", dict.fromkeys(range(15, 60), "5,15"))
     with pytest.raises(ConfigurationError, match="has no temperature within 3 days"):
         read_csv_record(file, TWIN)
     assert np.all(read_csv_record(file, TWIN, "5-6").reference >= 0)
+    with pytest.raises(ConfigurationError, match="no day has its temperatures"):
+        read_csv_record(with_temperatures(tmp_path / "record.csv", {}), TWIN)
 
 
 def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
     """Those of every sixth hour; and a day whose least is above its greatest."""
-    rows = [[*row[:4], "12"] for row in summed(twin(100, 1), 6)]
-    rows[0][4] = "temperature [degC]"
+    minutes = 360 * np.arange(120)
     with pytest.raises(ConfigurationError, match="temperature: its rows are 6 h apart, and show a"):
-        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
-    rows = change(LEAST, lambda row, text: "40" if row == 0 else text)(twin(30, 1))
+        read(tmp_path / "record.csv", minutes, ["12"] * 120, column="temperature [degC]")
+    days = dict.fromkeys(range(60), "5,15") | {0: "40,15"}
     with pytest.raises(
         ConfigurationError, match="on 2021-04-01 the least temperature, 40 degC, is above the great"
     ):
-        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+        read_csv_record(with_temperatures(tmp_path / "record.csv", days), TWIN)
 
 
 LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
@@ -143,24 +144,19 @@ def reference(file: Path, columns: str, cells: dict[datetime, str], empty: str) 
 
 
 def test_a_row_has_the_temperatures_of_its_own_day(tmp_path: Path) -> None:
-    """In the first row of each day, in each row, in that of noon, or as the day's course: the same.
+    """In the first row of each day, in each row, or as the day's course: the same.
 
     By Example 20 the 15th has 5.0 mm; the days beside it are much colder and much warmer.
     """
     extremes = "least temperature [degC],greatest temperature [degC]"
     every = {time: "{},{}".format(*DAYS[time.day]) for time in times()}
-    noon = {time: cell for time, cell in every.items() if (time.hour, time.minute // 5) == (12, 0)}
     first = {min(time for time in every if time.day == day): "{},{}".format(*DAYS[day])
              for day in DAYS}
     assert datetime(1998, 7, 15) in first  # noqa: DTZ001 - on the site's clock
-    assert len(noon) == 3  # the record ends on the 16th before noon
     course = {time: str(DAYS[time.day][time in first]) for time in times()}
     file = tmp_path / "record.csv"
     in_first = reference(file, extremes, first, ",")
     assert reference(file, extremes, every, ",") == pytest.approx(in_first)
-    last = times()[-1]
-    with_last = {**noon, last: every[last]}
-    assert reference(file, extremes, with_last, ",") == pytest.approx(in_first)
     # Of a day's course three quarters must be there: not so of the 13th and the 16th.
     whole = slice(188, 188 + 2 * 288)
     of_course = reference(file, "temperature [degC]", course, "")

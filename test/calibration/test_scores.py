@@ -41,7 +41,6 @@ def test_longer_sums_forgive_a_delay() -> None:
     assert scores.nse[3600] < 0
     assert scores.nse[86400] == 1.0
     assert scores.volume_error == 0.0
-    assert list(scores.nse) == [3600, 86400]
 
 
 def test_gaps_say_nothing_of_a_level() -> None:
@@ -54,21 +53,14 @@ def test_gaps_say_nothing_of_a_level() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step_s", "times"),
-    [(60, [60, 3600, 86400]), (3600, [3600, 86400]), (21600, [21600, 86400]), (86400, [86400])],
+    ("step_s", "times"), [(60, [60, 3600, 86400]), (21600, [21600, 86400])]
 )
 def test_sums_shorter_than_a_step_are_not_scored(step_s: int, times: list[int]) -> None:
     seconds = step_s * np.arange(200)
     measured = np.random.default_rng(1).random(200)
     scores = score("runoff", "fit", 0.9 * measured, measured, seconds, float(step_s))
     assert list(scores.nse) == list(scores.kge) == times
-
-
-def test_volume() -> None:
-    seconds = 300 * np.arange(4)
-    simulated, measured = np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0])
-    scores = score("runoff", "fit", simulated, measured, seconds, 300.0)
-    assert scores.volume_error == pytest.approx(0.3)
+    assert scores.volume_error == pytest.approx(-0.1)
 
 
 @pytest.mark.parametrize(

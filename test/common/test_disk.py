@@ -43,21 +43,17 @@ def test_what_waits_is_done_in_order_and_what_finds_no_room_is_counted() -> None
     assert disk.wait(TOO_LONG_S) and done == [0, 1, 2, 5]
 
 
-def test_the_newest_waits_once() -> None:
+def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     disk, hangs, newest = DiskThread(), threading.Event(), Newest()
     assert disk.do(hangs.wait)
+    disk.do(partial(int, "x"))
     for value in range(100):
         newest.value = value
         assert disk.do(newest.write)
     hangs.set()
     assert disk.wait(TOO_LONG_S) and newest.written == [99]
-
-
-def test_a_mistake_in_one_job_ends_no_other(capfd: pytest.CaptureFixture[str]) -> None:
-    disk, newest = DiskThread(), Newest()
-    disk.do(partial(int, "x"))
-    disk.do(newest.write)
-    assert disk.wait(TOO_LONG_S) and newest.written == [0]
     assert "ValueError" in capfd.readouterr().err
 
 
@@ -72,9 +68,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert Kept(file).read() == {"a": 1.5, "b": -0.1}
 
 
-@pytest.mark.parametrize(
-    "content", ["", "[1.0]", '{"a": "1.0"}', '{"a": NaN}', '{"a": true}', "\0\1"]
-)
+@pytest.mark.parametrize("content", ["[1.0]", '{"a": NaN}', '{"a": true}', "\0\1"])
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "numbers.json"
     file.write_text(content)

@@ -1,4 +1,4 @@
-"""What the fitted roof is held against: SWMM as its authors calibrated it, and a bucket."""
+"""What the fitted roof is compared with: SWMM as its authors calibrated it, and a bucket."""
 
 from __future__ import annotations
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import csv
 import lzma
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,25 +21,17 @@ from greenroof_ros.model.site import Site
 STEP_S = 300
 
 
-@dataclass(frozen=True)
-class Roof:
-    """A measured roof.
-
-    Attributes:
-        name: of its files.
-        rain: file of its rain, and of its runoff.
-        runoff: the same.
-        area: m2.
-        soil: depth of the substrate (m), as the SWMM model of the roof has it.
-        latitude: degrees.
-        longitude: degrees.
-    """
+class Roof(NamedTuple):
+    """A measured roof; its files begin with its name."""
 
     name: str
     rain: str
+    """file of its rain"""
     runoff: str
     area: float
+    """m2"""
     soil: float
+    """depth of the substrate (m), as the SWMM model of the roof has it"""
     latitude: float
     longitude: float
 

@@ -56,7 +56,10 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_it_is_worth(site: Path) -> None:
-    """Sums to the forecasts' end: as issued twice the water and a larger error, dressed neither."""
+    """Sums to the forecasts' end: as issued twice the water and a larger error, dressed neither.
+
+    Dressed ones are an archive of ten members, scored by lead like any other.
+    """
     rows = [line.split() for line in (site / "said.txt").read_text().splitlines() if " h " in line]
     assert [row[0] for row in rows[:2]] == ["12", "48"]
     for row in rows[:2]:
@@ -64,10 +67,6 @@ def test_what_it_is_worth(site: Path) -> None:
         assert issued == pytest.approx(2.0, abs=0.1)
         assert dressed == pytest.approx(1.0, abs=0.1)
         assert less < 0.6 * min(error, climate)
-
-
-def test_scores_of_dressed_forecasts(site: Path) -> None:
-    """They are an archive of ten members, scored by lead like any other."""
     done = command(
         site, "verify", "archive.csv", "--dressed", "dressed.csv", "--weather", "gauge.csv",
         "--horizon", "24", "-o", "scores.csv",
@@ -80,29 +79,15 @@ def test_scores_of_dressed_forecasts(site: Path) -> None:
     assert float(day["bias"]) == pytest.approx(1.0, abs=0.25)  # of one member
 
 
-def test_a_run_with_dressed_forecasts(site: Path) -> None:
-    """The controller has all members; the run keeps the file, and says that it was dressed."""
-    done = command(
-        site, "simulate", "--controller", "lookahead", "--horizon", "24",
-        "--weather", "gauge.csv", "--start", "2024-04-10T00:00+00:00", "--hours", "0.5",
-        "--forecast", "archive.csv", "--dressed", "dressed.csv", "--json",
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["forecast"] == {
-        "model": "file", "file": "archive.csv", "dressed": "dressed.csv",
-    }
-
-
 def test_a_study_with_dressed_forecasts(site: Path) -> None:
-    """A run of it has the deviation of the run by hand, the table says which; a file must be."""
-    grid = """
+    """A run of it has the deviation of the run by hand, and the table says which file it had."""
+    (site / "grid.yaml").write_text("""
         site: site.yaml
         weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}
         initial: low-low
         controllers: {lookahead: {horizon: 24.0, forecast: [
           archive.csv, {model: archive.csv, dressed: dressed.csv}]}}
-    """
-    (site / "grid.yaml").write_text(grid)
+    """)
     done = command(site, "study", "grid.yaml", "--no-trajectories", "--output", "study")
     assert done.returncode == 0, done.stderr
     with (site / "study" / "results.csv").open() as stream:
@@ -114,32 +99,25 @@ def test_a_study_with_dressed_forecasts(site: Path) -> None:
         "dressed.csv", "--json",
     )
     assert by_hand.returncode == 0, by_hand.stderr
-    deviation = json.loads(by_hand.stdout)["total_deviation_m3"]
+    summary = json.loads(by_hand.stdout)
+    assert summary["forecast"] == {
+        "model": "file", "file": "archive.csv", "dressed": "dressed.csv",
+    }
+    deviation = summary["total_deviation_m3"]
     assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
-    (site / "wrong.yaml").write_text(grid.replace("model: archive.csv", "model: errors"))
-    done = command(site, "study", "wrong.yaml")
-    assert done.returncode == 2
-    assert "dressed: is not known here" in " ".join(done.stderr.split())
 
 
-
-DRESS = ["verify", "--dress", "archive.csv", "--weather", "gauge.csv"]
-SCORE = ["verify", "archive.csv", "--weather", "gauge.csv"]
 WRONG = {
-    "model": (
-        ["verify", "--dress", "errors", "--weather", "gauge.csv", "-o", "new.csv"],
+    "a model": (
+        ["--dress", "errors", "-o", "new.csv"],
         "FORECASTS = 'errors': must be an archive with --dress: a model's forecasts are made of ",
     ),
-    "nowhere": (DRESS, "--output: must be given once with --dress: FILE.csv, for --dressed"),
-    "again": (
-        [*DRESS, "-o", "new.csv", "--dressed", "dressed.csv"], "--dressed: is for scores; --dress",
-    ),
-    "of a model": (
-        ["simulate", "--forecast", "errors", "--dressed", "dressed.csv"],
-        "--dressed = 'dressed.csv': is an option of a file; the forecast is errors",
+    "nowhere": (
+        ["--dress", "archive.csv"],
+        "--output: must be given once with --dress: FILE.csv, for --dressed",
     ),
     "other": (
-        [*SCORE, "--dressed", "gauge.csv"],
+        ["archive.csv", "--dressed", "gauge.csv"],
         "gauge.csv, line 1: 'time': the column must be 'issued': a file for --dressed is made by ",
     ),
 }
@@ -150,7 +128,7 @@ def test_wrong_use(site: Path, name: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
     before = sorted(site.iterdir())
     arguments, reason = WRONG[name]
-    done = command(site, *arguments)
+    done = command(site, "verify", *arguments, "--weather", "gauge.csv")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {reason}")
     assert sorted(site.iterdir()) == before

@@ -30,8 +30,7 @@ def cases(
 
 @pytest.mark.parametrize(
     ("hours", "last", "odd"),
-    [(8900, 0.45, True), (8900, 2.5, True), (8900, 0.7, False), (8900, 1.4, False),
-     (4000, 0.45, False)],
+    [(8900, 0.45, True), (8900, 2.5, True), (8900, 0.7, False), (4000, 0.45, False)],
 )
 def test_a_day_without_half_of_its_water(hours: int, last: float, odd: bool) -> None:
     """It is named, as GFS's fifth would be; what storms may do is not, nor less than a year.
