@@ -1,4 +1,4 @@
-"""CaSPAr's NetCDF, made here by its conventions: the header of its files, but for the size.
+"""CaSPAr's NetCDF, made here by its conventions: what is read of the header of its files.
 
 The header is that of 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and of a member of an
 ensemble, 2018030100_000.nc; what is missing at the first hour has the fill value of NetCDF.
