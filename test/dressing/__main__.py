@@ -57,13 +57,18 @@ def together(archives: list[Archive]) -> Archive:
     return replace(archives[0], source=Path("all as one ensemble"), issues=tuple(issues))
 
 
+def shortened(archive: Archive, hours: int) -> Archive:
+    """Return an archive to so many hours."""
+    return replace(archive, issues=tuple(
+        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
+    ))
+
+
 def archive(text: str) -> Archive:
     """Read an archive, to so many hours where the text says so."""
     path, _, hours = text.partition("@")
     found = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
-    length = int(hours or 10_000)
-    cut = tuple(replace(issue, rain=issue.rain[:, :length]) for issue in found.issues)
-    return replace(found, source=Path(Path(path).stem), issues=cut)
+    return shortened(replace(found, source=Path(Path(path).stem)), int(hours or 10_000))
 
 
 def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:

@@ -295,7 +295,6 @@ def test_r_of_a_mean_without_the_records() -> None:
     # Two that have 0.5 with each other: a mean varies by sqrt(3) / 2 of one.
     alike = agreement(np.array([0.4, 0.4]), np.array([[4.0, 2.0], [2.0, 4.0]]))
     assert alike.gain == pytest.approx(2 / math.sqrt(3))
-    assert alike.gain_of(2) == pytest.approx(2 / math.sqrt(3))
 
 
 def test_a_false_alarm_stays_one(rain: dict[int, Array]) -> None:
