@@ -36,7 +36,6 @@ from real_seasons.runs import (  # noqa: E402
 )
 from real_seasons.tables import Results, of_owner, of_period, present_hour, trust  # noqa: E402
 
-
 RUNS = (
     ("measured", YEAR), ("measured, target 39 mm", YEAR), ("measured", SEASON), ("paper", SEASON),
     ("measured", AUTUMN),
