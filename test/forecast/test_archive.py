@@ -11,7 +11,6 @@ import pytest
 import yaml
 from archives import write_runs
 from paper import PAPER_SITE, paper_run, weather_of
-from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
@@ -21,10 +20,6 @@ from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.study.grid import read_grid
 from greenroof_ros.weather.series import Weather
-
-GEM = DATA / "gem_global_previous_runs_2024-03.csv"
-SPRING = datetime.fromisoformat("2024-03-01T00:00+00:00")
-ANYWHERE = replace(PAPER_SITE, latitude=None, longitude=None, elevation=None)
 
 
 def weather_from(first: datetime, hours: int = 48) -> Weather:
@@ -60,13 +55,15 @@ def test_delay_in_half_hour_zones(tmp_path: Path) -> None:
         FileModel(archive, weather_from(first.replace(minute=0)), False)
 
 
-def test_before_the_first_is_known() -> None:
+def test_before_the_first_is_known(tmp_path: Path) -> None:
     """The message says from when on there is one."""
-    model = FileModel(read_archive(GEM, ANYWHERE), weather_from(SPRING), False)
-    needed = "known from 2024-03-01T06:00.00:00 on, but the run needs one at 2024-03-01T05:00"
+    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE)
+    first = datetime.fromisoformat("2021-07-06T00:00+00:00")
+    model = FileModel(archive, weather_from(first), False)
+    needed = "known from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
     with pytest.raises(ConfigurationError, match=needed):
-        model.known(5, 1)
-    assert model.known(6, 1)[0].shape == (1, 1)
+        model.known(23, 1)
+    assert model.known(24, 1)[0].shape == (1, 1)
 
 
 def test_late_rain(tmp_path: Path) -> None:

@@ -157,22 +157,6 @@ def test_nothing_of_its_own_weather() -> None:
     )
 
 
-def test_a_bias_is_removed() -> None:
-    """Of forecasts with 1.7 times the water, of all issues and of the wettest tenth."""
-    rain = showers(500 * 24, 7)
-    given = archive(forecasts(rain, 12, 48, 8, skill=0.7))
-    dressing = learn(given, record(rain), 48)
-    dressed = dress(given, dressing)
-    assert dressed.members == MEMBERS
-    fell = dressing.fell.sum(axis=1)
-    said = np.array([one.rain.sum() for one in given.issues])
-    means = np.array([one.rain.sum(axis=1).mean() for one in dressed.issues])
-    assert said.mean() / fell.mean() == pytest.approx(1.7, rel=0.05)
-    assert means.mean() / fell.mean() == pytest.approx(1.0, rel=0.05)
-    wettest = said > np.quantile(said, 0.9)
-    assert means[wettest].mean() / fell[wettest].mean() == pytest.approx(1.0, rel=0.1)
-
-
 def test_no_skill_is_climatology() -> None:
     """Forecasts that are always the same are as good as all that fell; ties are drawn by lot."""
     rain = showers(700 * 24, 9)

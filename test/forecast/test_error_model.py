@@ -292,21 +292,6 @@ def test_r_of_a_mean_without_the_records() -> None:
     found = agreement(directly.alone, covariance)
     assert found.mean == pytest.approx(directly.mean, rel=1e-12)
     assert found.pairs == pytest.approx(directly.pairs, rel=1e-12)
-    # Two that have 0.5 with each other: a mean varies by sqrt(3) / 2 of one.
-    alike = agreement(np.array([0.4, 0.4]), np.array([[4.0, 2.0], [2.0, 4.0]]))
-    assert alike.gain == pytest.approx(2 / math.sqrt(3))
-
-
-def test_a_false_alarm_stays_one(rain: dict[int, Array]) -> None:
-    """What one issue has wrong the next has, too: errors of an hour correlate by 0.7 and more."""
-    weather = season_weather(2019, rain[2019])
-    model = ErrorModel(weather, 2, REAL)
-    one, other = [], []
-    for issue in range(1, 4000, 18):
-        truth = rain[2019][issue + 24 : issue + 30]
-        one.extend(model.known(issue, 30)[0][0][24:] - truth)
-        other.extend(model.known(issue + 6, 24)[0][0][18:] - truth)
-    assert np.corrcoef(one, other)[0, 1] > 0.6
 
 
 def test_the_same_in_any_order(rain: dict[int, Array]) -> None:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_command
-from graphs import bag_file, bring_up, environment
+from graphs import bag_file, bring_up
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -81,7 +80,8 @@ def test_means_are_those_of_every_second(
     """Every step of every member against the mean of its seconds, one by one."""
     chance = np.random.default_rng(seed)
     weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
-    model = Drawn(chance.uniform(0, 20, (2, 30)), chance.uniform(0, 9, 30))
+    rain = chance.uniform(0, 20, (2, 30)) * (chance.random((2, 30)) < 0.5)
+    model = Drawn(rain, chance.uniform(0, 9, 30))
     site = site_with(tau=float(tau))
     start = MIDNIGHT + timedelta(seconds=offset)
     edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
@@ -98,38 +98,12 @@ def test_means_are_those_of_every_second(
             means = [part.mean() for part in np.split(rates, edges[1:-1].astype(int))]
             got = forecast.precipitation(tick)[member]
             assert list(got) == pytest.approx([mean / 3.6e6 for mean in means], rel=1e-9)
+            assert min(got) >= 0.0  # not below it by rounding, which the nodes would refuse
         rates = np.where(
             lead > 0, evapotranspiration[lead], weather.evapotranspiration[present]
         )
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, edges[1:-1].astype(int))]
         assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
-
-
-def test_forecasts_of_nothing_are_nothing() -> None:
-    """No step is below 0 by rounding, which the nodes would refuse."""
-    run = paper_run(
-        "--controller", "anticipating_onoff", "--forecast", "errors", "--forecast-skill", "worse",
-        "--hours", "60",
-    )
-    for tick in range(0, run.steps + 1, 997):
-        assert min(run.forecast.precipitation(tick)) >= 0.0
-        assert min(run.forecast.evapotranspiration(tick)) >= 0.0
-
-
-def test_whom_the_perfect_forecast_stays_the_same_for() -> None:
-    """For the M ticks it is the weather itself; with errors they are means that come to that."""
-    perfect, errors = paper_run().forecast, paper_run("--forecast", "errors").forecast
-    assert isinstance(perfect, PerfectForecast)
-    assert isinstance(errors, SteppedForecast)
-    # Until the last ten seconds of an hour only the present is looked at.
-    for tick in (0, 3600 * 2, 3600 * 3 - 10):
-        assert len(perfect.precipitation(tick)) == 10
-        assert list(perfect.precipitation(tick)) == pytest.approx(
-            list(errors.precipitation(tick)), rel=1e-9
-        )
-        assert list(perfect.evapotranspiration(tick)) == pytest.approx(
-            list(errors.evapotranspiration(tick)), rel=1e-9
-        )
 
 
 CHANCE = np.random.default_rng(11)
@@ -162,9 +136,11 @@ def test_any_order(tau: float, horizon: float, members: int) -> None:
 @pytest.mark.parametrize("tau", [0.7, 613.0])
 def test_perfect_forecast_is_the_series(tau: float) -> None:
     """M ticks of it from each tick on, and its own each time: who changes it changes no other."""
-    site, steps = site_with(tau=tau), int(12 * 3600 / tau)
-    series = WeatherSeries(drawn(30), site, MIDNIGHT + timedelta(minutes=37), steps)
-    forecast = PerfectForecast(series, site.M)
+    site, steps, weather = site_with(tau=tau), int(12 * 3600 / tau), drawn(30)
+    start = MIDNIGHT + timedelta(minutes=37)
+    series = WeatherSeries(weather, site, start, steps)
+    forecast = make_forecast(weather, series, site, start, 0.0, ForecastChoice())
+    assert isinstance(forecast, PerfectForecast)
     edge = int(23 * 60 / tau)  # the first hour of the clock ends 23 minutes after the start
     for tick in [*range(max(0, edge - 15), min(edge + 5, steps + 1)), 0, steps]:
         for ahead, values in (
@@ -293,19 +269,6 @@ def test_same_seed_same_forecast_in_any_run() -> None:
 # --- ensembles ---------------------------------------------------------------------------------
 
 
-def test_member_zero_is_the_single_forecast() -> None:
-    """Of the same seed, bit for bit; the others differ from it and from each other in the rain."""
-    weather = weather_of(np.random.default_rng(3).uniform(0, 9, 60))
-    skill = read_skill("real")
-    single, members = ErrorModel(weather, 11, skill), ErrorModel(weather, 11, skill, 6)
-    for hour in (0, 6, 20):
-        (one, dry), (all_of_them, all_dry) = single.known(hour, 30), members.known(hour, 30)
-        assert one.shape == (1, 30) and all_of_them.shape == (6, 30)
-        assert one[0].tobytes() == all_of_them[0].tobytes()
-        assert dry.tobytes() == all_dry.tobytes()
-        assert len({member.tobytes() for member in all_of_them}) == 6
-
-
 def test_who_gets_which_members() -> None:
     """Member 0 alone, flat, or all of them as rows."""
     options = ("--controller", "anticipating_onoff", "--horizon", "12", "--forecast-seed", "9")
@@ -321,6 +284,7 @@ def test_who_gets_which_members() -> None:
         # As it comes out of a message: numpy's sums follow the order in memory.
         assert isinstance(members, np.ndarray) and members.flags.c_contiguous
         assert [members[0].tobytes(), both(everything, tick)[1]] == both(run.forecast, tick)
+        assert len({member.tobytes() for member in members}) == 4
 
 
 # --- files -------------------------------------------------------------------------------------
@@ -498,15 +462,3 @@ def test_the_graph_is_given_the_same(
         length = len(forecast(0))
         expected = [struct.pack(f"<{length}d", *forecast(tick)) for tick in range(run.steps + 1)]
         assert arrays_of(tmp_path / "run", topic, length) == expected, topic
-
-
-def test_wrong_parameters_of_the_node(domain: int, tmp_path: Path) -> None:
-    """Exit code 2, one clear message."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    done = run_command(
-        "nodes.weather", "--ros-args", "-p", "forecast:=perfekt",
-        cwd=tmp_path, env=environment(domain),
-    )
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr
-    assert "parameter forecast of weather = 'perfekt': must be one of perf" in done.stderr

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_command
-from graphs import environment
+from paper import paper_run
 from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -255,23 +256,13 @@ def test_march_2021() -> None:
     assert series.precipitation_in_frost == 0.0  # eight hours of snow, none of it measurable
 
 
-def test_nothing_is_pumped_in_frost(tmp_path: Path) -> None:
+def test_nothing_is_pumped_in_frost() -> None:
     """A night in March with a dry roof, until the thaw at 23:00: on/off would pump at once."""
-    output = tmp_path / "run.csv"
-    result = run_command(
-        "simulate", "--controller", "onoff",
-        "--weather", str(DATA / "en_climate_hourly_03-2021.csv"),
-        "--start", "2021-03-02T22:00", "--hours", "2", "--trajectory", str(output),
-        "--output", str(tmp_path / "run"),
-        cwd=tmp_path, env=environment(0),
+    run = paper_run(
+        "--controller", "onoff", "--weather", str(DATA / "en_climate_hourly_03-2021.csv"),
+        "--start", "2021-03-02T22:00", "--hours", "2",
     )
-    assert result.returncode == 0, result.stderr
-    assert "FROST" in result.stdout
-    with output.open() as stream:
-        names = stream.readline().strip().split(",")
-        ticks = np.loadtxt(stream, delimiter=",")
-    frost = ticks[:, names.index("frost")] == 1
-    command = ticks[:, names.index("command")]
-    assert frost[0]
-    assert command[frost].max() == 0
-    assert command[~frost].max() == 1.0
+    ticks = list(closed_loop(run, run.make_controller(), Metrics()))
+    assert max(tick.command for tick in ticks if tick.frost) == 0
+    assert ticks[3600].frost == 0
+    assert ticks[3600].command == 1.0
