@@ -5,7 +5,7 @@ ARCHIVES is a directory with the previous runs of three services and the gauge's
 on/off, and ``lookahead`` with a forecast of no rain; in May to October also of each service, of the
 three as one ensemble, of a placebo, and a perfect one: as issued, with trust that is learned, and
 dressed by the same record without the days around each issue. Each run is a file in DIR; the same
-command goes on where it was. Prints tables in Markdown.
+command goes on where it was. Prints tables in Markdown, the first of what dressing does to sums.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
 the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues of 35 days
@@ -24,6 +24,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
 
+from real_seasons import dressing  # noqa: E402
 from real_seasons.inputs import AUTUMN, SEASON, YEAR, Inputs, Period  # noqa: E402
 from real_seasons.runs import (  # noqa: E402
     DRESSED,
@@ -69,6 +70,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         inputs = Inputs(arguments.archives, Path(scratch))
+        print(*dressing.table(inputs), sep="\n", flush=True)
         for roof, period in RUNS:
             found: Results = {}
             for case in cases(roof, period):

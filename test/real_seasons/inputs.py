@@ -11,7 +11,7 @@ from datetime import datetime, timedelta, timezone
 from functools import cached_property
 from pathlib import Path
 
-from dressing.__main__ import shortened, together
+import numpy as np
 from places import CONFIG
 
 from greenroof_ros.forecast.dressing import dress, learn
@@ -101,10 +101,10 @@ class Inputs:
             )
             for short, name in SERVICES.items()
         }
-        services["GFS"] = shortened(services["GFS"], 96)
+        services["GFS"] = _shortened(services["GFS"], 96)
         gem = services["GEM"]
         return {
-            "three": together(list(services.values())),
+            "three": _together(list(services.values())),
             "placebo": _shifted(gem),
             **services,
             "no rain": replace(
@@ -134,6 +134,25 @@ def _gauge(file: Path, site: Site) -> str:
             dries = monthly[begins.month - 1] * _half_sine(begins.hour)
             lines.append(f"{begins.isoformat()},{rain},{dries:.4f}")
     return "\n".join([*lines, ""])
+
+
+def _shortened(archive: Archive, hours: int) -> Archive:
+    """Return an archive to so many hours."""
+    return replace(archive, issues=tuple(
+        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
+    ))
+
+
+def _together(archives: Sequence[Archive]) -> Archive:
+    """Return the issues that all have at one time, as one ensemble of what is as long in all."""
+    by_time = [{issue.issued: issue for issue in archive.issues} for archive in archives]
+    issues = []
+    for issue in archives[0].issues:
+        alike = [times[issue.issued] for times in by_time if issue.issued in times]
+        if len(alike) == len(archives):
+            hours = min(one.hours for one in alike)
+            issues.append(replace(issue, rain=np.vstack([one.rain[:, :hours] for one in alike])))
+    return replace(archives[0], issues=tuple(issues))
 
 
 def _shifted(archive: Archive) -> Archive:
