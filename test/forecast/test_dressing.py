@@ -132,31 +132,6 @@ def test_analogs_as_by_plain_counting() -> None:
         np.testing.assert_allclose(found, brute(issues, rain, start, 60), rtol=1e-9, atol=1e-9)
 
 
-def test_nothing_of_its_own_weather() -> None:
-    """What was forecast and what fell within ten days of an issue of 120 h changes nothing."""
-    rain = showers(200 * 24, 5)
-    issues = forecasts(rain, 12, 120, 6, skill=0.5)
-    start = 100 * 24
-    before = learn(archive(issues), record(rain), 120)
-    members = before.members(hours_since_1970(FIRST) + start, issues[start])
-    near = range(start - 120, start + 240)  # all hours less than five days from its own
-    flooded = rain.copy()
-    flooded[near.start : near.stop] = 50.0
-    wrong = {
-        at: np.full_like(one, 20.0) if abs(at - start) < 240 and at != start else one
-        for at, one in issues.items()
-    }
-    after = learn(archive(wrong), record(flooded), 120)
-    assert not np.array_equal(before.fell, after.fell)
-    again = after.members(hours_since_1970(FIRST) + start, issues[start])
-    np.testing.assert_array_equal(members, again)
-    other = start + 300
-    moved = after.members(hours_since_1970(FIRST) + other, issues[other])
-    assert not np.array_equal(
-        before.members(hours_since_1970(FIRST) + other, issues[other]), moved
-    )
-
-
 def test_no_skill_is_climatology() -> None:
     """Forecasts that are always the same are as good as all that fell; ties are drawn by lot."""
     rain = showers(700 * 24, 9)

@@ -47,15 +47,6 @@ def rain() -> dict[int, Array]:
 # --- the climate -------------------------------------------------------------------------------
 
 
-def test_rain_and_back() -> None:
-    """Every amount has its z, and z its amount; what is dry stays dry."""
-    amounts = np.array([1e-3, 0.2, 1.0, 25.4, 87.0, 499.0])
-    climate = REAL.climate
-    assert climate.rain(climate.normal(amounts)) == pytest.approx(amounts, rel=1e-12)
-    assert climate.rain(np.array([climate.threshold, -1.0, -40.0])).tolist() == [0.0] * 3
-    assert norm.sf(climate.threshold) == pytest.approx(climate.wet_share)
-
-
 def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
     """The file's constants are those that the fit finds, and their rain is that of the records.
 

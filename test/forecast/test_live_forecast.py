@@ -70,15 +70,6 @@ def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
     assert outlook.temperature == 14.0
 
 
-def test_the_gauge_stands_for_the_present_hour(tmp_path: Path) -> None:
-    """What is measured is not forecast."""
-    file = tmp_path / "forecast.csv"
-    write(file, SIX, [0.0, 3.6, 7.2])
-    outlook = live(file).at(SIX + timedelta(minutes=59, seconds=57), observed_rain=5e-6)
-    assert np.array(outlook.rain) == pytest.approx([5e-6] * 3 + [1e-6] * 7)
-    assert outlook.rain_now == 5e-6
-
-
 def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(tmp_path: Path) -> None:
     """Hours ahead, too, a simulated run is given what a live site is, whose gauge reads the rain.
 
@@ -102,6 +93,7 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(tmp_path: Path) 
         outlook = found.at(SIX + timedelta(minutes=minute), observed_rain=reading)
         assert np.array(run.precipitation(minute)) == pytest.approx(np.array(outlook.rain))
         assert np.array(run.precipitation(minute))[:, 0] == pytest.approx(reading)
+        assert outlook.rain_now == reading
 
 
 @pytest.mark.parametrize(

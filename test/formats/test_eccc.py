@@ -75,17 +75,6 @@ def test_quirks(tmp_path: Path) -> None:
     assert weather.evapotranspiration.max() > 1
 
 
-def test_short_gap_is_filled_and_reported(tmp_path: Path) -> None:
-    """Three hours of temperature between 18.0 at 6 h and 20.0 at 10 h: 18.5, 19.0, 19.5."""
-    gap = {"Temp (°C)": "", "Temp Flag": "M"}
-    weather = read_weather([write(tmp_path, day(h7=gap, h8=gap, h9=gap))], TORONTO)
-    assert weather.values["temperature"][6:11].tolist() == [18, 18.5, 19, 19.5, 20]
-    series = run(weather, "2021-07-01T00:00-05:00", 24)
-    assert series.filled == {
-        "temperature": ["2021-07-01T07:00-05:00 to 2021-07-01T09:00-05:00 (3 hours)"]
-    }
-
-
 def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
     """The service repeats the last value there: 12.5 for ever is no dew point."""
     stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}

@@ -188,7 +188,7 @@ def test_single_run(tmp_path: Path) -> None:
     (issue,) = archive.issues
     assert issue.issued.isoformat() == "2024-06-01T12:00:00+00:00"
     assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # beyond its horizon there is nothing
-    later = tmp_path / "gem_2024060113.json"
+    later = tmp_path / "gem-2024-06-01T13.json"
     file.rename(later)
     (issue,) = read_archive(later, BUDVA).issues
     assert issue.issued.isoformat() == "2024-06-01T13:00:00+00:00"
@@ -208,13 +208,6 @@ def test_ensemble_of_runs(tmp_path: Path) -> None:
     assert (first.issued.hour, second.issued.hour) == (12, 18)
     assert first.rain.tolist() == [[0.0] * 11, [1.0] * 11, [2.0] * 11]
     assert second.rain.tolist() == [[0.0] * 5, [2.0] * 5, [4.0] * 5]
-    lines = ["time,precipitation (mm),precipitation_member01 (mm)"]
-    lines += [f"{time},0.0,{number}.5" for number, time in enumerate(TIMES)]
-    head = "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation"
-    file = tmp_path / "gem-2024-06-01T13.csv"
-    file.write_text("\n".join([head, "42.25,18.875,5.0,0,GMT,GMT", "", *lines, ""]))
-    (issue,) = read_archive(file, BUDVA).issues
-    assert issue.rain.tolist() == [[0.0] * 4, [2.5, 3.5, 4.5, 5.5]]
 
 
 # --- what is refused ---------------------------------------------------------------------------

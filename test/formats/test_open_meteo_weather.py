@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -88,14 +87,6 @@ def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
     assert weather.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
     assert weather.shifted == ("precipitation",)
     assert np.isnan(weather.evapotranspiration).all()  # which then needs whole days
-
-
-def test_times_are_at_the_offset_of_the_header(tmp_path: Path) -> None:
-    """Half an hour, too; the site's own does not matter."""
-    values = "43.620384,-79.41748,77.0,19800,Asia/Kolkata,GMT+5:30"
-    weather = read_weather([write(tmp_path, values=values)], TORONTO)
-    assert weather.first.isoformat() == "2021-07-07T10:00:00+05:30"
-    assert weather.end - weather.first == timedelta(hours=5)
 
 
 def test_one_offset_over_a_change_of_daylight_saving_time(tmp_path: Path) -> None:
