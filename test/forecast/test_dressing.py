@@ -1,4 +1,4 @@
-"""Analogs: as by plain counting, without leakage or bias, climatology without skill; files."""
+"""Analogs: as by definition, and climatology without skill; files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paper import weather_of
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
@@ -17,6 +18,7 @@ from greenroof_ros.forecast.dressing import (
     MEMBERS,
     Dressing,
     dress,
+    dress_issue,
     dressing_text,
     learn,
     read_dressing,
@@ -32,8 +34,7 @@ Array = np.ndarray
 
 def record(rain: Array) -> Weather:
     """Return hourly records of rain from the first hour on."""
-    values = {"precipitation": rain, "evapotranspiration": np.zeros(len(rain))}
-    return Weather((Path("gauge.csv"),), FIRST, values, "given")
+    return weather_of(rain, 0.0, FIRST)
 
 
 def archive(issues: dict[int, Array]) -> Archive:
@@ -53,13 +54,13 @@ def showers(hours: int, seed: int) -> Array:
 
 
 def forecasts(
-    rain: Array, every: int, hours: int, seed: int, bias: float = 1.7, skill: float = 1.0
+    rain: Array, every: int, hours: int, seed: int, skill: float = 1.0
 ) -> dict[int, Array]:
     """Return issues that know a share of the rain to come, and have too much water."""
     rng = np.random.default_rng(seed)
     others = rng.permutation(len(rain) - hours)
     return {
-        start: bias * (
+        start: 1.7 * (
             skill * rain[start : start + hours]
             + (1 - skill) * rain[others[start] : others[start] + hours]
         )[None, :] * rng.gamma(4.0, 0.25)
@@ -73,49 +74,31 @@ def learnt() -> Dressing:
     return learn(archive(forecasts(rain, 24, 24, 14)), record(rain), 30)
 
 
-def brute(issues: dict[int, Array], rain: Array, start: int, hours: int) -> list[list[float]]:
-    """Return the members of an issue, by the definition and in plain Python."""
-    edges = [edge for edge in (0, 6, 12, 24, 48, 72, 120) if edge < hours] + [hours]
+def by_definition(issues: dict[int, Array], rain: Array, start: int, hours: int) -> list[Array]:
+    """Return the members of an issue, one step after the other."""
+    edges = [*(edge for edge in (0, 6, 12, 24, 48, 72, 120) if edge < hours), hours]
     blocks = list(itertools.pairwise(edges))
+    # Nothing that was forecast, and nothing that fell, within five days of the issue's own hours.
     past = [at for at in issues if abs(at - start) >= hours + 120 and at + hours <= len(rain)]
-
-    def said(at: int, block: tuple[int, int]) -> float:
-        members = issues[at].tolist()
-        return sum(sum(member[block[0] : block[1]]) for member in members) / len(members)
-
-    def line(block: tuple[int, int]) -> tuple[float, float, float]:
-        x = [said(at, block) for at in past]
-        y = [float(sum(rain[at + block[0] : at + block[1]])) for at in past]
-        mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-        slope = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
-        slope /= sum((a - mean_x) ** 2 for a in x)
-        slope = min(max(slope, 0.0), mean_y / mean_x)
-        return mean_y - slope * mean_x, slope, 0.1 * mean_y
-
-    lines = {block: line(block) for block in blocks}
-
-    def expected(at: int, block: tuple[int, int]) -> float:
-        intercept, slope, least = lines[block]
-        return max(intercept + slope * said(at, block), least)
-
-    ratios = {
-        at: [expected(start, block) / expected(at, block) for block in blocks] for at in past
-    }
+    said = {at: [issues[at][:, a:b].sum(axis=1).mean() for a, b in blocks] for at in issues}
+    fell = {at: [rain[at + a : at + b].sum() for a, b in blocks] for at in past}
+    expected: dict[int, list[float]] = {at: [] for at in issues}
+    for block in range(len(blocks)):
+        x, y = (np.array([sums[at][block] for at in past]) for sums in (said, fell))
+        slope = np.clip(np.cov(x, y)[0, 1] / np.var(x, ddof=1), 0.0, y.mean() / x.mean())
+        for at in issues:
+            line = y.mean() + slope * (said[at][block] - x.mean())
+            expected[at].append(max(line, 0.1 * y.mean()))
+    ratios = {at: np.divide(expected[start], expected[at]) for at in past}
     chosen: list[int] = []
-    for at in sorted(past, key=lambda at: sum(math.log(ratio) ** 2 for ratio in ratios[at])):
+    for at in sorted(past, key=lambda at: (np.log(ratios[at]) ** 2).sum()):
         if len(chosen) < 10 and all(abs(at - other) >= 48 for other in chosen):
             chosen.append(at)
-    return [
-        [
-            float(rain[at + hour]) * min(max(ratio, 0.25), 4.0)
-            for (low, high), ratio in zip(blocks, ratios[at], strict=True)
-            for hour in range(low, high)
-        ]
-        for at in chosen
-    ]
+    factors = [np.repeat(np.clip(ratios[at], 0.25, 4.0), np.diff(edges)) for at in chosen]
+    return [rain[at : at + hours] * each for at, each in zip(chosen, factors, strict=True)]
 
 
-def test_analogs_as_by_plain_counting() -> None:
+def test_analogs_are_as_by_definition() -> None:
     """Lines, distances, choice and corrected members of an ensemble's issues."""
     rain = showers(120 * 24, 1)
     single, other = (forecasts(rain, 12, 60, seed, skill=0.6) for seed in (2, 3))
@@ -129,7 +112,8 @@ def test_analogs_as_by_plain_counting() -> None:
     assert dressing.edges == (0, 6, 12, 24, 48, 60)
     for start in (0, 1200, 2784):
         found = dressing.members(hours_since_1970(FIRST) + start, issues[start])
-        np.testing.assert_allclose(found, brute(issues, rain, start, 60), rtol=1e-9, atol=1e-9)
+        expected = by_definition(issues, rain, start, 60)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_no_skill_is_climatology() -> None:
@@ -174,17 +158,11 @@ def test_rain_that_stands_an_hour_late() -> None:
 
 def test_evapotranspiration_goes_on() -> None:
     """It stays that of the issue, and after its end that of its last day."""
-    rain = showers(90 * 24, 11)
-    given = archive(forecasts(rain, 24, 30, 12))
-    given = replace(given, issues=tuple(
-        replace(one, evapotranspiration=np.arange(30.0)) for one in given.issues
-    ))
-    dressed = dress(given, learn(given, record(rain), 60))
-    expected = [*range(30), *range(6, 30), *range(6, 12)]
-    for one in dressed.issues:
-        assert one.evapotranspiration is not None
-        assert one.evapotranspiration.tolist() == expected
-        assert one.rain.shape == (MEMBERS, 60)
+    issue = Issue(FIRST, Path("live.csv"), None, np.ones((1, 24)), np.arange(24.0))
+    dressed = dress_issue(issue, learnt())
+    assert dressed.evapotranspiration is not None
+    assert dressed.evapotranspiration.tolist() == [*range(24), *range(6)]
+    assert dressed.rain.shape == (MEMBERS, 30)
 
 
 def test_a_file_is_read_as_written(tmp_path: Path) -> None:
@@ -293,5 +271,5 @@ def test_too_few_issues() -> None:
     late = replace(given, issues=tuple(
         replace(one, issued=one.issued + 1000 * HOUR) for one in given.issues
     ))
-    with pytest.raises(ConfigurationError, match=r"has no issue after which gauge.csv has 24 h"):
+    with pytest.raises(ConfigurationError, match=r"has no issue after which drawn.csv has 24 h"):
         learn(late, record(rain), 24)
