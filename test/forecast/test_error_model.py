@@ -174,20 +174,20 @@ def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
 
 
 def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
-    """Without wetness it rains in nine members, two days ahead, as often and as much as it did.
+    """Without wetness it rains in nine members, a day ahead, as often and as much as it did.
 
-    A few storms make the amount: over five seasons it scatters by some 10 %. What comes has each
+    A few storms make the amount, which scatters by more than 10 %. What comes has each
     rank among the members equally likely, wherever one of the ten has rain. Equal amounts, none
     that is, are told apart by lot. Of the days' sums, which are nearly independent, each rank has
     its tenth, within four standard errors.
     """
     found = []
-    for year in (2015, 2017, 2019, 2021, 2023):
-        members = days_ahead(year, rain[year], FAIR, 7, (2,), members=9)[2]
+    for year in (2015, 2019, 2023):
+        members = days_ahead(year, rain[year], FAIR, 7, (1,), members=9)[1]
         all_ten = np.vstack([rain[year], members]).reshape(10, -1, 24)
         found.append(all_ten[:, ~np.isnan(all_ten).any(axis=(0, 2))])
     all_ten = np.concatenate(found, axis=1)
-    assert (all_ten[1:] > 0).mean() == pytest.approx(REAL.climate.wet_share, rel=0.1)
+    assert (all_ten[1:] > 0).mean() == pytest.approx((all_ten[0] > 0).mean(), rel=0.1)
     assert all_ten[1:].mean() == pytest.approx(all_ten[0].mean(), rel=0.2)
     sums = all_ten.sum(axis=2)
     sums = sums[:, (sums > 0).any(axis=0)]

@@ -157,7 +157,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "variable": (
         {"edit": lambda dataset: dataset.renameVariable(RAIN, "HRDPS_P_TT_10000")},
-        f"must have one variable of precipitation, such as {RAIN}; it has time, rlon, rlat",
+        f"must have one variable of precipitation, such as {RAIN}; it has time, rlon, lon, rlat",
     ),
     "product": (
         {"product": "CaLDAS"}, "'CaLDAS_P_PR_SFC': must be of HRDPS, REPS, GEPS, GEPS_NA",
