@@ -199,19 +199,25 @@ def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
 
 
 @pytest.fixture(scope="module")
+def observed(rain: dict[int, Array]) -> Array:
+    """All seasons, one after the other."""
+    return np.concatenate(list(rain.values()))
+
+
+@pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
-    """What two members of ``real`` forecast of every season's hours, by days ahead."""
+    """What two members of ``real`` forecast of these hours, by days ahead."""
     days = (1, 2, 3, 4, 5)
     found = [days_ahead(year, season, REAL, 1, days, 2) for year, season in rain.items()]
     return {day: np.concatenate([season[day] for season in found], axis=1) for day in days}
 
 
-def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) -> None:
+def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
     Within the spread of the services, or so far from it as doc/explanation/forecasts.md says.
     """
-    spread, observed = services(), np.concatenate(list(rain.values()))
+    spread = services()
     for day in (1, 2, 3, 5):
         found = figures(ahead[day][0], observed)[:, :3]
         for row, hours in zip(found, SUMS, strict=True):
@@ -222,7 +228,7 @@ def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) ->
 
 
 def test_long_sums_are_no_better_known_than_services_know_them(
-    rain: dict[int, Array], ahead: dict[int, Array]
+    observed: Array, ahead: dict[int, Array]
 ) -> None:
     """Sums over 72 and 120 h: two members agree about as well as two services.
 
@@ -230,7 +236,6 @@ def test_long_sums_are_no_better_known_than_services_know_them(
     its sums over days would be too well known, since it takes what comes for one more member. They
     agree less, by 0.2 at most. Both know sums of days better than half days.
     """
-    observed = np.concatenate(list(rain.values()))
     for day in (2, 5):
         short = of_members(ahead[day], observed, 12, 2).pairs.mean()
         for hours in (72, 120):
