@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from archives import write_runs
-from paper import PAPER_SITE, paper_run, weather_of
+from paper import PAPER_SITE, weather_of
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.forecast.choice import choose
-from greenroof_ros.forecast.models import FileModel, make_model
+from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.study.grid import read_grid
@@ -119,29 +116,6 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
     wrong = r"8.csv, line 2: must have a column of evapotranspiration, or have none, as 7.csv"
     with pytest.raises(ConfigurationError, match=wrong):
         read_archive(tmp_path, PAPER_SITE)
-
-
-def test_a_run_by_an_archive(tmp_path: Path) -> None:
-    """A directory of runs is carried into the run's own, where the graph reads it again."""
-    source = write_runs(tmp_path / "runs")
-    options = (
-        "--controller", "anticipating_onoff", "--horizon", "12", "--hours", "2", "--forecast",
-        str(source),
-    )
-    run = paper_run(*options, "--forecast-delay", "0.5")
-    directory = make_run_directory(tmp_path / "run", "anticipating_onoff")
-    parameters = yaml.safe_load(write_configuration(directory, run, {}).read_text())
-    of_weather = parameters["/**/weather"]["ros__parameters"]
-    assert of_weather["forecast"] == str(tmp_path / "run" / "configuration" / "forecast" / "runs")
-    assert of_weather["forecast_delay"] == 0.5
-    copied = replace(choose(of_weather["forecast"]), delay=of_weather["forecast_delay"])
-    one, other = (
-        make_model(choice, run.weather, PAPER_SITE, False).known(5, 12)[0]
-        for choice in (run.forecast_choice, copied)
-    )
-    assert one.tobytes() == other.tobytes()
-    late = paper_run(*options)
-    assert late.forecast.precipitation(0)[-1] != run.forecast.precipitation(0)[-1]
 
 
 def test_a_study_by_an_archive(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archives import write_runs
 from graphs import bag_file, bring_up
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -440,24 +441,28 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
             "skill.yaml", {"model": "errors", "skill": "skill.yaml", "seed": 4},
         ),
         (
-            "--controller mpc --forecast archive.csv",
-            "forecast/archive.csv", {"model": "file", "file": "archive.csv"},
+            "--controller mpc --forecast runs --forecast-delay 0.5",
+            "forecast/runs/run_2021070700.json", {"model": "file", "file": "runs", "delay": 0.5},
         ),
     ],
 )
 def test_the_graph_is_given_the_same(
     domain: int, tmp_path: Path, options: str, carried: str, summary: dict[str, object]
 ) -> None:
-    """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
+    """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast.
+
+    The run carries its files, directories, too, and the graph reads these.
+    """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    archive(tmp_path)
+    write_runs(tmp_path / "runs")
     skill = shared_directory() / "config" / "forecasts" / "skill.yaml"
     (tmp_path / "skill.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.1"]
     assert bring_up(domain, tmp_path, *words)["forecast"] == summary
-    given, kept = tmp_path / Path(carried).name, tmp_path / "run" / "configuration" / carried
-    assert kept.read_bytes() == given.read_bytes()
-    run = paper_run(*(str(given) if word == given.name else word for word in words))
+    kept = tmp_path / "run" / "configuration" / carried
+    assert kept.read_bytes() == (tmp_path / carried.removeprefix("forecast/")).read_bytes()
+    own = ("runs", "skill.yaml")
+    run = paper_run(*(str(tmp_path / word) if word in own else word for word in words))
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),
         ("/forecast/evapotranspiration", run.forecast.evapotranspiration),

@@ -45,6 +45,12 @@ def write(
     draft.replace(path)
 
 
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """The site's file, which is not there yet."""
+    return tmp_path / "forecast.csv"
+
+
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
     found = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
@@ -52,12 +58,11 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
     return found
 
 
-def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
+def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     """At 07:59:57 three of the ten seconds are of the second hour, the rest of the third.
 
     3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day off 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
     outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
     assert outlook.issued == SIX
@@ -70,16 +75,15 @@ def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
     assert outlook.temperature == 14.0
 
 
-def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(tmp_path: Path) -> None:
+def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> None:
     """Hours ahead, too, a simulated run is given what a live site is, whose gauge reads the rain.
 
     Both take that reading for the rest of the hour, and the issue for all hours after it. Records
-    are hourly, so that in a run the reading never changes within the hour: the value of that is
-    measured by test/real_seasons.
+    are hourly, so that in a run the reading never changes within the hour: what that is worth is in
+    doc/running/real-seasons.md.
     """
     chance = np.random.default_rng(4)
     rain, fell = chance.gamma(0.2, 3.0, size=(3, 24)), chance.gamma(0.2, 3.0, size=24)
-    file = tmp_path / "forecast.csv"
     file.write_text(write_forecasts([Issue(SIX, file, None, rain, np.full(24, 2.0))]))
     site, weather = site_with(tau=60.0, M=1), weather_of(fell, first=SIX)
     run = SteppedForecast(
@@ -104,9 +108,8 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(tmp_path: Path) 
         (-timedelta(seconds=1), 0.0, "is ahead"),
     ],
 )
-def test_no_forecast(tmp_path: Path, later: timedelta, horizon: float, words: str) -> None:
+def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
     """Too old, too short, of the future; a moment before, each is one."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     forecast = live(file, horizon)
     with pytest.raises(NoForecastError, match=words):
@@ -114,9 +117,8 @@ def test_no_forecast(tmp_path: Path, later: timedelta, horizon: float, words: st
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
 
 
-def test_a_file_is_read_again_when_it_is_replaced(tmp_path: Path) -> None:
+def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     """By another one, in place, or within the resolution of its time: once each."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     found = ForecastFile(file)
     assert found.look() and not found.look()
@@ -129,9 +131,8 @@ def test_a_file_is_read_again_when_it_is_replaced(tmp_path: Path) -> None:
     assert found.look() and not found.look()
 
 
-def test_a_broken_or_removed_file_keeps_the_old_one(tmp_path: Path) -> None:
+def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
     """The problem names file and line, and is over with the next good file."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     found = ForecastFile(file)
     found.look()
@@ -149,9 +150,8 @@ def test_a_broken_or_removed_file_keeps_the_old_one(tmp_path: Path) -> None:
     assert found.issues[0].issued == SIX + timedelta(hours=1)
 
 
-def test_a_file_must_have_evapotranspiration(tmp_path: Path) -> None:
+def test_a_file_must_have_evapotranspiration(file: Path) -> None:
     """There is no other record of it on a live site; and a file may be missing at the start."""
-    file = tmp_path / "forecast.csv"
     found = ForecastFile(file)
     assert not found.look()
     assert "cannot be read" in found.problem and found.issues == []
@@ -162,9 +162,8 @@ def test_a_file_must_have_evapotranspiration(tmp_path: Path) -> None:
     assert "must have a column 'evapotranspiration [mm/day]'" in found.problem
 
 
-def test_temperature_may_be_left_out(tmp_path: Path) -> None:
+def test_temperature_may_be_left_out(file: Path) -> None:
     """And so may be evapotranspiration beside it."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
     assert np.isnan(live(file).at(SIX).temperature)
     file.write_text(

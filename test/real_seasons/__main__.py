@@ -25,7 +25,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
 
 from real_seasons import dressing  # noqa: E402
-from real_seasons.inputs import AUTUMN, SEASON, YEAR, Inputs, Period  # noqa: E402
+from real_seasons.inputs import SEASON, YEAR, Inputs, Period  # noqa: E402
 from real_seasons.runs import (  # noqa: E402
     DRESSED,
     NO_RAIN,
@@ -35,21 +35,15 @@ from real_seasons.runs import (  # noqa: E402
     Case,
     write,
 )
-from real_seasons.tables import Results, of_owner, of_period, present_hour, trust  # noqa: E402
+from real_seasons.tables import Results, of_owner, of_period, trust  # noqa: E402
 
 RUNS = (
     ("measured", YEAR), ("measured, target 39 mm", YEAR), ("measured", SEASON), ("paper", SEASON),
-    ("measured", AUTUMN),
 )
 
 
 def cases(roof: str, period: Period) -> Iterator[Case]:
     """Yield the runs of a period on a roof."""
-    if period is AUTUMN:
-        yield Case(roof, period, "three")
-        yield Case(roof, period, "placebo")
-        yield Case(roof, period, "three", hour=False)
-        return
     yield Case(roof, period, ONOFF_NAME)
     yield Case(roof, period, NO_RAIN, trusts=False)
     if period is YEAR:
@@ -80,7 +74,7 @@ def main() -> None:
                     print(file, file=sys.stderr, flush=True)
                 found[case] = json.loads(file.read_text(encoding="utf-8"))
             print(f"\n## {roof}, {period.words}")
-            for lines in (of_period(found), trust(found), present_hour(found), of_owner(found)):
+            for lines in (of_period(found), trust(found), of_owner(found)):
                 print("", *lines, sep="\n", flush=True)
 
 

@@ -57,7 +57,6 @@ class Period:
 # As far as the archives go, and a season that begins with a dry roof.
 YEAR = Period("20 February to 31 December", datetime(2024, 2, 20, 12, tzinfo=timezone.utc), 7548.0)
 SEASON = Period("May to October", datetime(2024, 5, 1, tzinfo=timezone.utc), 4416.0)
-AUTUMN = Period("September and October", datetime(2024, 9, 1, tzinfo=timezone.utc), 1464.0)
 
 
 class Inputs:

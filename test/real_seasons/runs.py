@@ -7,7 +7,6 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from real_seasons.inputs import Inputs, Period
 
 from greenroof_ros.controllers.registry import find_controller
@@ -15,8 +14,7 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import Known, Rain, SteppedForecast
-from greenroof_ros.formats.records import HOUR
+from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
@@ -39,8 +37,6 @@ class Case:
     form: str = ISSUED
     trusts: bool = True
     """whether trust is learned; otherwise the forecast is trusted in full"""
-    hour: bool = True
-    """whether the gauge's rain in this minute counts as the whole hour's"""
 
     @property
     def name(self) -> str:
@@ -48,7 +44,6 @@ class Case:
         words = [self.source]
         words += [] if self.form == ISSUED else [self.form]
         words += ["trusted in full"] if not self.trusts and self.source in SOURCES else []
-        words += [] if self.hour else ["the hour as forecast"]
         return ", ".join(words)
 
     def file(self, directory: Path) -> Path:
@@ -58,22 +53,6 @@ class Case:
             for words in (f"{self.roof} {self.period.words}", self.name)
         )
         return directory / place / f"{name}.json"
-
-
-class HourAsForecast(SteppedForecast):
-    """Knows what falls in this moment, and of the rest of the hour the forecast."""
-
-    def _known_in(self, hour: int) -> Known:
-        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
-        issued = self._weather.first + hour * HOUR
-        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
-
-    def precipitation(self, tick: int) -> Rain:
-        """Return the means of the steps (m/s), the first of them observed."""
-        rain = np.array(super().precipitation(tick))
-        hour = int((self._offset + tick * self._site.tau) // 3600)
-        rain[..., 0] = self._weather.precipitation[hour] / 3.6e6
-        return rain
 
 
 def write(case: Case, inputs: Inputs, file: Path) -> None:
@@ -118,8 +97,7 @@ def _built(case: Case, inputs: Inputs) -> Run:
     archive = (
         inputs.dressed(case.roof, case.source) if dressed else inputs.issued[case.source]
     )
-    known = SteppedForecast if case.hour else HourAsForecast
-    return replace(run, forecast=known(
+    return replace(run, forecast=SteppedForecast(
         FileModel(archive, weather, all_members=True), weather, site, run.start,
         growing_steps(parameters["horizon"]), run.steps, all_members=True,
     ))

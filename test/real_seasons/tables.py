@@ -57,7 +57,7 @@ def of_period(results: Results) -> Iterator[str]:
     """Yield a row for each source, with the gain over on/off, over no rain, and of perfect's."""
     weeks = {
         (case.source, case.form, case.trusts): np.array(found["weeks"])
-        for case, found in results.items() if case.hour
+        for case, found in results.items()
     }
     onoff = weeks.get((ONOFF_NAME, ISSUED, True))
     dry, perfect = (weeks.get((source, ISSUED, False)) for source in (NO_RAIN, PERFECT))
@@ -88,18 +88,6 @@ def trust(results: Results) -> Iterator[str]:
                 f"- {case.name}: fully trusted on {(days == 1).sum()} of {len(days)} days, at "
                 f"least by {days.min():.0%}"
             )
-
-
-def present_hour(results: Results) -> Iterator[str]:
-    """Yield what it costs not to know the present hour to its end."""
-    for case, found in results.items():
-        if not case.hour:
-            known = next(
-                other["weeks"] for one, other in results.items()
-                if one.hour and (one.source, one.form) == (case.source, case.form)
-            )
-            cost = ratio(np.array(found["weeks"]), np.array(known))
-            yield f"- {case.name}: {cost} of the run that knows it"
 
 
 def of_owner(results: Results) -> Iterator[str]:
