@@ -120,7 +120,7 @@ def _weekly_sums(until: list[dict[str, float]]) -> dict[str, Array]:
         "deviated": added(lambda one: one["total_deviation_m3"] / one["mean_deviation_mm"]),
         "asked": added(lambda one: one["evapotranspiration_m3"] / one["evapotranspiration_ratio"]),
         "lost": added(lambda one: (
-            one["drainage_m3"] - (1 - one["rain_kept_share"]) * one["rain_roof_m3"]
+            one["drainage_m3"] - (1 - one.get("rain_kept_share", 0.0)) * one["rain_roof_m3"]
         )),
-        "kept": added(lambda one: one["rain_kept_share"] * one["rain_roof_m3"]),
+        "kept": added(lambda one: one.get("rain_kept_share", 0.0) * one["rain_roof_m3"]),
     }
