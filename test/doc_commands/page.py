@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -22,15 +21,10 @@ _LEAVE_S = 10.0
 
 
 def copy_of_checkout(to: Path) -> None:
-    """Copy what is committed or would be; ``.venv`` is that of the checkout."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=CHECKOUT, check=True, capture_output=True, text=True,
-    ).stdout
-    for name in filter(None, listed.split("\0")):
-        if (CHECKOUT / name).is_file():
-            (to / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(CHECKOUT / name, to / name)
+    """Copy what a clone has; ``.venv`` is that of the checkout."""
+    shutil.copytree(CHECKOUT, to, ignore=shutil.ignore_patterns(
+        ".?*", "__pycache__", "_build", "runs", "studies", "build", "install", "log"
+    ))
     (to / ".venv").symlink_to(Path(sys.prefix))
 
 
