@@ -35,7 +35,7 @@ from greenroof_ros.forecast.resampling import (
 from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, Issue
+from greenroof_ros.formats.records import HOUR, Archive, Issue
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -219,34 +219,27 @@ def test_persistence_without_a_day_before() -> None:
     assert (rain.tolist(), evapotranspiration.tolist()) == ([[3.0] * 4], [1.0] * 4)
 
 
-def lacking(missing: int, first: int) -> tuple[Weather, datetime, WeatherSeries]:
-    """Return weather without the rain of one hour, and a run of an hour from another one on."""
-    rain = np.ones(40)
-    rain[missing] = np.nan
-    weather, start = weather_of(rain), MIDNIGHT.replace(hour=first)
-    return weather, start, WeatherSeries(weather, PAPER_SITE, start, 3600)
-
-
 def test_missing_rain_is_not_guessed() -> None:
-    """A run is refused before it begins, though only a forecast would have needed the hour."""
-    weather, start, series = lacking(6, first=8)
-    with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T06:00\+"):
-        make_forecast(weather, series, PAPER_SITE, start, 0.0, ForecastChoice("persistence"))
-    with pytest.raises(ConfigurationError, match=r"drawn\.csv: precipitation is missing"):
-        ErrorModel(weather, 1, read_skill("real")).known(3, 9)
+    """A run is refused before it begins, though only a forecast would have needed the hour.
 
+    Rain that is missing after the run counts for those forecasts only that are made of it.
+    """
+    rain = np.ones(40)
+    rain[[6, 20]] = np.nan
+    weather = weather_of(rain)
 
-def test_rain_that_is_missing_after_the_run() -> None:
-    """It counts for those forecasts only that are made of it."""
-    weather, start, series = lacking(20, first=12)
-    for model in ("persistence", "perfect", "errors"):
-        choice = ForecastChoice(model)
-        make_forecast(weather, series, PAPER_SITE, start, 6.0, choice)
-        if model == "persistence":
-            make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
-        else:
-            with pytest.raises(ConfigurationError, match="missing at 2021-07-07T20:00"):
-                make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
+    def made(model: str, first: int, horizon: float) -> Forecast:
+        start = MIDNIGHT.replace(hour=first)
+        series = WeatherSeries(weather, PAPER_SITE, start, 3600)
+        return make_forecast(weather, series, PAPER_SITE, start, horizon, ForecastChoice(model))
+
+    with pytest.raises(ConfigurationError, match=r"drawn.csv: precipitation is .*2021-07-07T06:00"):
+        made("persistence", 8, 0.0)
+    assert made("persistence", 12, 12.0).repeats_from is None
+    for model in ("perfect", "errors"):
+        assert made(model, 12, 6.0).repeats_from is None
+        with pytest.raises(ConfigurationError, match="missing at 2021-07-07T20:00"):
+            made(model, 12, 12.0)
 
 
 # --- errors ------------------------------------------------------------------------------------
@@ -294,14 +287,8 @@ def test_who_gets_which_members() -> None:
 # --- files -------------------------------------------------------------------------------------
 
 
-def write(directory: Path, *lines: str) -> Path:
-    """Write a file of forecasts."""
-    path = directory / "archive.csv"
-    path.write_text("\n".join(["# Nowhere", *lines]) + "\n")
-    return path
-
-
 FORECASTS = (
+    "# Nowhere",
     "issued,time,member,precipitation [mm/h],evapotranspiration [mm/day]",
     "2021-07-07T02:00Z,2021-07-07T02:00Z,0,0.5,1.0",
     "2021-07-07T02:00Z,2021-07-07T02:00Z,1,1.5,9.0",
@@ -315,7 +302,8 @@ FORECASTS = (
 
 def test_read_back(tmp_path: Path) -> None:
     """The numbers as written; each issue from its time on, and past its end no rain."""
-    file = write(tmp_path, *FORECASTS)
+    file = tmp_path / "archive.csv"
+    file.write_text("\n".join(FORECASTS))
     first, second = read_forecasts(file)
     assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
     assert second.rain.tolist() == [[6.0], [7.0]]
@@ -338,27 +326,26 @@ def test_read_back(tmp_path: Path) -> None:
     assert model.repeats_from(6, 1) == MIDNIGHT.replace(hour=6)
 
 
-def test_past_its_end_a_day_is_like_the_last(tmp_path: Path) -> None:
+def archive_of(issue: Issue) -> Archive:
+    """Return an archive of one issue."""
+    return Archive(issue.file, "own form", (issue,), 0.0, (issue,))
+
+
+def test_past_its_end_a_day_is_like_the_last() -> None:
     """No rain, and each hour has the evapotranspiration of that hour in the issue's last day."""
-    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day]"]
-    start = MIDNIGHT.replace(hour=5)
-    lines += [
-        f"{start.isoformat()},{(start + timedelta(hours=hour)).isoformat()},3.0,{hour / 10}"
-        for hour in range(30)
-    ]
-    archive_ = read_archive(write(tmp_path, *lines), PAPER_SITE)
-    rain, evapotranspiration = FileModel(archive_, weather_of([0.0] * 40), False).known(25, 64)
+    start, hours = MIDNIGHT.replace(hour=5), np.arange(30) / 10
+    own = archive_of(Issue(start, Path("archive.csv"), None, np.full((1, 30), 3.0), hours))
+    rain, evapotranspiration = FileModel(own, weather_of([0.0] * 40), False).known(25, 64)
     assert rain.tolist() == [[3.0] * 10 + [0.0] * 54]
     day = [hour / 10 for hour in range(6, 30)]
     assert evapotranspiration.tolist() == (day[14:] + day * 3)[:64]
 
 
-def test_file_without_evapotranspiration(tmp_path: Path) -> None:
+def test_file_without_evapotranspiration() -> None:
     """That of the records counts as known, and is repeated past their end."""
-    lines = ["issued,time,precipitation [mm/h]"]
-    lines += [f"2021-07-07T00:00Z,2021-07-07T0{hour}:00Z,0.5" for hour in range(9)]
+    own = archive_of(Issue(MIDNIGHT, Path("archive.csv"), None, np.full((1, 9), 0.5)))
     weather = weather_of([0.1] * 6, np.arange(6.0))
-    model = FileModel(read_archive(write(tmp_path, *lines), PAPER_SITE), weather, True)
+    model = FileModel(own, weather, True)
     rain, evapotranspiration = model.known(4, 4)
     assert rain.tolist() == [[0.5] * 4]
     assert evapotranspiration.tolist() == [4.0, 5.0, 5.0, 5.0]
