@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from doc_commands.blocks import fences
 from places import CHECKOUT
+
+sys.path.append(str(CHECKOUT / "doc"))
+
+import generate
 
 DOC = CHECKOUT / "doc"
 PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
     *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
 ]
-
-
-@cache
-def generator() -> ModuleType:
-    """Return doc/generate.py."""
-    spec = importlib.util.spec_from_file_location("generate", DOC / "generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def name(path: Path) -> str:
@@ -62,7 +52,7 @@ def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
 def test_tables_are_those_of_the_package(page: Path) -> None:
     """'make docs' would write nothing else."""
     text = page.read_text()
-    assert generator().renew(text) == text
+    assert generate.renew(text) == text
 
 
 def test_commands_are_introduced_as_their_help_does() -> None:
@@ -119,7 +109,6 @@ def commands(page: Path) -> Iterator[list[str]]:
 @pytest.mark.parametrize("page", [page for page in PAGES if any(commands(page))], ids=name)
 def test_commands_can_be_given(page: Path) -> None:
     """The options of each command that is shown exist, and take such values."""
-    generate = generator()
     nodes = (DOC / "reference" / "nodes.md").read_text()
     for words in commands(page):
         if words[0] == "python":
@@ -147,7 +136,6 @@ def test_pictures_differ_in_their_colours_only() -> None:
 
 def test_drawings_are_those_of_the_interface() -> None:
     """'make docs' would draw nothing else."""
-    generate = generator()
     assert len(generate.WAYS) == 3
     for name, way in generate.WAYS.items():
         drawn = (DOC / "_static" / f"{name}.svg").read_text()

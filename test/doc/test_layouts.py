@@ -1,4 +1,4 @@
-"""The layouts of config/layouts/ against the interface, and against a bag."""
+"""The layouts of config/layouts/ against the interface."""
 
 from __future__ import annotations
 
