@@ -60,8 +60,8 @@ def least_possible(options: str) -> float:
 def test_headline_numbers(command: str, options: str, shown: str, tmp_path: Path) -> None:
     """The deviation to the digit, and how many times the least possible it is.
 
-    The study of the paper tests ``mpc``. Beside the paper's hours only on/off is run; for the others
-    the ratio must belong to the number beside it.
+    The study of the paper tests ``mpc``. Beside the paper's hours only on/off is run; otherwise the
+    ratio must belong to the number beside it.
     """
     number, _, ratio = shown.partition(" ")
     least = least_possible(options)

@@ -176,10 +176,10 @@ def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
 def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
     """Without wetness it rains in nine members, a day ahead, as often and as much as it did.
 
-    A few storms make the amount, which scatters by more than 10 %. What comes has each
-    rank among the members equally likely, wherever one of the ten has rain. Equal amounts, none
-    that is, are told apart by lot. Of the days' sums, which are nearly independent, each rank has
-    its tenth, within four standard errors.
+    A few storms make the amount, which scatters by more than 10 %. Among the members what comes is
+    equally likely to have any rank, wherever one of the ten has rain. Days without rain are ranked
+    by lot. The days' sums are nearly independent: each rank has its tenth of them, within four
+    standard errors.
     """
     found = []
     for year in (2015, 2019, 2023):

@@ -48,7 +48,7 @@ _Z = 1.96  # of an interval of 95 %
 _interrupted: list[int] = []  # signals that came
 
 
-# Columns of the tables: the outcome of a folder's sample, at the end the share of survivors with its
+# Columns of the tables: the outcome of a folder's sample, with the share of survivors and its
 # interval; and a mutant that no test noticed.
 Row = namedtuple("Row", "folder mutants seed sampled killed survived timeouts share low high")
 Survivor = namedtuple("Survivor", "folder module line operator diff")
