@@ -177,9 +177,9 @@ def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
     """Without wetness it rains in nine members, a day ahead, as often and as much as it did.
 
     A few storms make the amount, which scatters by more than 10 %. Among the members what comes is
-    equally likely to have any rank, wherever one of the ten has rain. Days without rain are ranked
-    by lot. The days' sums are nearly independent: each rank has its tenth of them, within four
-    standard errors.
+    equally likely to have any rank, wherever one of the ten has rain. Equal amounts, such as none,
+    are ranked by lot. The days' sums are nearly independent: each rank has its tenth of them,
+    within four standard errors.
     """
     found = []
     for year in (2015, 2019, 2023):
