@@ -109,7 +109,8 @@ bench: $(FOR_BENCH)
 	@$(BIN)/python test/bench.py
 
 doc-commands: $(FOR_TEST)
-	@$(BIN)/python test/doc_commands $(ARGS)
+	@GREENROOF_ROS_TEST_DOCS=1 $(BIN)/python -m pytest test/doc/test_commands.py -k as_written \
+	    -v -rs -o timeout=14400 $(ARGS)
 
 # Goes on where it was ended; when all is done, the table of the documentation is made again.
 faults: $(FOR_TEST)

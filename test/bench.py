@@ -15,11 +15,11 @@ import sys
 import tempfile
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 from graphs import environment, own_domain
-from places import CHECKOUT
+from markdown_tables import head, row
+from places import CONFIG
 
 ROUNDS = 5
 HOURS = 2
@@ -70,7 +70,7 @@ def echo(role: str) -> None:
 
 def measure_echo(domain: int) -> float:
     """Return the round trip between two processes (s)."""
-    command = [sys.executable, __file__, "--echo"]
+    command = [sys.executable, __file__]
     answerer = subprocess.Popen(
         [*command, "answerer"], env=environment(domain), stderr=subprocess.DEVNULL
     )
@@ -85,10 +85,9 @@ def measure_echo(domain: int) -> float:
     return float(done.stdout)
 
 
-def measure_graph(domain: int, *arguments: str, checkout: Path = CHECKOUT) -> float:
+def measure_graph(domain: int, *arguments: str) -> float:
     """Return a tick of the whole graph (s): bringup on a terminal, so that it draws its bar."""
     environ = {**environment(domain), "TERM": "xterm"}
-    environ["PYTHONPATH"] = os.pathsep.join([str(checkout), environ["PYTHONPATH"]])
     with tempfile.TemporaryDirectory() as directory:
         leader, follower = pty.openpty()
         drain = threading.Thread(target=_drain, args=(leader,), daemon=True)
@@ -114,20 +113,20 @@ def _drain(leader: int) -> None:
         return
 
 
-def simulated(*options: str) -> tuple[float, dict[str, float]]:
-    """Return a tick of ``simulate`` (s), controller, plant and metrics, and its solver's times."""
+def measure_mpc() -> float:
+    """Return a tick of ``simulate`` (s): controller, plant and metrics."""
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
 
     parser = argparse.ArgumentParser()
-    add_run_arguments(parser, options)
-    run = run_from_arguments(parser.parse_args(options))
+    add_run_arguments(parser, [])
+    run = run_from_arguments(parser.parse_args([]))
     controller = run.make_controller()
     began = time.perf_counter()
     for _ in closed_loop(run, controller, Metrics()):
         pass
-    return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
+    return (time.perf_counter() - began) / run.steps
 
 
 def measure_study() -> float:
@@ -158,11 +157,10 @@ def measure_do_mpc(steps: int = 30) -> float:
     import do_mpc
     import numpy as np
 
-    from greenroof_ros.common.files import shared_directory
     from greenroof_ros.model.initial_state import initial_state
     from greenroof_ros.model.site import read_site
 
-    site = read_site(shared_directory() / "config" / "site.yaml")
+    site = read_site(CONFIG / "site.yaml")
     model: Any = do_mpc.model.Model("discrete")
     x1, x2 = model.set_variable("_x", "x1"), model.set_variable("_x", "x2")
     u = model.set_variable("_u", "u")
@@ -212,94 +210,47 @@ def measure_do_mpc(steps: int = 30) -> float:
     return (time.perf_counter() - began) / steps
 
 
-def compare(old: Path) -> None:
-    """Measure a tick of this code and of another checkout in turns, and print both."""
-    ticks: dict[Path, list[float]] = {CHECKOUT: [], old: []}
-    trips: list[float] = []
-    with own_domain() as domain:
-        for number in range(ROUNDS):
-            trips.append(measure_echo(domain))
-            # Now one first, now the other: a machine that warms up or fills favours neither.
-            for checkout in sorted(ticks, reverse=number % 2 == 1):
-                ticks[checkout].append(measure_graph(domain, checkout=checkout))
-    print("| tick (us) | median | in echo round trips | rounds |\n|---|---|---|---|")
-    for checkout, values in ticks.items():
-        median, rounds = statistics.median(values), ", ".join(f"{v * 1e6:.0f}" for v in values)
-        trip = statistics.median(trips)
-        print(f"| {checkout} | {median * 1e6:.0f} | {median / trip:.2f} | {rounds} |")
-    ratios = [new / before for new, before in zip(ticks[CHECKOUT], ticks[old], strict=True)]
-    print(f"\nthis code / the other: {statistics.median(ratios):.3f}, of rounds "
-          + ", ".join(f"{ratio:.3f}" for ratio in ratios))
+MEASURED = {
+    "tick": "tick of the whole graph / echo round trip of two processes",
+    "bare": "the same without the recorder",
+    "record": "tick with / without recorder",
+    "roof_tick": "tick of the whole graph, measured roof / the paper's",
+    "do_mpc": "do-mpc step / MPC step of `simulate`",
+    "study": "study of 30 runs / (one MPC run alone x 15 / cores)",
+}
 
 
-def measure_all() -> None:
+def main() -> None:
     """Measure in rounds and print the table of doc/performance.md."""
-    rows: dict[str, list[float]] = {
-        "tick": [], "bare": [], "record": [], "roof_tick": [], "do_mpc": [], "roof": [],
-        "mean": [], "p99": [], "study": [],
-    }
-    roof_site = ("--site", str(CHECKOUT / "config" / "site_neubrandenburg.yaml"))
+    rows: dict[str, list[float]] = {key: [] for key in MEASURED}
     with own_domain() as domain:
         for number in range(ROUNDS):
             trip = measure_echo(domain)
             recorded = measure_graph(domain)
             bare = measure_graph(domain, "--no-record")
-            roof_tick = measure_graph(domain, *roof_site)
-            again = measure_echo(domain)
-            (step, mpc), peer = simulated(), measure_do_mpc()
-            roof, _ = simulated(*roof_site)
-            _, lookahead = simulated("--controller", "lookahead", "--horizon", "12")
-            yardstick = (trip + again) / 2
+            roof_tick = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
+            yardstick = (trip + measure_echo(domain)) / 2
+            step, peer = measure_mpc(), measure_do_mpc()
             rows["tick"].append(recorded / yardstick)
             rows["bare"].append(bare / yardstick)
             rows["record"].append(recorded / bare)
             rows["roof_tick"].append(roof_tick / recorded)
             rows["do_mpc"].append(peer / step)
-            rows["roof"].append(roof / step)
-            rows["mean"].append(lookahead["mean_s"] / mpc["mean_s"])
-            rows["p99"].append(lookahead["p99_s"] / mpc["p99_s"])
             rows["study"].append(measure_study())
             print(
                 f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
                 f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
-                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us; decisions (mean, 99 %) "
-                f"of mpc {mpc['mean_s'] * 1e6:.0f}, {mpc['p99_s'] * 1e6:.0f} us, "
-                f"of lookahead {lookahead['mean_s'] * 1e6:.0f}, {lookahead['p99_s'] * 1e6:.0f} us",
+                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
-    print("| measured beside each other | median | rounds |\n|---|---|---|")
-    for key, name in (
-        ("tick", "tick of the whole graph / echo round trip of two processes"),
-        ("bare", "the same without the recorder"),
-        ("record", "tick with / without recorder"),
-        ("roof_tick", "tick of the whole graph, measured roof / the paper's"),
-        ("do_mpc", "do-mpc step / MPC step of `simulate`"),
-        ("roof", "MPC step of `simulate`, measured roof / the paper's"),
-        ("mean", "a tick's decision, lookahead / mpc, over 12 h: mean"),
-        ("p99", "the same: what 99 % of the ticks stay below"),
-        ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),
-    ):
+    print(head(["measured beside each other", "median", "rounds"]))
+    for key, name in MEASURED.items():
         values = ", ".join(f"{value:.2f}" for value in rows[key])
-        print(f"| {name} | {statistics.median(rows[key]):.2f} | {values} |")
-
-
-def main() -> None:
-    """Measure what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--against", type=Path, metavar="CHECKOUT",
-        help="only a tick of the graph, of this code and of another checkout of it, in turns",
-    )
-    parser.add_argument("--echo", choices=["caller", "answerer"], help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    sys.path.insert(0, str(CHECKOUT))
-    if arguments.echo is not None:
-        echo(arguments.echo)
-    elif arguments.against is not None:
-        compare(arguments.against.resolve())
-    else:
-        measure_all()
+        print(row([name, f"{statistics.median(rows[key]):.2f}", values]))
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        echo(sys.argv[1])
+    else:
+        main()

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from doc_commands.blocks import fences
 from places import CHECKOUT
+
+sys.path.append(str(CHECKOUT / "doc"))
+
+import generate
 
 DOC = CHECKOUT / "doc"
 PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
     *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
 ]
-
-
-def generator() -> ModuleType:
-    """Return doc/generate.py."""
-    spec = importlib.util.spec_from_file_location("generate", DOC / "generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def name(path: Path) -> str:
@@ -54,11 +46,13 @@ def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
     assert named == [("page", each) for each in phrases], done.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if "<!-- table: " in page.read_text()], ids=name
+)
 def test_tables_are_those_of_the_package(page: Path) -> None:
     """'make docs' would write nothing else."""
     text = page.read_text()
-    assert generator().renew(text) == text
+    assert generate.renew(text) == text
 
 
 def test_commands_are_introduced_as_their_help_does() -> None:
@@ -100,39 +94,36 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(path), link
 
 
-def commands() -> Iterator[tuple[str, str]]:
-    """Yield each command of this package in a block of a page, and the page."""
-    for page in map(name, PAGES):
-        for _, language, block in fences(page):
-            if language not in ("sh", "text"):
-                continue
-            for line in block.replace("\\\n", " ").splitlines():
-                command = line.strip().partition(" > ")[0]
-                ours = command.startswith(("greenroof ", "python -m greenroof_ros."))
-                if ours and "$" not in command:
-                    yield page, command
+def commands(page: Path) -> Iterator[list[str]]:
+    """Yield the words of each command of this package in a block of a page."""
+    for _, language, block in fences(name(page)):
+        if language not in ("sh", "text"):
+            continue
+        for line in block.replace("\\\n", " ").splitlines():
+            command = line.strip().partition(" > ")[0]
+            ours = command.startswith(("greenroof ", "python -m greenroof_ros."))
+            if ours and "$" not in command:
+                yield shlex.split(command.removesuffix("&"), comments=True)
 
 
-@pytest.mark.parametrize(("page", "command"), list(commands()))
-def test_commands_can_be_given(page: str, command: str) -> None:
+@pytest.mark.parametrize("page", [page for page in PAGES if any(commands(page))], ids=name)
+def test_commands_can_be_given(page: Path) -> None:
     """The options of each command that is shown exist, and take such values."""
-    words = shlex.split(command.removesuffix("&"), comments=True)
-    if words[0] == "python":
-        module, arguments = words[2], words[3:]
-        assert module.startswith("greenroof_ros.nodes."), "a command is greenroof's"
-        table = (CHECKOUT / "doc" / "reference" / "nodes.md").read_text()
-        section = table.split(f"### {module.rpartition('.')[2]}\n")[1].split("### ")[0]
-        assert arguments[0] == "--ros-args"
-        for given in arguments[2::2]:
-            assert f"| `{given.partition(':=')[0]}` |" in section
-        return
-    generate = generator()
-    name = words[1] if words[1] in generate.COMMANDS else " ".join(words[1:3])
-    arguments = words[1 + len(name.split()):]
-    if page == "doc/reference/commands.md":  # the usage, with names in place of values
-        assert name in generate.COMMANDS
-        return
-    generate.parser_of(name, arguments).parse_args(arguments)
+    nodes = (DOC / "reference" / "nodes.md").read_text()
+    for words in commands(page):
+        if words[0] == "python":
+            module, ros, *given = words[2:]
+            assert module.startswith("greenroof_ros.nodes."), "a command is greenroof's"
+            section = nodes.split(f"### {module.rpartition('.')[2]}\n")[1].split("### ")[0]
+            assert ros == "--ros-args"
+            for each in given[1::2]:
+                assert f"| `{each.partition(':=')[0]}` |" in section
+            continue
+        command = words[1] if words[1] in generate.COMMANDS else " ".join(words[1:3])
+        assert command in generate.COMMANDS, words
+        arguments = words[1 + len(command.split()) :]
+        if name(page) != "doc/reference/commands.md":  # the usage, with names in place of values
+            generate.parser_of(command, arguments).parse_args(arguments)
 
 
 def test_pictures_differ_in_their_colours_only() -> None:
@@ -145,7 +136,6 @@ def test_pictures_differ_in_their_colours_only() -> None:
 
 def test_drawings_are_those_of_the_interface() -> None:
     """'make docs' would draw nothing else."""
-    generate = generator()
     assert len(generate.WAYS) == 3
     for name, way in generate.WAYS.items():
         drawn = (DOC / "_static" / f"{name}.svg").read_text()

@@ -35,39 +35,21 @@ class Note:
     after: str = ""
     ready: list[str] = field(default_factory=list)
     then_s: float = 0.0
-    says: list[str] = field(default_factory=list)
     says_not: list[str] = field(default_factory=list)
-    exits: int = 0
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block of commands on a page.
-
-    Attributes:
-        page: its file, from the top of the checkout.
-        line: of the page, where it begins.
-        commands: as written.
-        note: what running it takes.
-    """
+    """A block of commands, as written on a page of the checkout from a line on, and its note."""
 
     page: str
     line: int
     commands: str
     note: Note
 
-    @property
-    def first(self) -> str:
-        """Its first line."""
-        return self.commands.partition("\n")[0]
-
 
 def read_notes() -> dict[str, list[Note]]:
-    """Return the notes of each page.
-
-    Raises:
-        TypeError: a note has a key that there is not.
-    """
+    """Return the notes of each page; a key that there is not is a TypeError."""
     content: dict[str, list[dict[str, Any]]] = yaml.safe_load(NOTES.read_text(encoding="utf-8"))
     return {page: [Note(**note) for note in notes] for page, notes in content.items()}
 

@@ -39,12 +39,10 @@ class Outcome:
 
     Attributes:
         output: what was printed.
-        seconds: how long it took.
         failures: a sentence each; empty where all went as documented.
     """
 
     output: str
-    seconds: float
     failures: list[str]
 
 
@@ -74,7 +72,7 @@ class Terminal:
         self._until([_PROMPT], 30)
 
     def run(
-        self, commands: str, ready: Sequence[str] = (), then_s: float = 0.0, exits: int = 0,
+        self, commands: str, ready: Sequence[str] = (), then_s: float = 0.0,
         limit_s: float = _TAKES_S,
     ) -> Outcome:
         """Run a block of commands to its end.
@@ -84,9 +82,7 @@ class Terminal:
             ready: of each command that never ends what it prints when it is ready: then Ctrl-C.
             then_s: how long each goes on before Ctrl-C (s).
             limit_s: the most that it may take (s).
-            exits: the exit code with which its commands may end, beside 0.
         """
-        began = time.monotonic()
         script = self._directory / ".block.sh"
         script.write_text(commands, encoding="utf-8")
         self._type("source ./.block.sh")
@@ -115,14 +111,14 @@ class Terminal:
         if found is None:
             os.killpg(os.tcgetpgrp(self._master), signal.SIGKILL)
             output += self._until([_PROMPT], _CTRL_C_TAKES_S)[0]
-        expected = {0, exits} | (_INTERRUPTED if ready else set())
+        expected = _INTERRUPTED if ready else {0}
         for code, command in _FAILED.findall(output):
             if int(code) not in expected and not command.startswith("source ./.block.sh"):
                 failures.append(f"exit code {code}: {command}")
         failures += _JOB_FAILED.findall(output)
         if "Traceback (most recent call last)" in output:
             failures.append("a traceback")
-        return Outcome(_FAILED.sub("", output), time.monotonic() - began, failures)
+        return Outcome(_FAILED.sub("", output), failures)
 
     def close(self) -> list[str]:
         """End what runs in the background by Ctrl-C and close; return what did not end."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from forecast_skill.agreement import agreement, of_members
+from forecast_skill.agreement import agreement, of_members, of_services
 from forecast_skill.figures import (
     SUMS,
     TIP,
@@ -46,15 +45,6 @@ def rain() -> dict[int, Array]:
 
 
 # --- the climate -------------------------------------------------------------------------------
-
-
-def test_rain_and_back() -> None:
-    """Every amount has its z, and z its amount; what is dry stays dry."""
-    amounts = np.array([1e-3, 0.2, 1.0, 25.4, 87.0, 499.0])
-    climate = REAL.climate
-    assert climate.rain(climate.normal(amounts)) == pytest.approx(amounts, rel=1e-12)
-    assert climate.rain(np.array([climate.threshold, -1.0, -40.0])).tolist() == [0.0] * 3
-    assert norm.sf(climate.threshold) == pytest.approx(climate.wet_share)
 
 
 def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
@@ -107,9 +97,6 @@ def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None
     part = NormalRecords(REAL.climate, season[1234:4000], first + 1234)
     middle = np.arange(600, 2100)
     assert part.at(middle).tobytes() == whole.at(middle + 1234).tobytes()
-    other_way = NormalRecords(REAL.climate, season, first)
-    assert np.array([other_way.at(np.array([hour]))[0] for hour in (4400, 3001, 5, 2999)]).tobytes(
-    ) == whole.at(np.array([4400, 3001, 5, 2999])).tobytes()
     assert np.isfinite(whole.at(np.arange(len(season)))).all()
 
 
@@ -144,11 +131,7 @@ def skill_file(directory: Path, old: str, new: str) -> Path:
     ("old", "new", "words"),
     [
         ("memory: 8", "memory: -8", "climate.memory = -8.4: must be from 0.5 to 24"),
-        ("  memory:", "  memorie:", "climate.memorie = 8.4: is no key here; did you mean memory?"),
         ("  wetness: ", "# wetness: ", "errors.wetness: is missing: by how much too often"),
-        ("timing: ", "timing: two # ", "errors.timing = 'two': must be a number"),
-        ("errors:", "error:", "error = "),
-        ("errors:", "errors: [", "skill.yaml, line"),
     ],
 )
 def test_wrong_skill_files(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -178,7 +161,7 @@ def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
     for name in SKILLS:
         model = ErrorModel(weather, 1, read_skill(name), 5)
         errors = np.zeros(13)
-        for issue in range(1, 4000, 12):
+        for issue in range(1, 4000, 24):
             forecast = model.known(issue, 13)[0]
             truth = rain[2018][issue : issue + 13]
             assert forecast[:, 0] == pytest.approx(truth[0], rel=1e-9)
@@ -190,63 +173,53 @@ def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
         assert (of_skill[1:4].sum() < of_skill[10:].sum()) == (name != "none")
 
 
+def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
+    """Without wetness it rains in nine members, a day ahead, as often and as much as it did.
+
+    A few storms make the amount, which scatters by more than 10 %. Among the members what comes is
+    equally likely to have any rank, wherever one of the ten has rain. Equal amounts, such as none,
+    are ranked by lot. The days' sums are nearly independent: each rank has its tenth of them,
+    within four standard errors.
+    """
+    found = []
+    for year in (2015, 2019, 2023):
+        members = days_ahead(year, rain[year], FAIR, 7, (1,), members=9)[1]
+        all_ten = np.vstack([rain[year], members]).reshape(10, -1, 24)
+        found.append(all_ten[:, ~np.isnan(all_ten).any(axis=(0, 2))])
+    all_ten = np.concatenate(found, axis=1)
+    assert (all_ten[1:] > 0).mean() == pytest.approx((all_ten[0] > 0).mean(), rel=0.1)
+    assert all_ten[1:].mean() == pytest.approx(all_ten[0].mean(), rel=0.2)
+    sums = all_ten.sum(axis=2)
+    sums = sums[:, (sums > 0).any(axis=0)]
+    lots = np.random.default_rng(1).random(sums.shape)
+    ranks = np.argmax(np.lexsort((lots, sums), axis=0) == 0, axis=0)
+    days = sums.shape[1]
+    shares = np.bincount(ranks, minlength=10) / days
+    assert shares == pytest.approx(np.full(10, 0.1), abs=4 * math.sqrt(0.09 / days))
+
+
 @pytest.fixture(scope="module")
-def fair(rain: dict[int, Array]) -> dict[int, Array]:
-    """Five seasons and nine members' forecasts of one and five days ahead, without wetness.
-
-    By day, the hours that have both, in whole days; shape (1 + members, days, 24).
-    """
-    found: dict[int, list[Array]] = {1: [], 5: []}
-    for year in (2015, 2017, 2019, 2021, 2023):
-        ahead = days_ahead(year, rain[year], FAIR, 7, (1, 5), members=9)
-        for day, members in ahead.items():
-            both = np.vstack([rain[year], members]).reshape(10, -1, 24)
-            found[day].append(both[:, ~np.isnan(both).any(axis=(0, 2))])
-    return {day: np.concatenate(both, axis=1) for day, both in found.items()}
-
-
-def test_as_much_rain_as_there_is(fair: dict[int, Array]) -> None:
-    """Without wetness, at each lead: as often as the climate has it, and as much as fell.
-
-    A few storms make the amount: over so many seasons it scatters by some 10 %.
-    """
-    for both in fair.values():
-        assert (both[1:] > 0).mean() == pytest.approx(REAL.climate.wet_share, rel=0.1)
-        assert both[1:].mean() == pytest.approx(both[0].mean(), rel=0.2)
-
-
-def test_what_comes_is_like_one_more_member(fair: dict[int, Array]) -> None:
-    """Its rank among nine members is equally likely to be any, wherever one of the ten has rain.
-
-    Equal amounts, none that is, are told apart by lot. Of the days' sums, which are nearly
-    independent, each rank has its tenth, within four standard errors.
-    """
-    chance = np.random.default_rng(1)
-    for both in fair.values():
-        sums = both.sum(axis=2)
-        sums = sums[:, (sums > 0).any(axis=0)]
-        days = sums.shape[1]
-        ranks = np.argmax(np.lexsort((chance.random(sums.shape), sums), axis=0) == 0, axis=0)
-        shares = np.bincount(ranks, minlength=10) / days
-        assert shares == pytest.approx(np.full(10, 0.1), abs=4 * math.sqrt(0.09 / days))
+def observed(rain: dict[int, Array]) -> Array:
+    """All seasons, one after the other."""
+    return np.concatenate(list(rain.values()))
 
 
 @pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
-    """What skill ``real`` forecast of every season's hours, by days ahead, NaN where nothing."""
+    """What two members of ``real`` forecast of these hours, by days ahead."""
     days = (1, 2, 3, 4, 5)
-    found = [days_ahead(year, season, REAL, 1, days) for year, season in rain.items()]
-    return {day: np.concatenate([season[day][0] for season in found]) for day in days}
+    found = [days_ahead(year, season, REAL, 1, days, 2) for year, season in rain.items()]
+    return {day: np.concatenate([season[day] for season in found], axis=1) for day in days}
 
 
-def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) -> None:
+def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
     Within the spread of the services, or so far from it as doc/explanation/forecasts.md says.
     """
-    spread, observed = services(), np.concatenate(list(rain.values()))
+    spread = services()
     for day in (1, 2, 3, 5):
-        found = figures(ahead[day], observed)[:, :3]
+        found = figures(ahead[day][0], observed)[:, :3]
         for row, hours in zip(found, SUMS, strict=True):
             low, high = (how(spread[day, hours][:, :3], axis=0) for how in (np.min, np.max))
             assert (row > low - 0.1).all() and (row < high + 0.12).all(), (day, hours, row)
@@ -254,15 +227,39 @@ def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) ->
         assert found.mean(axis=0) == pytest.approx(middle, abs=0.09)
 
 
-def test_better_is_better(rain: dict[int, Array]) -> None:
-    """r of twelve hours, three days ahead, falls from skill to skill."""
-    found = []
-    for name in ("better", "real", "worse"):
-        skill = read_skill(name)
-        forecasts = [days_ahead(year, rain[year], skill, 3, (3,))[3][0] for year in (2017, 2023)]
-        observed = np.concatenate([rain[2017], rain[2023]])
-        found.append(figures(np.concatenate(forecasts), observed)[2, 0])
-    assert found[0] > found[1] > found[2]
+def test_long_sums_are_no_better_known_than_services_know_them(
+    observed: Array, ahead: dict[int, Array]
+) -> None:
+    """Sums over 72 and 120 h: two members agree about as well as two services.
+
+    Services agree to r of 0.72 to 0.89, which needs no gauge. If members of ``real`` agreed better,
+    its sums over days would be too well known, since it takes what comes for one more member. They
+    agree less, by 0.2 at most. Both know sums of days better than half days.
+    """
+    for day in (2, 5):
+        short = of_members(ahead[day], observed, 12, 2).pairs.mean()
+        for hours in (72, 120):
+            services = of_services(day, hours).pairs
+            pair = of_members(ahead[day], observed, hours, 2).pairs.mean()
+            assert services.min() - 0.2 < pair < services.max()
+            assert pair > short - 0.05
+            assert services.mean() > of_services(day, 12).pairs.mean()
+
+
+def test_none_knows_nothing_and_is_as_wet_as_services(rain: dict[int, Array]) -> None:
+    """A day ahead r is that of chance; it rains as often as in the climate, and no less."""
+    years, none = (2017, 2021), read_skill("none")
+    observed = np.concatenate([rain[year] for year in years])
+    members = np.concatenate(
+        [days_ahead(year, rain[year], none, 1, (1,), 2)[1] for year in years], axis=1
+    )
+    for hours in (12, 120):
+        found = of_members(members, observed, hours, 1)
+        assert found.mean == pytest.approx(0.0, abs=4 / np.sqrt(len(observed) / hours))
+    there = members[~np.isnan(members)]
+    assert (there > 0).mean() == pytest.approx(none.climate.wet_share, rel=0.1)
+    biases = np.concatenate([each[:, 3] for each in services().values()])
+    assert biases.min() < there.mean() / observed.mean() < biases.max() + 0.1
 
 
 def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
@@ -274,7 +271,7 @@ def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
     for row in rows("previous_runs_agreement.csv"):
         if row["sum_hours"] == "12":
             real.setdefault((int(row["day"]), int(row["other_day"])), []).append(float(row["r"]))
-    sums = {day: forecast.reshape(-1, 12).sum(axis=1) for day, forecast in ahead.items()}
+    sums = {day: each[0].reshape(-1, 12).sum(axis=1) for day, each in ahead.items()}
     for (day, other), found in real.items():
         both = ~np.isnan(sums[day]) & ~np.isnan(sums[other])
         agreement = np.corrcoef(sums[day][both], sums[other][both])[0, 1]
@@ -291,45 +288,17 @@ def test_r_of_a_mean_without_the_records() -> None:
     found = agreement(directly.alone, covariance)
     assert found.mean == pytest.approx(directly.mean, rel=1e-12)
     assert found.pairs == pytest.approx(directly.pairs, rel=1e-12)
-    # Two that have 0.5 with each other: a mean varies by sqrt(3) / 2 of one.
-    alike = agreement(np.array([0.4, 0.4]), np.array([[4.0, 2.0], [2.0, 4.0]]))
-    assert alike.gain == pytest.approx(2 / math.sqrt(3))
-    assert alike.gain_of(2) == pytest.approx(2 / math.sqrt(3))
-
-
-def test_a_false_alarm_stays_one(rain: dict[int, Array]) -> None:
-    """What one issue has wrong the next has, too: errors of an hour correlate by 0.7 and more."""
-    weather = season_weather(2019, rain[2019])
-    model = ErrorModel(weather, 2, REAL)
-    one, other = [], []
-    for issue in range(1, 4000, 6):
-        truth = rain[2019][issue + 24 : issue + 30]
-        one.extend(model.known(issue, 30)[0][0][24:] - truth)
-        other.extend(model.known(issue + 6, 24)[0][0][18:] - truth)
-    assert np.corrcoef(one, other)[0, 1] > 0.6
-
-
-def known(model: ErrorModel, asked: Sequence[tuple[int, int]]) -> dict[tuple[int, int], bytes]:
-    """Return what is known for each pair of an hour and a number of hours, as bytes."""
-    return {
-        (hour, hours): b"".join(part.tobytes() for part in model.known(hour, hours))
-        for hour, hours in asked
-    }
 
 
 def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
     """Whoever asks for whatever first, with a long horizon or a short one."""
     weather = season_weather(2020, rain[2020])
-    asked = [(hour, 60) for hour in range(500, 800, 7)]
-    forwards = known(ErrorModel(weather, 9, REAL, 4), asked)
-    backwards = known(ErrorModel(weather, 9, REAL, 4), asked[::-1])
-    assert forwards == backwards
     long, short = ErrorModel(weather, 9, REAL, 4), ErrorModel(weather, 9, REAL, 4)
-    for hour in (500, 3000, 777):
-        for one, other in zip(long.known(hour, 241), short.known(hour, 13), strict=True):
+    asked = (500, 3000, 777, 511)
+    backwards = {hour: short.known(hour, 13) for hour in asked[::-1]}
+    for hour in asked:
+        for one, other in zip(long.known(hour, 241), backwards[hour], strict=True):
             assert one[..., :13].tobytes() == other.tobytes()
-    alone = ErrorModel(weather, 9, REAL)
-    assert alone.known(777, 60)[0][0].tobytes() == long.known(777, 60)[0][0].tobytes()
 
 
 def test_evapotranspiration(rain: dict[int, Array]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE
+from paper import PAPER_SITE, site_with, weather_of
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
@@ -19,7 +19,12 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.forecast.models import FileModel
+from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import Issue
+from greenroof_ros.model.look_ahead import growing_steps
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
@@ -40,6 +45,12 @@ def write(
     draft.replace(path)
 
 
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """The site's file, which is not there yet."""
+    return tmp_path / "forecast.csv"
+
+
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
     found = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
@@ -47,12 +58,11 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
     return found
 
 
-def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
+def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     """At 07:59:57 three of the ten seconds are of the second hour, the rest of the third.
 
     3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day off 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
     outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
     assert outlook.issued == SIX
@@ -65,25 +75,29 @@ def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
     assert outlook.temperature == 14.0
 
 
-def test_the_gauge_stands_for_the_present_hour(tmp_path: Path) -> None:
-    """What is measured is not forecast."""
-    file = tmp_path / "forecast.csv"
-    write(file, SIX, [0.0, 3.6, 7.2])
-    outlook = live(file).at(SIX + timedelta(minutes=59, seconds=57), observed_rain=5e-6)
-    assert np.array(outlook.rain) == pytest.approx([5e-6] * 3 + [1e-6] * 7)
-    assert outlook.rain_now == 5e-6
+def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> None:
+    """Hours ahead, too, a simulated run is given what a live site is, whose gauge reads the rain.
 
-
-def test_growing_steps(tmp_path: Path) -> None:
-    """For who looks hours ahead: 1800 s from 4800 s on; three hours end 600 s after the third."""
-    file = tmp_path / "forecast.csv"
-    write(file, SIX, [0.0, 0.0, 0.0, 3.6])
-    outlook = live(file, horizon=3.0).at(SIX + timedelta(minutes=45))
-    # The ends are 08:35, 09:05, 09:35 and 09:45; it rains from 09:00 on.
-    assert outlook.rain[-1] == pytest.approx(1e-6)
-    assert outlook.rain[-2] == pytest.approx(1e-6)
-    assert outlook.rain[-3] == pytest.approx(1e-6 / 6)
-    assert sum(outlook.rain[:-3]) == 0.0
+    Both take that reading for the rest of the hour, and the issue for all hours after it. Records
+    are hourly, so that in a run the reading never changes within the hour: what that is worth is in
+    doc/running/real-seasons.md.
+    """
+    chance = np.random.default_rng(4)
+    rain, fell = chance.gamma(0.2, 3.0, size=(3, 24)), chance.gamma(0.2, 3.0, size=24)
+    file.write_text(write_forecasts([Issue(SIX, file, None, rain, np.full(24, 2.0))]))
+    site, weather = site_with(tau=60.0, M=1), weather_of(fell, first=SIX)
+    run = SteppedForecast(
+        FileModel(read_archive(file, site), weather, all_members=True), weather, site, SIX,
+        growing_steps(12.0), 60 * 6 - 1, all_members=True,
+    )
+    found = LiveForecast(ForecastFile(file), site, 12.0, 86_400.0, all_members=True)
+    found.file.look()
+    for minute in range(0, 60 * 6, 7):
+        reading = float(fell[minute // 60]) / 3.6e6
+        outlook = found.at(SIX + timedelta(minutes=minute), observed_rain=reading)
+        assert np.array(run.precipitation(minute)) == pytest.approx(np.array(outlook.rain))
+        assert np.array(run.precipitation(minute))[:, 0] == pytest.approx(reading)
+        assert outlook.rain_now == reading
 
 
 @pytest.mark.parametrize(
@@ -94,9 +108,8 @@ def test_growing_steps(tmp_path: Path) -> None:
         (-timedelta(seconds=1), 0.0, "is ahead"),
     ],
 )
-def test_no_forecast(tmp_path: Path, later: timedelta, horizon: float, words: str) -> None:
+def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
     """Too old, too short, of the future; a moment before, each is one."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     forecast = live(file, horizon)
     with pytest.raises(NoForecastError, match=words):
@@ -104,9 +117,8 @@ def test_no_forecast(tmp_path: Path, later: timedelta, horizon: float, words: st
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
 
 
-def test_a_file_is_read_again_when_it_is_replaced(tmp_path: Path) -> None:
+def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     """By another one, in place, or within the resolution of its time: once each."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     found = ForecastFile(file)
     assert found.look() and not found.look()
@@ -119,9 +131,8 @@ def test_a_file_is_read_again_when_it_is_replaced(tmp_path: Path) -> None:
     assert found.look() and not found.look()
 
 
-def test_a_broken_or_removed_file_keeps_the_old_one(tmp_path: Path) -> None:
+def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
     """The problem names file and line, and is over with the next good file."""
-    file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0] * 4)
     found = ForecastFile(file)
     found.look()
@@ -139,9 +150,8 @@ def test_a_broken_or_removed_file_keeps_the_old_one(tmp_path: Path) -> None:
     assert found.issues[0].issued == SIX + timedelta(hours=1)
 
 
-def test_a_file_must_have_evapotranspiration(tmp_path: Path) -> None:
+def test_a_file_must_have_evapotranspiration(file: Path) -> None:
     """There is no other record of it on a live site; and a file may be missing at the start."""
-    file = tmp_path / "forecast.csv"
     found = ForecastFile(file)
     assert not found.look()
     assert "cannot be read" in found.problem and found.issues == []
@@ -152,22 +162,17 @@ def test_a_file_must_have_evapotranspiration(tmp_path: Path) -> None:
     assert "must have a column 'evapotranspiration [mm/day]'" in found.problem
 
 
-def test_temperature_is_a_column_of_its_own(tmp_path: Path) -> None:
-    """With evapotranspiration or without; and it may be left out."""
-    file = tmp_path / "forecast.csv"
-    write(file, SIX, [0.0, 1.0], temperature=-0.5)
-    issue = read_forecasts(file)[0]
-    assert issue.temperature is not None and issue.temperature.tolist() == [-0.5, -1.5]
+def test_temperature_may_be_left_out(file: Path) -> None:
+    """And so may be evapotranspiration beside it."""
+    write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
+    assert np.isnan(live(file).at(SIX).temperature)
     file.write_text(
         "issued,time,precipitation [mm/h],temperature [degC]\n"
         "2026-07-01T06:00Z,2026-07-01T06:00Z,0.0,-3.0\n"
     )
-    issue = read_forecasts(file)[0]
+    (issue,) = read_forecasts(file)
     assert issue.evapotranspiration is None
     assert issue.temperature is not None and issue.temperature.tolist() == [-3.0]
-    write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
-    assert read_forecasts(file)[0].temperature is None
-    assert np.isnan(live(file).at(SIX).temperature)
 
 
 def dressed(

@@ -33,13 +33,6 @@ class Agreement(NamedTuple):
         """By how much r of the mean is above that of one, as a ratio."""
         return self.mean / float(self.alone.mean())
 
-    def gain_of(self, members: int) -> float:
-        """What the mean of so many would gain that are all as alike as these, and vary alike.
-
-        sqrt(n / (1 + (n - 1) rho)), rho being the r of two.
-        """
-        return math.sqrt(members / (1 + (members - 1) * float(self.pairs.mean())))
-
 
 def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
     """Return the agreement of forecasts of which the records themselves are not at hand.

@@ -7,12 +7,12 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
+from places import DATA
 
 from greenroof_ros.forecast.models import ErrorModel
 from greenroof_ros.forecast.skill import Skill
 from greenroof_ros.weather.series import Weather
 
-DATA = Path(__file__).resolve().parent.parent / "data"
 YEARS = range(2015, 2026)
 # Of May to October.
 SEASON_HOURS = 184 * 24

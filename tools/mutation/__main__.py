@@ -22,9 +22,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 from cosmic_ray.commands.init import init
@@ -47,29 +48,10 @@ _Z = 1.96  # of an interval of 95 %
 _interrupted: list[int] = []  # signals that came
 
 
-class Row(NamedTuple):
-    """The outcome of a folder's sample; the last three are the share of survivors."""
-
-    folder: str
-    mutants: int
-    seed: int
-    sampled: int
-    killed: int
-    survived: int
-    timeouts: int
-    share: float
-    low: float
-    high: float
-
-
-class Survivor(NamedTuple):
-    """A mutant that no test noticed."""
-
-    folder: str
-    module: str
-    line: int
-    operator: str
-    diff: str
+# Columns of the tables: the outcome of a folder's sample, with the share of survivors and its
+# interval; and a mutant that no test noticed.
+Row = namedtuple("Row", "folder mutants seed sampled killed survived timeouts share low high")
+Survivor = namedtuple("Survivor", "folder module line operator diff")
 
 
 def mutants_of(modules: list[Path], session: Path) -> list[WorkItem]:
