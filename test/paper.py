@@ -116,6 +116,15 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
     return made
 
 
+def with_rain_times(run: Run, factor: float) -> Run:
+    """Return a run with another multiple of its rain, and its old forecast."""
+    rain = run.weather.precipitation * factor
+    weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
+    return replace(
+        run, weather=weather, series=WeatherSeries(weather, run.site, run.start, run.steps)
+    )
+
+
 def metrics_of(run: Run, controller: Any = None) -> Metrics:
     """Return the metrics of a run, with its own controller unless another is given."""
     metrics = Metrics()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from adversaries.forecasts import TOGETHER, told
 from numpy.typing import NDArray
-from paper import PAPER_SITE, deviation_of, lookahead, paper_run, site_file, site_with
+from paper import PAPER_SITE, deviation_of, lookahead, paper_run, site_file, site_with, with_rain_times
 from places import CONFIG, DATA
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
@@ -25,7 +25,6 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.weather.series import WeatherSeries
 
 Array = NDArray[np.float64]
 
@@ -37,12 +36,12 @@ MEASURED = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
 # --- the sensor ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", [
-    (), ("--cistern", "60", "--roof", "35"), (*MEASURED, "--start", "2021-07-08T05:00"),
-])
+@pytest.mark.parametrize("options", [(), ("--cistern", "60", "--roof", "35"), MEASURED])
 def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[str, ...]) -> None:
     """With rain, pumps at work, a soil that drains, and one that percolates and dries."""
-    run = paper_run("--controller", "onoff", *options)
+    run = paper_run(
+        "--controller", "onoff", "--start", "2021-07-08T05:00", "--hours", "2", *options
+    )
     estimate = RoofObserver(run.site, 300.0)
     for tick in closed_loop(run, run.make_controller(), Metrics()):
         x2 = estimate.correct(tick.roof_level)
@@ -61,10 +60,9 @@ def test_it_begins_with_the_mean() -> None:
 
 
 @pytest.mark.parametrize("tau", [1.0, 10.0])
-@pytest.mark.parametrize("noise", [0.001, 0.003, 0.005])
-def test_noise_of_any_size_is_noise(noise: float, tau: float) -> None:
+def test_noise_of_any_size_is_noise(tau: float) -> None:
     """It is averaged over 300 s: the error is that of the average alone, with no jumps to it."""
-    site = replace(PAPER_SITE, tau=tau)
+    site, noise = replace(PAPER_SITE, tau=tau), 0.005
     estimate = RoofObserver(site, 300.0)
     errors = []
     for deviate in np.random.default_rng(3).standard_normal(43_200 // int(tau)):
@@ -138,7 +136,7 @@ def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) ->
 
 
 @pytest.mark.parametrize("kind", CONTROLLERS.values())
-@pytest.mark.parametrize("strength", [0.3, 1.6, 3.0])
+@pytest.mark.parametrize("strength", [0.3, 3.0])
 def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> None:
     """A driver that does what is commanded, with pumps that give more or less than the model's.
 
@@ -168,48 +166,38 @@ def test_no_observer() -> None:
 BUDGET_H, SHARE = 6.0, 0.05
 
 
-def two_weeks(directory: Path, *options: str) -> Run:
-    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of two minutes.
+def a_week(directory: Path, *options: str) -> Run:
+    """Build a run of a week with a tenth of July 2021's rain, in ticks of two minutes.
 
     Its pumps are to have a twentieth of the flow: with all of it on/off would overshoot by 14 mm.
     """
     run = paper_run(
         *options, "--site", str(site_file(directory, tau=120.0)),
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
-        "--hours", "336", "--evapotranspiration", "fao56",
+        "--hours", "168", "--evapotranspiration", "fao56",
     )
-    rain = run.weather.precipitation / 10
-    weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
-    series = WeatherSeries(weather, run.site, run.start, run.steps)
-    return replace(run, weather=weather, series=series)
+    return with_rain_times(run, 0.1)
 
 
-@pytest.fixture(scope="module")
-def plain_two_weeks(tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Return the result of plain on/off in these weeks (m3 s)."""
-    run = two_weeks(tmp_path_factory.mktemp("plain"), "--controller", "onoff", "--fraction", "0.05")
-    return deviation_of(run)
-
-
-@pytest.mark.parametrize(("controller", "kind"), [
-    ("anticipating_onoff", "always rain"), ("anticipating_onoff", "a day early"),
-    ("lookahead", "always rain"), ("lookahead", "a day early"), ("lookahead", TOGETHER),
+@pytest.mark.parametrize(("controller", "strength", "kind"), [
+    ("anticipating_onoff", "--fraction", "always rain"),
+    ("lookahead", "--max-command", "always rain"), ("lookahead", "--max-command", TOGETHER),
 ])
 def test_an_adversary_costs_at_most_the_budget(
-    controller: str, kind: str, tmp_path: Path, plain_two_weeks: float
+    controller: str, strength: str, kind: str, tmp_path: Path
 ) -> None:
     """On/off and its share, the budget, and at most what is lost until the pumps may start."""
-    strength = "--fraction" if controller == "anticipating_onoff" else "--max-command"
-    run = two_weeks(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
+    plain = deviation_of(a_week(tmp_path, "--controller", "onoff", "--fraction", "0.05"))
+    run = a_week(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
     false = told(run, kind, 48)
 
     def reached(budget: float) -> float:
         given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
         return deviation_of(false, run.controller.make(run.site, given))
 
-    limit = (1 + SHARE) * plain_two_weeks + BUDGET_H * EMPTY_HOUR
+    limit = (1 + SHARE) * plain + BUDGET_H * EMPTY_HOUR
     assert reached(BUDGET_H) <= limit + 0.1 * EMPTY_HOUR
-    if (controller, kind) == ("anticipating_onoff", "always rain"):
+    if controller == "anticipating_onoff":
         assert reached(1e6) > 1.5 * limit
 
 
@@ -299,25 +287,26 @@ def test_ticks_in_frost_count() -> None:
     assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
 
 
-def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
+def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
     """Beside a plant that is watered by on/off: the roof which never was has all it lacks.
 
     Rain comes on two roofs, one of them wetter, and more of it percolates there; so the difference
-    is right only if that is followed.
+    is right only if that is followed. In ticks of ten seconds a tenth of the full flow.
     """
-    run = paper_run("--controller", "onoff", *MEASURED, "--start", "2021-07-08T05:00")
+    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
+    options = ("--controller", "onoff", "--site", str(site), "--start", "2021-07-08T05:00")
+    run = paper_run(*options, "--fraction", "0.1")
     onoff_roof = [tick.x2 for tick in closed_loop(run, run.make_controller(), Metrics())]
     loss = RegretBudget(run.site, 1e6, 0.0)
-    idle = paper_run("--controller", "onoff", "--fraction", "1e-9", *MEASURED,
-                     "--start", "2021-07-08T05:00")
+    idle = paper_run(*options, "--fraction", "1e-9")
     lacks = []
     ticks = list(closed_loop(idle, idle.make_controller(), Metrics()))
     for tick, after, theirs in zip(ticks, [*ticks[1:], ticks[-1]], onoff_roof, strict=True):
         assert loss._more == pytest.approx(theirs - tick.x2, abs=0.01)  # a tick
         lacks.append(theirs - tick.x2)
-        loss.judge(tick.x1, tick.x2, 1.0)
+        loss.judge(tick.x1, tick.x2, 0.1)
         loss.move(
-            tick.x1, tick.x2, after.x2, 1.0, tick.flows.pump, tick.precipitation,
+            tick.x1, tick.x2, after.x2, 0.1, tick.flows.pump, tick.precipitation,
             tick.evapotranspiration,
         )
     assert max(lacks) > 0.7
