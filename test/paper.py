@@ -116,7 +116,7 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
     return made
 
 
-def with_rain_times(run: Run, factor: float) -> Run:
+def rain_scaled(run: Run, factor: float) -> Run:
     """Return a run with another multiple of its rain, and its old forecast."""
     rain = run.weather.precipitation * factor
     weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, lookahead, metrics_of, paper_run, site_file, with_rain_times
+from paper import PAPER_SITE, lookahead, metrics_of, paper_run, rain_scaled, site_file
 from places import DATA
 
 from greenroof_ros.controllers.after_forecast import AfterForecast
@@ -102,7 +102,7 @@ def test_a_longer_forecast_does_no_harm_on_a_measured_roof(tmp_path: Path) -> No
             "--weather", str(DATA / "en_climate_hourly_07-2021.csv"),
             "--start", "2021-07-01T00:00", "--hours", "480",
         )
-        run = with_rain_times(run, 2)
+        run = rain_scaled(run, 2)
         perfect = SteppedForecast(
             PerfectModel(run.weather), run.weather, run.site, run.start,
             growing_steps(float(horizon)), run.steps, run.controller.ensemble,

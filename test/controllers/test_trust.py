@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from adversaries.forecasts import TOGETHER, told
 from numpy.typing import NDArray
-from paper import PAPER_SITE, deviation_of, lookahead, paper_run, site_file, site_with, with_rain_times
+from paper import PAPER_SITE, deviation_of, lookahead, paper_run, rain_scaled, site_file, site_with
 from places import CONFIG, DATA
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
@@ -176,7 +176,7 @@ def a_week(directory: Path, *options: str) -> Run:
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
         "--hours", "168", "--evapotranspiration", "fao56",
     )
-    return with_rain_times(run, 0.1)
+    return rain_scaled(run, 0.1)
 
 
 @pytest.mark.parametrize(("controller", "strength", "kind"), [

@@ -58,7 +58,7 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
     return max(cistern, 0) * site.a1, max(roof, 0) * site.a2
 
 
-@settings(max_examples=250)
+@settings(max_examples=100)
 @given(
     data=st.data(),
     site=st.just(PAPER_SITE) | sites() | measured_sites(),
