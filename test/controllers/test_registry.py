@@ -176,7 +176,8 @@ def test_a_controller_that_a_package_registers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An entry point gives it a name, beside this package's."""
-    (tmp_path / "gentle_roofs.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
+    example = (CHECKOUT / "examples" / "proportional.py").read_text()
+    (tmp_path / "gentle_roofs.py").write_text(example)
     about = tmp_path / "roofs-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: roofs\nVersion: 1.0\n")

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from paper import PAPER_SITE, TABLE_I, paper_run, sites
 from studies import GRID, grid
 
@@ -85,6 +85,7 @@ def test_levels_and_volumes_by_hand() -> None:
     assert PAPER_SITE.roof_volume(0.5) == pytest.approx(34.4, rel=1e-15)
 
 
+@settings(max_examples=20)
 @given(site=sites())
 def test_any_consistent_site_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, site: Site
@@ -109,8 +110,8 @@ def test_site_climate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "months",
-    ["2.5", "[]", MONTHS[:11], [*MONTHS, 1.0], [*MONTHS[:11], -0.1], [*MONTHS[:11], 20.1],
-     *(f"[{one}, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]" for one in (".nan", "x", "true")), "{a: 1}"],
+    ["2.5", MONTHS[:11], [*MONTHS[:11], -0.1], [*MONTHS[:11], 20.1],
+     "[true, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"],
 )
 def test_wrong_site_climates(tmp_path: Path, months: object) -> None:
     path = write(tmp_path, monthly_evapotranspiration=months)
@@ -151,17 +152,25 @@ RANGES = {
 
 @pytest.mark.parametrize("key", RANGES)
 def test_each_number_has_its_range(tmp_path: Path, key: str) -> None:
-    """Refused are the next numbers beyond it, what is no finite number, and half a whole one."""
+    """Refused are the next numbers beyond it, and half a whole one."""
     low, high = RANGES[key]
-    wrong: list[object] = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf)]
+    wrong = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf)]
     if key in WHOLE:
         wrong = [low - 1, high + 1, low + 0.5]
-    for value in (*wrong, ".nan", ".inf", "-.inf", "1e400"):
+    for value in wrong:
         path = write(tmp_path, **{key: value})
         whole = "a whole number " if key in WHOLE else ""
-        assert refusal(path).startswith(f"{path}, line ")
-        assert f" {key} = " in refusal(path)
-        assert f": must be {whole}from {low:g} to {high:g} (" in refusal(path)
+        said = refusal(path)
+        assert said.startswith(f"{path}, line ")
+        assert f" {key} = " in said
+        assert f": must be {whole}from {low:g} to {high:g} (" in said
+
+
+@pytest.mark.parametrize("key", ["a1", "M"])
+def test_what_is_no_number(tmp_path: Path, key: str) -> None:
+    """Nor is what is not finite."""
+    for value in (".nan", ".inf", "-.inf", "1e400"):
+        assert f" {key} = " in refusal(write(tmp_path, **{key: value}))
     for value in ("three", "true", "", "[3]", "2021-07-07"):
         assert refusal(write(tmp_path, **{key: value})).endswith(": must be a number")
 
@@ -172,10 +181,9 @@ NEED = " as well"
 @pytest.mark.parametrize(
     ("base", "changes", "key", "reason"),
     [
-        # Beyond its range: with a unit, without one, and of a whole number.
+        # Beyond its range, with a unit and without one.
         (PAPERS, {"a2": "-68.8"}, "a2", "from 1e-12 to 1e+09 (m2, bottom surface area of the roof"),
         (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "from 0 to 1e+09 (minor loss coefficient of the pipe)"),
-        (PAPERS, {"M": "10.5"}, "M", "a whole number from 1 to 1000 (ticks, look-ahead"),
         # One that another contradicts.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
         (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out and it is"),
@@ -183,12 +191,10 @@ NEED = " as well"
         (PAPERS, {"c_hat": 15.25}, "c_hat", "d - z_pump - z_H = 15.25 m"),
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
         (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_soil = 0.5 m"),
-        (ROOF, {"field_capacity": None}, "wilting_point", f"needs field_capacity{NEED}"),
         (
             ROOF, {"wilting_point": None, "depletion_fraction": None}, "field_capacity",
             f"needs wilting_point, depletion_fraction{NEED}",
         ),
-        (ROOF, {"drainage_storage": None}, "drainage_time", f"needs drainage_storage{NEED}"),
         (ROOF, {"drainage_time": None}, "drainage_storage", f"needs drainage_time{NEED}"),
         (
             ROOF, {"field_capacity": None, "wilting_point": None, "depletion_fraction": None},
@@ -230,7 +236,6 @@ NEED = " as well"
             ROOF, {"initial_layer": 5.5}, "initial_layer",
             "at most what the drainage layer holds, a2 drainage_storage = 0.688 m3",
         ),
-        (PAPERS, {"initial_layer": 0.1}, "initial_layer", "at most what the drainage layer holds"),
     ],
 )
 def test_wrong_values(
@@ -268,10 +273,6 @@ def test_what_earlier_versions_had(tmp_path: Path) -> None:
 
 def test_a_mistyped_key(tmp_path: Path) -> None:
     """Named with what it may stand for; all of them only where nothing is like it."""
-    path = write(tmp_path, a2=None, a_2=68.8)
-    assert "a_2: is not a parameter of a site; did you mean a2?" in refusal(path)
-    path = write(tmp_path, "pump_effciency: 0.6")
-    assert refusal(path).endswith("is not a parameter of a site; did you mean pump_efficiency?")
     path = write(tmp_path, a2=None, a3=68.8)
     assert refusal(path).endswith("a3: is not a parameter of a site; did you mean a1 or a2?")
     path = write(tmp_path, "pi: 3.14")
@@ -289,10 +290,10 @@ def test_a_measured_roof(tmp_path: Path) -> None:
     assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
 
 
-@pytest.mark.parametrize("key", ["k_L", "z_pump", "z_H"])
-def test_what_may_be_zero(tmp_path: Path, key: str) -> None:
+def test_what_may_be_zero(tmp_path: Path) -> None:
     """A pipe without bends, pumps on the floor, pumps that suck the last drop."""
-    assert getattr(read_site(write(tmp_path, **{key: 0})), key) == 0
+    site = read_site(write(tmp_path, k_L=0, z_pump=0, z_H=0))
+    assert (site.k_L, site.z_pump, site.z_H) == (0, 0, 0)
 
 
 def test_pump_that_just_lifts(tmp_path: Path) -> None:
