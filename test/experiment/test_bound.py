@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -20,10 +21,10 @@ from paper import (
     metrics_of,
     paper_run,
     run_of_hours,
+    site_file,
     site_with,
     sites,
 )
-from places import CONFIG
 
 from greenroof_ros import bound as module
 from greenroof_ros.bound import main
@@ -125,7 +126,7 @@ HOURS = st.lists(
 DROUGHT = [(0.0, 50.0, False)] * 2
 
 
-@settings(max_examples=150)
+@settings(max_examples=40)
 @given(
     site=st.just(PAPER_SITE) | sites() | measured_sites(),
     hours=HOURS,
@@ -164,6 +165,7 @@ def test_no_run_is_below(
         assert fine.bound_m3 <= cost + slack
 
 
+@settings(max_examples=30)
 @given(
     site=st.just(PAPER_SITE) | measured_sites(), hours=HOURS, cistern=st.floats(0, 5),
     roof=st.floats(0, 1.5),
@@ -191,15 +193,18 @@ def test_in_frost_the_bound_is_the_run(
     assert bound.pumped_m3 == 0
 
 
-@pytest.mark.parametrize(
-    ("start", "gap"), [("2021-07-07T00:00", 0.02), ("2021-07-08T05:00", 0.02)]
-)
-def test_the_bound_of_a_measured_roof_is_close(start: str, gap: float) -> None:
-    """Twelve hours of the roof of Neubrandenburg: drizzle on a roof being filled, and a storm."""
-    run = paper_run("--site", str(CONFIG / "site_neubrandenburg.yaml"), "--start", start)
+@pytest.mark.parametrize("start", ["2021-07-07T02:00", "2021-07-08T05:00"])
+def test_the_bound_of_a_measured_roof_is_close(start: str, tmp_path: Path) -> None:
+    """Twelve hours of the roof of Neubrandenburg: drizzle on a roof being filled, and a storm.
+
+    The recursion keeps the soil as it is: its plan is better than a program of straight lines.
+    """
+    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
+    run = paper_run("--site", str(site), "--start", start)
     bound = clairvoyant_bound(run)
     assert bound.gap is not None
-    assert 0 <= bound.gap < gap
+    assert 0 <= bound.gap < 0.02
+    assert bound.bound_m3 <= recursion_plan(run).total_m3 < bound.plan_m3
 
 
 # One tick at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16), of 10 s.
@@ -242,7 +247,7 @@ def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
     assert bound.pumped_m3 == pytest.approx(full, rel=1e-6)
 
 
-@pytest.mark.parametrize(("tau", "ticks"), [(1.0, 60), (10.0, 6), (300.0, 1)])
+@pytest.mark.parametrize(("tau", "ticks"), [(10.0, 6), (300.0, 1)])
 def test_blocks_of_a_minute_unless_given(tau: float, ticks: int) -> None:
     """Whatever a tick is; and nobody makes the forecast that its controller would get."""
     site = replace(PAPER_SITE, tau=tau)
@@ -303,28 +308,23 @@ def test_a_bound_of_zero_has_no_gap() -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        ("--start", "2021-07-07T02:00"),
-        ("--site", str(CONFIG / "site_neubrandenburg.yaml"), "--start", "2021-07-08T05:00"),
-    ],
+    ("site", "start"),
+    [("site.yaml", "2021-07-07T02:00"), ("site_neubrandenburg.yaml", "2021-07-08T05:00")],
 )
 @pytest.mark.parametrize("max_command", [1.0, 0.02])
-def test_the_recursions_plan_is_a_run(options: tuple[str, ...], max_command: float) -> None:
+def test_the_recursions_plan_is_a_run(
+    site: str, start: str, max_command: float, tmp_path: Path
+) -> None:
     """Not below the bound, nor above on/off."""
-    run = paper_run("--controller", "onoff", "--hours", "3", *options)
+    file = site_file(tmp_path, base=site, tau=10.0)
+    run = paper_run(
+        "--controller", "onoff", "--hours", "3", "--site", str(file), "--start", start
+    )
     plan = recursion_plan(run, max_command)
     assert clairvoyant_bound(run, max_command).bound_m3 <= plan.total_m3
     onoff = replace(run, parameters={**run.parameters, "fraction": max_command})
     assert plan.total_m3 <= metrics_of(onoff)["total_deviation_m3"]
     assert plan.pumped_m3 > 0
-
-
-def test_the_recursion_keeps_the_soil_as_it_is() -> None:
-    """On a measured roof its plan is better than that of a program of straight lines."""
-    run = paper_run("--site", str(CONFIG / "site_neubrandenburg.yaml"))
-    bound, plan = clairvoyant_bound(run), recursion_plan(run)
-    assert bound.bound_m3 <= plan.total_m3 < bound.plan_m3
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
@@ -357,8 +357,6 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         (("--block", "0"), "--block"),
         (("--block", "0.5"), "--block = 0.5"),
         (("--block", "1.5"), "whole number of ticks"),
-        (("--block", "x"), "--block"),
-        (("--max-command", "0"), "--max-command"),
         (("--max-command", "inf"), "--max-command"),
     ],
 )
@@ -392,7 +390,7 @@ def test_a_slow_one_says_so(
 ) -> None:
     """On standard error, so that the JSON stays alone."""
     monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
-    assert call(monkeypatch, "--hours", "1", "--json") == 0
+    assert call(monkeypatch, "--hours", "0.1", "--json") == 0
     captured = capsys.readouterr()
-    assert "solving for 3600 ticks" in captured.err
+    assert "solving for 360 ticks" in captured.err
     assert math.isfinite(json.loads(captured.out)["bound_m3"])

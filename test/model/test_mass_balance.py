@@ -153,21 +153,6 @@ def test_a_layer_that_begins_with_water_balances(tmp_path: Path) -> None:
     assert metrics["drainage_m3"] == pytest.approx(0.3 - left, rel=1e-9)
 
 
-def test_a_cistern_with_a_low_outlet_balances(tmp_path: Path) -> None:
-    """A storm on 500 m2 of roofs, of which 0.9 arrives, while the detention volume empties."""
-    file = site_file(
-        tmp_path, tau=10.0, a_in=500.0, runoff_coefficient=0.9, low_outlet_level=1.5,
-        low_outlet_radius=0.03,
-    )
-    metrics = assert_balance(paper_run(
-        "--controller", "onoff", "--site", str(file), "--start", "2021-07-08T00:00"
-    ))
-    assert metrics["limited_steps"] == 0
-    assert metrics["rain_cistern_m3"] > 5
-    assert metrics["outflow_m3"] > 20
-    assert 37 < metrics["final_cistern_m3"] < 50
-
-
 @settings(max_examples=40)
 @given(
     hours=st.lists(

@@ -296,26 +296,6 @@ def test_what_may_be_zero(tmp_path: Path) -> None:
     assert (site.k_L, site.z_pump, site.z_H) == (0, 0, 0)
 
 
-def test_pump_that_just_lifts(tmp_path: Path) -> None:
-    """The least head above d - z_pump - z_H is enough."""
-    least = math.nextafter(15.25, 16)
-    assert read_site(write(tmp_path, c_hat=repr(least))).c_hat == least
-
-
-def test_duplicate_key(tmp_path: Path) -> None:
-    """The second one does not win in silence."""
-    path = write(tmp_path, "a1: 26.0")
-    assert refusal(path) == (
-        f"{path}, line {len(TABLE_I) + 1}: is not valid YAML: a1 is given twice, here and in line 1"
-    )
-
-
-def test_unreadable_file(tmp_path: Path) -> None:
-    """A file that is not there, and a directory."""
-    assert "cannot be read: No such file" in refusal(tmp_path / "absent.yaml")
-    assert "must be a regular file" in refusal(tmp_path)
-
-
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
     """It says what differs, and so may the one that it extends; its text stands by itself."""
     write(tmp_path)

@@ -253,12 +253,3 @@ def test_a_dry_roof_gives_nothing() -> None:
     assert plant.x2 == pytest.approx(0.01, rel=1e-12)
     assert plant.layer == 0.0
     assert math.isclose(plant.levels()[1], 1e-4)
-
-
-def test_a_roof_without_a_layer() -> None:
-    """What percolates drains off in the same tick."""
-    plant = Plant(BARE, 50.0, 5.0)
-    flows = plant.flows(1e-4, 0.0, 0.0)
-    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
-    plant.step(1e-4, flows)
-    assert plant.layer == 0.0
