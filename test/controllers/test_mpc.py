@@ -102,12 +102,18 @@ def solution(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
 
 @pytest.mark.parametrize("weight", RUNS)
 def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
-    """Every tick; of the smallest weight those at the end are clipped to 0."""
+    """Every tick, and what they cost; of the smallest weight those at the end are clipped to 0."""
     run = walk(weight, *RUNS[weight])
     assert (run.u[-1] == 0) == (weight == 1e-5)
-    exact = [solution(G, r, weight)[0] for G, r in zip(*programs(run), strict=True)]
-    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
+    G, r = programs(run)
+    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
+    np.testing.assert_allclose(run.u, U[:, 0], rtol=0, atol=1e-8)
     assert run.u.min() >= 0
+    # J of Eq. (11) counts the depth now, too.
+    depths = np.column_stack([run.x[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg,
+                              r + np.einsum("nij,nj->ni", G, U)])
+    J = (depths**2).sum(axis=1) + weight * (U**2).sum(axis=1)
+    np.testing.assert_allclose(run.cost, J, rtol=1e-8, atol=1e-14)
 
 
 def test_commands_below_an_upper_bound_are_exact() -> None:
@@ -117,31 +123,6 @@ def test_commands_below_an_upper_bound_are_exact() -> None:
     np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
     assert exact[0] == pytest.approx(0.3, rel=1e-12)
     assert run.u.max() == 0.3
-
-
-@pytest.mark.parametrize("weight", RUNS)
-def test_cost_is_eq_11(weight: float) -> None:
-    """J of the exact commands and of the states that Eq. (10) steps through, every 7th tick."""
-    run = walk(weight, *RUNS[weight])
-    G, r = (part[::7] for part in programs(run))
-    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
-    x, w, cost = run.x[::7], run.w[::7], run.cost[::7]
-    # An operating point with the same x and u, but w = 0: Eq. (10) is affine in w.
-    u_bar = np.concatenate([[0.0], run.u[:-1]])[::7]
-    slope, B, C, b = linear_model(PAPER_SITE, *x.T, u_bar, 0 * u_bar, 0 * u_bar)
-    A = slope + np.eye(2)
-    variation = np.zeros_like(x)
-    J = np.zeros(len(x))
-    for i in range(PAPER_SITE.M):
-        J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2 + weight * U[:, i] ** 2
-        variation = (
-            np.einsum("nij,nj->ni", A, variation)
-            + B * (U[:, i] - u_bar)[:, None]
-            + np.einsum("nij,nj->ni", C, w[:, i])
-            + b
-        )
-    J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2
-    np.testing.assert_allclose(cost, J, rtol=1e-8, atol=1e-14)
 
 
 def first_inputs() -> tuple[float, float, list[float], list[float]]:

@@ -36,13 +36,3 @@ def test_a_level_below_the_target() -> None:
     controller = OnOff(PAPER_SITE, 1.5, 0.75)
     assert controller.command(3.0, 0.034274, NO_WEATHER, NO_WEATHER) == 1.5
     assert controller.command(3.0, 0.034276, NO_WEATHER, NO_WEATHER) == 0.0
-
-
-def test_parameters_may_change_between_two_ticks() -> None:
-    """The next command is by the new ones."""
-    controller = OnOff(PAPER_SITE, 0.2)
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.2
-    controller.fraction = 2.0
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 2.0
-    controller.level = 0.8
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.0

@@ -89,34 +89,6 @@ def test_a_single_reading_is_no_reason(off: float) -> None:
     assert PAPER_SITE.roof_level(x2) == pytest.approx(0.05 + off / 300, abs=1e-5)
 
 
-def test_level_that_cannot_be_noise() -> None:
-    """A centimetre off is followed after fifteen ticks, a millimetre slowly."""
-    off, near = settled(0.03), settled(0.03)
-    x2_off = x2_near = PAPER_SITE.roof_volume(0.03)
-    for _ in range(15):
-        x2_off, x2_near = off.correct(0.04), near.correct(0.031)
-        off.predict(x2_off, 0.0, 0.0, 0.0)
-        near.predict(x2_near, 0.0, 0.0, 0.0)
-    # By the mean of the surprises, of which the slow correction has taken some away already.
-    assert 0.0400 < PAPER_SITE.roof_level(x2_off) < 0.0405
-    assert PAPER_SITE.roof_level(x2_near) == pytest.approx(
-        0.03 + 0.001 * (1 - (1 - 1 / 300) ** 15)
-    )
-
-
-def test_after_ticks_unseen() -> None:
-    """After a few the average goes on; after more the next reading is taken as it is."""
-    for unseen, starts_again in ((1, False), (15, False), (16, True)):
-        estimate = settled(0.03)
-        for _ in range(unseen):
-            estimate.skip()
-        x2 = estimate.correct(0.0305)
-        assert (x2 == PAPER_SITE.roof_volume(0.0305)) is starts_again
-        assert PAPER_SITE.roof_level(x2) == pytest.approx(
-            0.0305 if starts_again else 0.03 + 0.0005 / 300, abs=1e-6
-        )
-
-
 CONTROLLERS = {
     "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 10, 1.0, 300.0, math.inf, 0.0),
     "lookahead": lambda: lookahead(observer_time_constant=300.0),

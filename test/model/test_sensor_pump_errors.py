@@ -168,23 +168,6 @@ def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
     assert metrics["final_roof_m3"] == ticks[-1].x2
 
 
-def test_a_noisy_sensor_makes_the_pumps_start_often_and_minimum_times_seldom() -> None:
-    """Where on/off comes near its target, 0.5 mm of noise switch it back and forth."""
-    options = (
-        "--controller", "onoff", "--hours", "0.2", "--fraction", "0.05", "--cistern", "60",
-        "--roof", "3.1",
-    )
-    noise = ("--roof-noise", "0.0005", "--noise-seed", "1")
-    times = ("--minimum-on", "60", "--minimum-off", "60")
-    exact, noisy, spared = (
-        ticks_of(paper_run(*options, *more))[1]["pump_starts"]
-        for more in ((), noise, (*noise, *times))
-    )
-    assert 1 <= exact <= 5  # again when what evaporated has made room
-    assert noisy > 4 * exact
-    assert 1 <= spared <= 6  # 720 s hold no more phases of 60 s
-
-
 def test_wrong_parameters_of_the_node(domain: int, tmp_path: Path) -> None:
     """Exit code 2, one clear message."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")

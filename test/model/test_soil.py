@@ -241,15 +241,3 @@ def test_what_is_followed_is_what_the_plant_did(
     assert found.evaporated == pytest.approx(
         [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15
     )
-
-
-def test_a_dry_roof_gives_nothing() -> None:
-    """At the wilting point nothing evaporates; what falls stays, to the last drop."""
-    plant = Plant(ROOF, 50.0, 2.0)
-    assert plant.flows(0.0, 1e-3, 0.0).evapotranspiration == 0.0
-    plant = Plant(ROOF, 50.0, 0.0)
-    flows = plant.flows(1e-4, 1e-3, 0.0)
-    plant.step(1e-4, flows)
-    assert plant.x2 == pytest.approx(0.01, rel=1e-12)
-    assert plant.layer == 0.0
-    assert math.isclose(plant.levels()[1], 1e-4)
