@@ -76,14 +76,6 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     assert given["weight"] == 5.0
 
 
-def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
-    """As a node does, it takes the defaults; a plain name is a key, too."""
-    (tmp_path / "mine.yaml").write_text("lookahead: {ros__parameters: {horizon: 6}}\n")
-    given = find_controller("lookahead").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
-    assert given["horizon"] == 6
-    assert given["waiting_budget"] == 72.0
-
-
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -110,15 +102,6 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("class_name", "node"),
-    [("PControl", "p_control"), ("MyMPC2", "my_mpc2"), ("_LongName", "long_name")],
-)
-def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
-    """In lower case with underscores, as ROS names nodes."""
-    assert find_controller(f"package.module:{class_name}").name == node
-
-
-@pytest.mark.parametrize(
     ("reference", "message"),
     [
         ("onof", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
@@ -132,6 +115,12 @@ def test_wrong_references(reference: str, message: str) -> None:
     """Refused before anything is imported."""
     with pytest.raises(ConfigurationError, match=f"controller = '{reference}': {message}"):
         find_controller(reference)
+
+
+def test_a_node_is_named_after_the_class() -> None:
+    """In lower case with underscores, as ROS names nodes."""
+    for class_name, node in (("PControl", "p_control"), ("_MyMPC2", "my_mpc2")):
+        assert find_controller(f"package.module:{class_name}").name == node
 
 
 @pytest.mark.parametrize(
