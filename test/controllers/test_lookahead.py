@@ -21,7 +21,7 @@ from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
+from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 
 # --- the recursion, on whole numbers of a unit ----------------------------------------------------
@@ -198,22 +198,6 @@ def test_the_drier_half_parts_from_the_wetter() -> None:
         [[0, 0, 0, 0, 0]] * 2 + [[0, 0, 2, 0, 2]] * 2 + [[0, 1, 2, 0, 4]] * 2
         + [[0, 1, 2, 3, 4]] * 2
     )
-
-
-@settings(max_examples=50)
-@given(st.integers(1, 12), st.floats(1.0, 300.0), st.integers(0, 2**32))
-def test_members_part_and_never_meet_again(members: int, recourse: float, seed: int) -> None:
-    """All are one group until recourse; those known apart stay apart."""
-    edges = growing_steps(240)
-    chance = np.random.default_rng(seed)
-    rain = np.maximum(0.0, chance.normal(-1, 1, (members, len(edges) - 1)))
-    groups = halved_by_rain(rain, edges, recourse * 3600)
-    assert not groups[:, edges[:-1] < recourse * 3600].any()
-    together = groups[:, None] == groups[None]
-    assert (together[..., 1:] <= together[..., :-1]).all()
-    assert (groups == together.argmax(axis=1)).all()  # named after the first of them
-    halvings = math.ceil(math.log2(members)) if members > 1 else 0
-    assert together[..., -1].sum() == members or halvings * recourse > 234
 
 
 def test_it_waits_for_what_will_be_known_in_time() -> None:
@@ -442,10 +426,3 @@ def test_from_one_start_to_the_next_it_waits() -> None:
         if controller.command(2.3, level, [DRY], DRY):
             started.append(second)
     assert started == [0, 180, 360, 540]
-
-
-def test_pumps_that_cannot_lift() -> None:
-    """From so deep that they give nothing, whatever the bound of the commands."""
-    site = site_with(c_hat=15.3)
-    assert maximum_pump_flow(site, site.cistern_volume(0.6)) == 0
-    assert lookahead(site, max_command=math.inf).command(0.6, 0.0, [DRY], DRY) == 0.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,18 +12,25 @@ import numpy as np
 import pytest
 from adversaries.forecasts import TOGETHER, told
 from numpy.typing import NDArray
-from paper import PAPER_SITE, deviation_of, lookahead, paper_run, rain_scaled, site_file, site_with
+from paper import (
+    PAPER_SITE,
+    deviation_of,
+    exact_flows,
+    lookahead,
+    paper_run,
+    rain_scaled,
+    site_file,
+)
 from places import CONFIG, DATA
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
-from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
+from greenroof_ros.model.plant import maximum_pump_flow
 
 Array = NDArray[np.float64]
 
@@ -124,14 +130,6 @@ def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> Non
     assert PAPER_SITE.z_veg - 5e-4 < level < PAPER_SITE.z_veg + slack
 
 
-def test_no_observer() -> None:
-    """Each reading is taken as it is, bit for bit."""
-    estimate = RoofObserver(PAPER_SITE, 0.0)
-    for level in (0.03, 0.0301, 0.0299):
-        assert estimate.correct(level) == PAPER_SITE.roof_volume(level)
-        estimate.predict(1.0, 0.0, 0.0, 0.0)
-
-
 # --- the forecast -------------------------------------------------------------------------------
 
 
@@ -173,48 +171,14 @@ def test_an_adversary_costs_at_most_the_budget(
         assert reached(1e6) > 1.5 * limit
 
 
-# A cistern of 6 m3 that a storm fills, and pumps that in a tick of five minutes lift 0.7 mm.
-SMALL_CISTERN = site_with(a1=2.0, a_in=270.0, r_o=0.01, tau=300.0, M=1)
-SMALL_PUMP = 0.02
-
-
-def drought(controller: Any) -> tuple[float, float, float]:
-    """Water that roof for 30 days: 4 mm a day evaporate, 10 mm fall on day 6, 2 mm/h are promised.
-
-    Roof and cistern are full at first. Returned are the deviation (m3 s), what the cistern lost by
-    overflowing (m3), and the time with too little in it to pump (s).
-    """
-    site = SMALL_CISTERN
-    steps = len(growing_steps(48)) - 1
-    plant = Plant(site, site.cistern_volume(site.z_o), site.x2_star)
-    evaporated = 4e-3 / 86_400 * site.a2
-    rain, losses = array("d", [2 / 3.6e6] * steps), array("d", [evaporated] * steps)
-    deviation = overflowed = empty = 0.0
-    for tick in range(30 * 288):
-        rain[0] = 10 / 3.6e6 if 6 * 288 <= tick < 6 * 288 + 12 else 0.0
-        command = controller.command(*plant.levels(), rain, losses)
-        flows = plant.flows(rain[0], evaporated, plant.pump_flow(command))
-        deviation += site.tau * abs(plant.x2 - site.x2_star)
-        overflowed += site.tau * flows.outflow
-        empty += site.tau * (plant.levels()[0] < site.suction_level)
-        plant.step(rain[0], flows)
-    return deviation, overflowed, empty
-
-
-def test_a_cistern_that_overflows_while_the_roof_waits() -> None:
-    """The storm fills the cistern, and what on/off had pumped by then is missing in the drought.
-
-    All of it is counted. The bound is exceeded, and by no more than that volume for the time in
-    which the cistern has none.
-    """
-    plain, lost, _ = drought(OnOff(SMALL_CISTERN, SMALL_PUMP))
-    controller = AnticipatingOnOff(SMALL_CISTERN, 48, 10, SMALL_PUMP, 0.0, 72.0, SHARE)
-    reached, overflowed, empty = drought(controller)
-    budget = controller._regret_budget
-    assert budget.loss == pytest.approx(reached - plain, rel=0.02)
-    assert budget.onoff_cost == pytest.approx(plain, rel=0.02)
-    bound = (1 + SHARE) * plain + 72.0 * EMPTY_HOUR
-    assert bound < reached < bound + (overflowed - lost) * empty
+def test_what_overflows_while_the_roof_waits_is_missing_later() -> None:
+    """From 3.2 m of water on/off has pumped for two ticks, and lost less by the outlet at 3 m."""
+    budget = RegretBudget(PAPER_SITE, 1e6, 0.0)
+    for _ in range(2):
+        budget.move(80.0, 2.0, 2.0, 1.0, 0.0)
+    out, first, _ = exact_flows(PAPER_SITE, 80.0, 2.0, 1.0)
+    less, second, _ = exact_flows(PAPER_SITE, 80.0 - first, 2.0 + first, 1.0)
+    assert budget._stored == pytest.approx(out - less - first - second, rel=1e-9)
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:

@@ -144,19 +144,6 @@ def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: 
     assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
 
 
-def test_mains_fill_up_to_their_level() -> None:
-    """0.5 m3/s into 25 m2: from 24.2 m3 in two ticks over the valve's level of 1 m, and no more."""
-    plant = Plant(site_with(mains_level=1.0, mains_flow=0.5), 24.2, 1.0)
-    volumes = []
-    for _ in range(4):
-        plant.step(0.0, plant.flows(0.0, 0.0, 0.0))
-        volumes.append(plant.x1)
-    assert volumes == pytest.approx([24.7, 25.2, 25.2, 25.2], rel=1e-12)
-    # What they give can be pumped in the same tick.
-    flows = Plant(site_with(mains_level=1.0, mains_flow=0.5), 0.0, 1.0).flows(0.0, 0.0, 0.4)
-    assert (flows.pump, flows.limited) == (0.4, False)
-
-
 def test_step_by_hand() -> None:
     """From (80, 2) m3 at half the flow, 3.0 mm/h of rain and 1.22675507 mm/day off the bed.
 
