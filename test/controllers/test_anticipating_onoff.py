@@ -18,7 +18,6 @@ from places import DATA
 
 from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
-from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.forecast.models import PerfectModel
 from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
@@ -64,28 +63,6 @@ def test_it_pumps_the_first_volume_of_the_isotonic_regression(
     first = min(medians(PAPER_SITE.x2_star - course, lengths))
     if abs(first) > 1e-9:
         assert command == (0.8 if first > 0 and roof < PAPER_SITE.z_veg else 0.0)
-
-
-def test_it_waits() -> None:
-    """Rain at the end of the forecast that is worth it for the days after it, and one that is not.
-
-    1.08 m3 are missing. 30 mm would be 2.06 m3: then nearly as much too much as is missing now, but
-    for days. 8 mm, 0.55 m3, leave room for what is pumped now.
-    """
-    for depth, command in ((0.030, 0.0), (0.008, 1.0)):
-        rain = [*DRY[:-1], depth / LENGTHS[-1]]
-        assert anticipating().command(2.3, 0.03, rain, DRY) == command
-
-
-def test_it_comes_near_the_bound(tmp_path: Path) -> None:
-    """Within 2 % of the least possible on the paper's window, whose end is the end of all."""
-    run = paper_run(
-        "--controller", "anticipating_onoff", "--horizon", "12", "--days-after", "0",
-        "--site", str(site_file(tmp_path, tau=2.0)),
-    )
-    reached = metrics_of(run)["total_deviation_m3"]
-    least_possible = clairvoyant_bound(run).bound_m3
-    assert least_possible <= reached <= 1.02 * least_possible
 
 
 def test_a_longer_forecast_does_no_harm_on_a_measured_roof(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from paper import PAPER_SITE, lookahead, metrics_of, paper_run, site_file, site_
 from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.model.look_ahead import growing_steps
@@ -233,46 +232,18 @@ def rain_in(hours: tuple[float, float], depth: float) -> list[float]:
     return (rate * falls).tolist()
 
 
-@pytest.mark.parametrize("site", ["site.yaml", "site_neubrandenburg.yaml"])
-def test_the_papers_hours_beside_their_bound(site: str, tmp_path: Path) -> None:
-    """No controller is below the linear program, and this one is as good as the program's own plan.
+def test_the_papers_hours_beside_their_bound(tmp_path: Path) -> None:
+    """On a measured roof it is not below the linear program, and as good as the program's plan.
 
-    On the paper's roof the two are one. On the measured one the program promises 0.9 % less than
-    its plan then has. Ticks of ten seconds.
+    The program promises 0.9 % less than its plan then has. The paper's roof is among the headline
+    numbers.
     """
+    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     run = paper_run(
-        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site",
-        str(site_file(tmp_path, base=site, tau=10.0)),
+        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site)
     )
     bound = clairvoyant_bound(run)
     assert bound.bound_m3 <= metrics_of(run)["total_deviation_m3"] < 1.001 * bound.plan_m3
-
-
-def test_a_draining_cistern_is_used_while_there_is_water(tmp_path: Path) -> None:
-    """For a roof that lacks 15 m3 there are 21 m3, and in half an hour 1 m3: as on/off, to 1 %.
-
-    The nodes of water are far apart, so that it pauses once or twice before the last of it.
-    """
-    file = site_file(
-        tmp_path, tau=5.0, a2=400.0, x2_star=400 * 0.0457, z_cap=200.0,
-        low_outlet_level=0.8, low_outlet_radius=0.06,
-    )
-    ours, onoff = (
-        metrics_of(paper_run(
-            "--controller", *chosen, "--site", str(file), "--cistern", "40", "--roof", "3",
-            "--hours", "2",
-        ))
-        for chosen in (("lookahead", "--horizon", "12"), ("onoff",))
-    )
-    assert min(onoff["pumped_m3"], onoff["outflow_m3"]) > 5
-    assert ours["pumped_m3"] > 0.99 * onoff["pumped_m3"]
-    assert ours["total_deviation_m3"] < 1.01 * onoff["total_deviation_m3"]
-
-
-def planned_volumes(controller: Lookahead) -> Array:
-    """Return what its plan pumps in each step (m3)."""
-    ends, flows, _ = controller.plan.T
-    return np.asarray(flows * np.diff(ends, prepend=0.0))
 
 
 def test_water_that_fades_is_pumped_once() -> None:
@@ -283,9 +254,10 @@ def test_water_that_fades_is_pumped_once() -> None:
     level = site.suction_level + 0.5 / site.a1
     evaporates = [3e-3 / 86_400 * site.a2] * len(dry)
     assert controller.command(level, site.z_veg / 2, dry, evaporates) > 0.9
-    volumes = planned_volumes(controller)
+    ends, flows, _ = controller.plan.T
+    volumes = flows * np.diff(ends, prepend=0.0)
     assert volumes.sum() == pytest.approx(0.5)
-    assert volumes[controller.plan[:, 0] <= 600].sum() == pytest.approx(0.5)
+    assert volumes[ends <= 600].sum() == pytest.approx(0.5)
 
 
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:

@@ -36,29 +36,6 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
     assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]
 
 
-ALL_BUT_MADE = """
-import sys
-from greenroof_ros import bringup
-from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.study import __main__
-choices = [find_controller(name) for name in BUILT_IN]
-print([list(choice.parameters) + list(choice.outputs) + [choice.ensemble] for choice in choices])
-print({"scipy", "osqp"} & set(sys.modules))
-"""
-
-
-def test_no_solver_is_imported_for_what_a_class_says() -> None:
-    """It takes longer than all else of a start; parameters and outputs are the class's."""
-    done = subprocess.run(
-        [sys.executable, "-c", ALL_BUT_MADE], cwd=CHECKOUT, capture_output=True, text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    said, imported = done.stdout.splitlines()
-    assert "/controller/solver_status" in said
-    assert imported == "set()"
-
-
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where pip's part of the installation was left out, that is said instead of a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)

@@ -80,21 +80,6 @@ def test_noise_of_any_size_is_noise(tau: float) -> None:
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.25)
 
 
-def settled(level: float) -> RoofObserver:
-    """Return one that has read a level for five minutes."""
-    estimate = RoofObserver(PAPER_SITE, 300.0)
-    for _ in range(300):
-        estimate.predict(estimate.correct(level), 0.0, 0.0, 0.0)
-    return estimate
-
-
-@pytest.mark.parametrize("off", [-0.045, 0.045])
-def test_a_single_reading_is_no_reason(off: float) -> None:
-    """One of them far off counts as one of 300."""
-    x2 = settled(0.05).correct(0.05 + off)
-    assert PAPER_SITE.roof_level(x2) == pytest.approx(0.05 + off / 300, abs=1e-5)
-
-
 CONTROLLERS = {
     "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 10, 1.0, 300.0, math.inf, 0.0),
     "lookahead": lambda: lookahead(observer_time_constant=300.0),

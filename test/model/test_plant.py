@@ -82,17 +82,6 @@ def test_maximum_pump_flow_by_hand(site: Site, x1: float, flow: float) -> None:
     assert maximum_pump_flow(site, x1) == pytest.approx(flow, rel=1e-12)
 
 
-@given(site=sites(), level=st.floats(0, 20))
-def test_maximum_pump_flow_is_where_pump_and_pipe_meet(site: Site, level: float) -> None:
-    """Eq. (3d), phi(y) = L(x, y), which Eq. (3e) solves; the water is above the suction level."""
-    level += site.z_pump + site.z_H
-    y = maximum_pump_flow(site, level * site.a1)
-    head = site.a_hat * y**2 + site.c_hat
-    losses = (site.F * site.l / site.D + site.k_L) * y**2 / (2 * site.g * site.a_pump**2)
-    assert y > 0
-    assert head == pytest.approx(losses + site.d - level, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("x1", "x2", "runs"),
     [
@@ -158,11 +147,6 @@ def test_step_by_hand() -> None:
     plant.step(rain, flows)
     assert plant.x1 - 80 == pytest.approx(2 * -0.06353570825770872, abs=1e-13)
     assert plant.x2 - 2 == pytest.approx(2 * 0.00427734946985090, abs=1e-13)
-
-
-def test_levels_are_depths() -> None:
-    """50 m3 over 25 m2 are 2 m; 6.88 m3 over 68.8 m2 are 0.1 m."""
-    assert Plant(PAPER_SITE, 50.0, 6.88).levels() == pytest.approx((2.0, 0.1), rel=1e-15)
 
 
 DRAINS = 1.077408e-5

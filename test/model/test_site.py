@@ -216,16 +216,6 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
     assert refusal(path).startswith(start)
 
 
-def test_a_measured_roof(tmp_path: Path) -> None:
-    """A soil of 34.4 m3 holds 0.6 of it, of which 0.05 is not for plants; 10 mm in its layer."""
-    site = read_site(write(tmp_path, z_cap=20.64, **MEASURED))
-    assert {key: getattr(site, key) for key in MEASURED} == MEASURED
-    assert site.wilting_volume == pytest.approx(1.72, rel=1e-12)
-    assert site.available_volume == pytest.approx(18.92, rel=1e-12)
-    assert site.stress_onset == 0.5
-    assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
-
-
 def test_what_may_be_zero(tmp_path: Path) -> None:
     """A pipe without bends, pumps on the floor, pumps that suck the last drop."""
     site = read_site(write(tmp_path, k_L=0, z_pump=0, z_H=0))

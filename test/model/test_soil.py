@@ -48,18 +48,6 @@ def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) ->
     assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
 
 
-def test_water_stress_in_millimetres() -> None:
-    """FAO-56's Eqs. 82-84: TAW = 1000 (0.22 - 0.14) 1 m = 80 mm, RAW = 0.4 TAW = 32 mm.
-
-    Where 60 mm are gone, K_s = (80 - 60) / (80 - 32).
-    """
-    tomato = replace(
-        site_with(a2=100.0, z_soil=1.0, z_veg=0.1), z_cap=22.0,
-        field_capacity=0.22, wilting_point=0.14, depletion_fraction=0.4,
-    )
-    assert soil_of(tomato).water_stress(22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
-
-
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
@@ -169,14 +157,6 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
     volume = solved(lambda x: SOIL.kept_share(x) * arriving, x2, seconds)
     passed = seconds * SOIL.mean_percolation(x2, arriving, seconds)
     assert passed == pytest.approx(x2 + seconds * arriving - volume, abs=1e-6)
-
-
-def test_what_comes_stays_and_lasts_on_the_papers_soil() -> None:
-    """Rain on the bed less evapotranspiration; and all of what fills it is there in every step."""
-    weather = np.array([1e-6, 0.0]), np.array([1e-6, 2e-6]), np.array([10.0, 100.0])
-    found = PAPER_SOIL.free_changes(3.0, *weather)
-    assert found == pytest.approx([6.88e-4 - 1e-5, -2e-4], rel=1e-12)
-    assert PAPER_SOIL.lasting_share(3.0, found, *weather).tolist() == [1.0, 1.0]
 
 
 def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
