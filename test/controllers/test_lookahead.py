@@ -240,7 +240,8 @@ def test_the_papers_hours_beside_their_bound(tmp_path: Path) -> None:
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     run = paper_run(
-        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site)
+        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site),
+        "--hours", "12",
     )
     bound = clairvoyant_bound(run)
     assert bound.bound_m3 <= metrics_of(run)["total_deviation_m3"] < 1.001 * bound.plan_m3

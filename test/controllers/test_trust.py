@@ -215,7 +215,10 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
     is right only if that is followed. In ticks of ten seconds a tenth of the full flow.
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
-    options = ("--controller", "onoff", "--site", str(site), "--start", "2021-07-08T05:00")
+    options = (
+        "--controller", "onoff", "--site", str(site), "--start", "2021-07-08T05:00",
+        "--hours", "12",
+    )
     run = paper_run(*options, "--fraction", "0.1")
     onoff_roof = [tick.x2 for tick in closed_loop(run, run.make_controller(), Metrics())]
     loss = RegretBudget(run.site, 1e6, 0.0)

@@ -124,7 +124,8 @@ def test_a_storm_on_a_measured_roof_balances(tmp_path: Path) -> None:
     """12 hours on the roof of Neubrandenburg: half of what comes drains off."""
     file = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     metrics = assert_balance(paper_run(
-        "--controller", "onoff", "--site", str(file), "--start", "2021-07-08T00:00"
+        "--controller", "onoff", "--site", str(file), "--start", "2021-07-08T00:00",
+        "--hours", "12",
     ))
     assert metrics["limited_steps"] == 0
     assert metrics["pumped_m3"] > 0

@@ -35,7 +35,7 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
     return max(cistern, 0) * site.a1, max(roof, 0) * site.a2
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(
     data=st.data(),
     site=st.just(PAPER_SITE) | sites() | measured_sites(),
