@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import random
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 from paper import PAPER_SITE, site_with
 
 from greenroof_ros.model import metrics as metrics_module
-from greenroof_ros.model.metrics import METRICS, Metrics
+from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows
-from greenroof_ros.model.site import Site, site_parameters
+from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
@@ -219,12 +219,3 @@ def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
         assert found[-1] == (metrics.results(), metrics.weekly_deviations())
     assert found[0] == found[1] == found[2]
     assert all(0 < found[0][0][name] < 1 for name in KEPT)
-
-
-def test_each_has_its_words() -> None:
-    """Metrics and site parameters: a name of its own, a unit and a meaning."""
-    assert len({metric.name for metric in METRICS}) == len(METRICS)
-    assert len({metric.label for metric in METRICS}) == len(METRICS)
-    assert all(metric.unit and metric.meaning for metric in METRICS)
-    assert [one.name for one in site_parameters()] == [one.name for one in fields(PAPER_SITE)]
-    assert all(one.unit and one.meaning for one in site_parameters())

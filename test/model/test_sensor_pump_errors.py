@@ -23,9 +23,6 @@ from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor, SensorPumpE
 EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
 
 
-# --- the sensor --------------------------------------------------------------------------------
-
-
 def readings(errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
     """Return what a new sensor reads at some ticks."""
     sensor = RoofSensor(errors)
@@ -68,9 +65,6 @@ def test_offset_by_hand() -> None:
     assert readings(SensorPumpErrors(roof_offset=-0.25), [0], 0.125) == [0.0]
     noisy = readings(SensorPumpErrors(roof_noise=1.0), range(1000), 0.0)
     assert min(noisy) == 0 and 400 < noisy.count(0.0) < 600
-
-
-# --- the pump ----------------------------------------------------------------------------------
 
 
 def commands_let_through(
@@ -142,9 +136,6 @@ def test_frost_switches_off_at_once() -> None:
     commands = [1, 1, 0, 0, 1, 1, 1]
     assert commands_let_through(times, commands, frost) == [1, 1, 0, 0, 0, 1, 1]
     assert commands_let_through(times, [1, 1, 0], [False, False, True]) == [1, 1, 0]
-
-
-# --- runs --------------------------------------------------------------------------------------
 
 
 def ticks_of(run: Run) -> tuple[list[Tick], Metrics]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, linear_model, measured_sites, sites
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.smooth_plant import linearise, psi, sigma
+from greenroof_ros.model.smooth_plant import linearise, sigma
 
 
 @st.composite
@@ -61,17 +61,6 @@ def test_linear_model_equals_complex_steps(
     # The terms of f cancel; what is left is right to 1e-9 of the terms.
     terms = np.abs(C) @ np.abs(point[3:]) + np.abs(B * point[2]) + np.abs(b)
     np.testing.assert_allclose(model.b, b, rtol=0, atol=1e-9 * terms.max())
-
-
-def test_smooth_square_root_by_hand() -> None:
-    """Eq. (6) with epsilon = 0.25, where 2/3 sqrt(epsilon) is 1/3."""
-    third = 1 / 3
-    expected = {
-        -1.0: (third, 0.0), 0.0: (third, 0.0), 0.0625: (third + 1 / 48, 0.5), 0.25: (0.5, 1.0),
-        4.0: (2.0, 0.25),
-    }
-    for y, root_and_slope in expected.items():
-        assert psi(y, 0.25) == pytest.approx(root_and_slope, rel=1e-15)
 
 
 def test_sigmoid_by_hand() -> None:
