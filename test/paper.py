@@ -40,6 +40,8 @@ TABLE_I: dict[str, float] = {
 
 PAPER_SITE = Site(**TABLE_I)  # type: ignore[arg-type]  # M and N are written as whole numbers
 
+SLOW = replace(PAPER_SITE, tau=10.0)
+
 MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
 
 _STEP = 1e-30
@@ -65,7 +67,7 @@ def weather_of(
 
 
 def run_of_hours(
-    hours: Sequence[tuple[float, float, bool]], x1: float, x2: float, site: Site,
+    hours: Sequence[tuple[float, float, bool]], x1: float, x2: float, site: Site = SLOW,
     steps: int | None = None, fraction: float = 1.0,
 ) -> Run:
     """Build a run of plain on/off over hours of weather, or of fewer steps.
@@ -74,7 +76,7 @@ def run_of_hours(
         hours: rain (mm/h), evapotranspiration (mm/day), and whether there is frost, of each.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
-        site: its parameters.
+        site: its parameters; unless given the paper's, in ticks of ten seconds.
         steps: of the run; those of all hours unless given.
         fraction: of on/off.
     """
@@ -114,6 +116,15 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
     made = choice.make(site, {**choice.defaults(site), **given})
     assert isinstance(made, Lookahead)
     return made
+
+
+def rain_scaled(run: Run, factor: float) -> Run:
+    """Return a run with another multiple of its rain, and its old forecast."""
+    rain = run.weather.precipitation * factor
+    weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
+    return replace(
+        run, weather=weather, series=WeatherSeries(weather, run.site, run.start, run.steps)
+    )
 
 
 def metrics_of(run: Run, controller: Any = None) -> Metrics:

@@ -1,4 +1,4 @@
-"""The example of a controller of one's own, through simulate, bringup, study and report."""
+"""The example of a controller of one's own, through simulate, bringup and study."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 from graphs import bring_up, environment
+from paper import metrics_of, paper_run
 from places import CHECKOUT
 from studies import GRID, rows_of
 
-from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.study.grid import read_grid
 
 EXAMPLE = "examples.proportional:Proportional"
 FILE = str(CHECKOUT / "examples" / "proportional.yaml")
@@ -50,43 +51,35 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
 
 
-def test_study_and_report(tmp_path: Path) -> None:
-    """It stands in grid, table and page beside a controller of this package, with its parameter."""
+def test_study(tmp_path: Path) -> None:
+    """It stands in grid and table beside a controller of this package, with its parameter."""
     section = f"  {EXAMPLE}:\n    gain: [10.0, 20.0]\n  onoff:\n"
     grid = GRID[: GRID.index("  mpc:\n")] + section
-    grid = grid.replace("hours: 0.25", "hours: 0.1").replace("[published, fao56]", "published")
+    grid = grid.replace("hours: 0.25", "hours: 0.02").replace("[published, fao56]", "published")
     (tmp_path / "grid.yaml").write_text(grid)
     run(tmp_path, "study", "grid.yaml", "--output", "study", "--jobs", "1")
     rows = [row for row in rows_of(tmp_path / "study" / "results.csv")
             if row["controller"] == "proportional"]
     assert {row["status"] for row in rows} == {"done"}
     assert len(rows) == 2 * 2  # initial states, gains
-    own = run(
-        tmp_path, "simulate", "--controller", EXAMPLE, "--gain", "10", "--hours", "0.1", "--json",
+    own = metrics_of(paper_run(
+        "--controller", EXAMPLE, "--gain", "10", "--hours", "0.02",
         "--evapotranspiration", "published",
-    )
-    mine = next(row for row in rows if row["initial"] == "low-low"
-                and row["evapotranspiration"] == "published" and "10.0" in row.values())
-    assert float(mine["total_deviation_m3"]) == json.loads(own)["total_deviation_m3"]
-    trajectory = read_parquet(tmp_path / "study" / "runs" / mine["run"] / "trajectory.parquet")
-    assert len(trajectory.time) == TICKS
-    run(tmp_path, "report", "study", "--output", "report")
-    page = (tmp_path / "report" / "report.html").read_text()
-    assert "proportional" in page
-    assert "gain" in page
+    ))
+    mine = next(row for row in rows if row["initial"] == "low-low" and "10.0" in row.values())
+    assert float(mine["total_deviation_m3"]) == own["total_deviation_m3"]
 
 
-def test_another_state_of_its_code_is_another_run(tmp_path: Path) -> None:
+def test_another_state_of_its_code_is_another_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A study that was begun with other code of the controller is not gone on with."""
-    (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
-    grid = GRID[: GRID.index("  mpc:\n")] + "  mine:Proportional:\n"
-    (tmp_path / "grid.yaml").write_text(grid.replace("hours: 0.25", "hours: 0.01"))
-    run(tmp_path, "study", "grid.yaml", "--output", "study", "--jobs", "1")
-    with (tmp_path / "mine.py").open("a") as stream:
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "my_own.py"
+    file.write_text((CHECKOUT / "examples" / "proportional.py").read_text())
+    grid = GRID[: GRID.index("  mpc:\n")] + "  my_own:Proportional:\n"
+    (tmp_path / "grid.yaml").write_text(grid)
+    identities = [read_grid(tmp_path / "grid.yaml")[0].identity for _ in range(2)]
+    with file.open("a") as stream:
         stream.write("# changed\n")
-    result = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "study"],
-        cwd=tmp_path, env=environment(0), capture_output=True, text=True, timeout=60, check=False,
-    )
-    assert result.returncode == 2
-    assert "holds a study begun with another grid, or other files" in result.stderr
+    assert identities[0] == identities[1] != read_grid(tmp_path / "grid.yaml")[0].identity

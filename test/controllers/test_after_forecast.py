@@ -46,17 +46,6 @@ def test_after_the_forecast_the_roof_dries_slowly() -> None:
     assert np.ptp(last_day) / 2 == pytest.approx(0.3 * mean * 1.57 * 0.157, rel=0.15)
 
 
-def test_nothing_after_the_forecast() -> None:
-    """Without days after it the forecast's end is the end of all."""
-    after = AfterForecast(PAPER_SITE, 12, 0)
-    assert after.edges.tolist() == EDGES.tolist()
-    rain, evaporated = np.full((2, STEPS), 1e-6), np.full(STEPS, 3e-6)
-    after.pass_tick(evaporated)
-    assert [part.tolist() for part in after.lengthen(rain, evaporated)] == [
-        rain.tolist(), evaporated.tolist()
-    ]
-
-
 def test_after_the_forecast_the_first_mean_is_that_of_the_forecast() -> None:
     """Over its first day, however much its later steps have."""
     edges = growing_steps(48)

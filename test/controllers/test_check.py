@@ -68,7 +68,6 @@ BROKEN = [
         "statistics() must be None or have fallbacks, max_s, mean_s, p99_s, solves",
     ),
     # The node can send no other plan than an array of floats with the interface's columns.
-    (planning("[[10.0, 0.0, 0.04]]"), OUTPUTS, NO_PLAN),
     (planning("numpy.zeros((2, 3), dtype=int)"), OUTPUTS, NO_PLAN),
     (planning("numpy.zeros((2, 2))"), OUTPUTS, NO_PLAN),
 ]

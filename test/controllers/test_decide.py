@@ -31,11 +31,11 @@ class Answering:
         return None
 
 
-@pytest.mark.parametrize("answer", [0.0, 0.3, 7, np.float64(0.5), 1e300])
-def test_a_command_is_passed_on(answer: float) -> None:
-    controller = Answering(answer)
-    assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
-    assert controller.skipped == 0
+def test_a_command_is_passed_on() -> None:
+    for answer in (0.0, 7, np.float64(0.5)):
+        controller = Answering(answer)
+        assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
+        assert controller.skipped == 0
 
 
 def test_where_pumping_is_not_allowed_the_tick_is_skipped() -> None:

@@ -13,29 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import (
-    PAPER_SITE,
-    lookahead,
-    measured_sites,
-    metrics_of,
-    paper_run,
-    site_file,
-    site_with,
-)
-from places import CONFIG, DATA
+from paper import PAPER_SITE, lookahead, metrics_of, paper_run, site_file, site_with
+from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.forecast.models import PerfectModel
-from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
+from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.model.soil import soil_of
-from greenroof_ros.weather.series import WeatherSeries
 
 # --- the recursion, on whole numbers of a unit ----------------------------------------------------
 
@@ -164,12 +151,14 @@ def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
     return abs(found - exhaustive(tiny, groups)) / UNIT
 
 
+@settings(max_examples=30)
 @given(tiny_problems())
 def test_one_forecast_and_strong_pumps(tiny: Tiny) -> None:
     """The least cost is that of trying all."""
     assert apart(tiny) < 0.1
 
 
+@settings(max_examples=30)
 @given(tiny_problems(pumps=(0, 2, 4, 10, 20)))
 def test_weak_pumps_and_hours_without(tiny: Tiny) -> None:
     """Pumps that hardly keep up with evaporation, and hours in which none may run."""
@@ -211,24 +200,6 @@ def test_the_drier_half_parts_from_the_wetter() -> None:
     )
 
 
-@given(st.integers(1, 12), st.floats(1.0, 300.0), st.integers(0, 2**32))
-def test_members_part_and_never_meet_again(members: int, recourse: float, seed: int) -> None:
-    """All are one group until recourse; those known apart stay apart; in any order of members."""
-    edges = growing_steps(240)
-    chance = np.random.default_rng(seed)
-    rain = np.maximum(0.0, chance.normal(-1, 1, (members, len(edges) - 1)))
-    groups = halved_by_rain(rain, edges, recourse * 3600)
-    assert not groups[:, edges[:-1] < recourse * 3600].any()
-    together = groups[:, None] == groups[None]
-    assert (together[..., 1:] <= together[..., :-1]).all()
-    assert (groups == together.argmax(axis=1)).all()  # named after the first of them
-    halvings = math.ceil(math.log2(members)) if members > 1 else 0
-    assert together[..., -1].sum() == members or halvings * recourse > 234
-    order = chance.permutation(members)
-    again = halved_by_rain(rain[order], edges, recourse * 3600)
-    assert ((again[:, None] == again[None]) == together[np.ix_(order, order)]).all()
-
-
 def test_it_waits_for_what_will_be_known_in_time() -> None:
     """Rain in six hours that one member of eight has, and that fills the roof for a day.
 
@@ -251,7 +222,6 @@ def test_it_waits_for_what_will_be_known_in_time() -> None:
 STEPS = len(growing_steps(12.0)) - 1
 DRY = [0.0] * STEPS
 MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
-JULY = DATA / "en_climate_hourly_07-2021.csv"
 Array = NDArray[np.float64]
 
 
@@ -263,83 +233,19 @@ def rain_in(hours: tuple[float, float], depth: float) -> list[float]:
     return (rate * falls).tolist()
 
 
-@pytest.mark.parametrize("site", ["site.yaml", "site_neubrandenburg.yaml"])
-def test_the_papers_hours_beside_their_bound(site: str) -> None:
-    """No controller is below the linear program, and this one is as good as the program's own plan.
+def test_the_papers_hours_beside_their_bound(tmp_path: Path) -> None:
+    """On a measured roof it is not below the linear program, and as good as the program's plan.
 
-    On the paper's roof the two are one. On the measured one the program promises 0.9 % less than
-    its plan then has.
+    The program promises 0.9 % less than its plan then has. The paper's roof is among the headline
+    numbers.
     """
+    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     run = paper_run(
-        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site",
-        str(CONFIG / site),
+        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site),
+        "--hours", "12",
     )
     bound = clairvoyant_bound(run)
     assert bound.bound_m3 <= metrics_of(run)["total_deviation_m3"] < 1.001 * bound.plan_m3
-
-
-@pytest.mark.parametrize(
-    "options", [("lookahead",), ("anticipating_onoff", "--fraction", "0.001")]
-)
-def test_a_longer_forecast_does_no_harm_on_a_measured_roof(
-    options: tuple[str, ...], tmp_path: Path
-) -> None:
-    """Twenty days of July with twice its rain, perfect forecasts of two days and of ten.
-
-    That much rain flushes what was pumped: who counts on it for ten days is 4 % behind.
-    """
-    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=600.0)
-    totals = []
-    for horizon in ("48", "240"):
-        run = paper_run(
-            "--controller", *options, "--horizon", horizon, "--site", str(site),
-            "--evapotranspiration", "fao56", "--weather", str(JULY),
-            "--start", "2021-07-01T00:00", "--hours", "480",
-        )
-        rain = run.weather.precipitation * 2
-        weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
-        perfect = SteppedForecast(
-            PerfectModel(weather), weather, run.site, run.start, growing_steps(float(horizon)),
-            run.steps, run.controller.ensemble,
-        )
-        series = WeatherSeries(weather, run.site, run.start, run.steps)
-        run = replace(run, weather=weather, forecast=perfect, series=series)
-        totals.append(metrics_of(run)["total_deviation_m3"])
-    assert totals[1] <= 1.005 * totals[0], totals
-
-
-def beside_onoff(*options: str) -> tuple[Metrics, Metrics]:
-    """Return what it has in a run, and what plain on/off has."""
-    runs = [paper_run("--controller", *chosen, *options) for chosen in (
-        ("lookahead", "--horizon", "12"), ("onoff",)
-    )]
-    ours, onoff = map(metrics_of, runs)
-    return ours, onoff
-
-
-def test_a_low_cistern() -> None:
-    """With next to nothing to pump it is no worse than plain on/off, but for the last tick."""
-    ours, onoff = beside_onoff("--cistern", "19", "--roof", "2.4", "--hours", "4")
-    less = max(0.0, onoff["pumped_m3"] - ours["pumped_m3"])
-    assert less < maximum_pump_flow(PAPER_SITE, 19.0)
-    limit = 1.001 * onoff["total_deviation_m3"] + less * 4 * 3600
-    assert ours["total_deviation_m3"] <= limit
-
-
-def test_a_draining_cistern_is_used_while_there_is_water(tmp_path: Path) -> None:
-    """For a roof that lacks 15 m3 there are 21 m3, and in half an hour 1 m3: as on/off, to 1 %.
-
-    The nodes of water are far apart, so that it pauses once or twice before the last of it.
-    """
-    file = site_file(
-        tmp_path, a2=400.0, x2_star=400 * 0.0457, z_cap=200.0,
-        low_outlet_level=0.8, low_outlet_radius=0.06,
-    )
-    options = ("--site", str(file), "--cistern", "40", "--roof", "3", "--hours", "2")
-    ours, onoff = beside_onoff(*options)
-    assert min(onoff["pumped_m3"], onoff["outflow_m3"]) > 5
-    assert ours["pumped_m3"] > 0.99 * onoff["pumped_m3"]
-    assert ours["total_deviation_m3"] < 1.01 * onoff["total_deviation_m3"]
 
 
 def planned_volumes(controller: Lookahead) -> Array:
@@ -370,39 +276,6 @@ def test_water_that_fades_is_pumped_once() -> None:
     assert volumes[controller.plan[:, 0] <= 600].sum() == pytest.approx(0.5)
 
 
-@given(
-    st.sampled_from([PAPER_SITE, MEASURED]), st.floats(0.2, 0.999), st.floats(0.0, 0.03),
-    st.floats(0.0, 0.03),
-)
-@settings(max_examples=20)
-def test_the_more_rain_the_lower_the_level(
-    site: Site, filled: float, depth: float, more: float
-) -> None:
-    """More of it at the same time leaves no reason to fill the roof further; nor does any rain."""
-    levels = []
-    for depths in (0.0, depth, depth + more):
-        controller = lookahead(site)
-        controller.command(2.3, filled * site.z_veg, [rain_in((1, 2), depths)], DRY)
-        levels.append(0.0 if math.isnan(controller.fill_to) else controller.fill_to)
-    assert levels[0] == pytest.approx(site.z_veg)
-    assert levels[0] >= levels[1] >= levels[2]
-
-
-@given(measured_sites(), st.floats(0.0, 0.9), st.floats(0.0, 1e-5), st.floats(0.0, 1e-8))
-def test_a_soils_long_step_is_the_plants_many(
-    site: Site, filled: float, rain: float, asked: float
-) -> None:
-    """An hour of rain, then an hour of evapotranspiration (of the bed, m/s); nothing is pumped."""
-    site = replace(site, tau=2.0)
-    plant = Plant(site, 0.0, filled * site.z_cap)
-    found = soil_of(site).after(
-        np.array(plant.x2), rain * site.a2 * HOUR, asked * site.a2 * HOUR, HOUR
-    )
-    for falls, evaporates in [(rain, 0.0)] * 1800 + [(0.0, asked * site.a2)] * 1800:
-        plant.step(falls, plant.flows(falls, evaporates, 0.0))
-    assert float(found) == pytest.approx(plant.x2, abs=2e-3 * site.z_cap)
-
-
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:
     """One forecast of three has rain for 0.9 of what is missing: it waits, if it can fill later.
 
@@ -417,22 +290,6 @@ def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None
         levels.append(controller.fill_to)
     assert levels[0] == pytest.approx(PAPER_SITE.z_veg - 0.9 * missing, abs=1e-3)
     assert levels[1] > PAPER_SITE.z_veg - 0.5 * missing
-
-
-def test_it_fills_in_time_for_an_hour_without_pumps() -> None:
-    """The recursion knows of steps in which the pumps may not run, and fills before them."""
-    site, hours = site_with(a_in=1e-9), 6
-    dries = np.full(hours, 0.05 / HOUR)
-    pumps = np.array([8e-3, 8e-3, 0.0, 0.0, 8e-3, 8e-3])
-    problem = OrderUpTo(site)
-    given = 57.0, 2.0, np.zeros((1, hours)), dries, pumps
-    policy = problem.solve(
-        HOUR * np.arange(hours + 1), *given, np.zeros((1, hours), dtype=np.intp)
-    )
-    pumped, roof = problem.follow(policy, *given)
-    assert pumped[0, 2:4].tolist() == [0.0, 0.0]
-    dried = site.x2_star - np.array([0.0, 0.0, 0.05, 0.1, 0.0, 0.0])
-    assert roof[0] == pytest.approx(dried, abs=1e-6)
 
 
 @pytest.mark.parametrize("max_command", [1.0, 1e-3])
@@ -486,7 +343,7 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     assert math.isnan(controller.fill_to)
 
 
-@pytest.mark.parametrize("horizon", [0.5, 2.0, 12.0, 48.0, 120.0])
+@pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
 def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
     """Of an hour and more where the horizon has it, up to the horizon; a single forecast's do."""
     steps = len(growing_steps(horizon)) - 1
@@ -557,10 +414,3 @@ def test_from_one_start_to_the_next_it_waits() -> None:
         if controller.command(2.3, level, [DRY], DRY):
             started.append(second)
     assert started == [0, 180, 360, 540]
-
-
-def test_pumps_that_cannot_lift() -> None:
-    """From so deep that they give nothing, whatever the bound of the commands."""
-    site = site_with(c_hat=15.3)
-    assert maximum_pump_flow(site, site.cistern_volume(0.6)) == 0
-    assert lookahead(site, max_command=math.inf).command(0.6, 0.0, [DRY], DRY) == 0.0

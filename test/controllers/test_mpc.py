@@ -21,8 +21,11 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
-# How long each is run: one for the paper's 12 h, two until their commands have been 0 for a while.
-HOURS = {1e-5: "1.5", 1e-4: "2.25", 1e-3: "12", 1e-2: "1.5", 1e-1: "1.5"}
+# Weights, and the run of each: one until its commands have been 0 for a while, one in a storm.
+RUNS = {
+    1e-5: ("--hours", "1.1"), 1e-3: ("--hours", "0.5"),
+    1e-1: ("--hours", "0.25", "--start", "2021-07-08T05:00"),
+}
 
 
 class Walk(NamedTuple):
@@ -97,49 +100,29 @@ def solution(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
     return lsq_linear(stacked, target, (0, bound), method="bvls", tol=1e-15).x
 
 
-@pytest.mark.parametrize("weight", HOURS)
+@pytest.mark.parametrize("weight", RUNS)
 def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
-    """Every tick; of the smaller weights those at the end are clipped to 0."""
-    run = walk(weight, "--hours", HOURS[weight])
-    assert (run.u[-1] == 0) == (weight <= 1e-3)
-    exact = [solution(G, r, weight)[0] for G, r in zip(*programs(run), strict=True)]
-    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
-    assert run.u.min() >= 0
-
-
-@pytest.mark.parametrize("bound", [1.0, 0.3])
-def test_commands_below_an_upper_bound_are_exact(bound: float) -> None:
-    """From a full cistern the first command would be 1.0179; 3,746 ticks pump."""
-    run = walk(1e-5, "--initial", "high-low", "--hours", "1.1", max_command=bound)
-    exact = [solution(G, r, 1e-5, bound)[0] for G, r in zip(*programs(run), strict=True)]
-    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
-    assert exact[0] == pytest.approx(bound, rel=1e-12)
-    assert run.u.max() == bound
-
-
-@pytest.mark.parametrize("weight", HOURS)
-def test_cost_is_eq_11(weight: float) -> None:
-    """J of the exact commands and of the states that Eq. (10) steps through, every 7th tick."""
-    run = walk(weight, "--hours", HOURS[weight])
-    G, r = (part[::7] for part in programs(run))
+    """Every tick, and what they cost; of the smallest weight those at the end are clipped to 0."""
+    run = walk(weight, *RUNS[weight])
+    assert (run.u[-1] == 0) == (weight == 1e-5)
+    G, r = programs(run)
     U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
-    x, w, cost = run.x[::7], run.w[::7], run.cost[::7]
-    # An operating point with the same x and u, but w = 0: Eq. (10) is affine in w.
-    u_bar = np.concatenate([[0.0], run.u[:-1]])[::7]
-    slope, B, C, b = linear_model(PAPER_SITE, *x.T, u_bar, 0 * u_bar, 0 * u_bar)
-    A = slope + np.eye(2)
-    variation = np.zeros_like(x)
-    J = np.zeros(len(x))
-    for i in range(PAPER_SITE.M):
-        J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2 + weight * U[:, i] ** 2
-        variation = (
-            np.einsum("nij,nj->ni", A, variation)
-            + B * (U[:, i] - u_bar)[:, None]
-            + np.einsum("nij,nj->ni", C, w[:, i])
-            + b
-        )
-    J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2
-    np.testing.assert_allclose(cost, J, rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(run.u, U[:, 0], rtol=0, atol=1e-8)
+    assert run.u.min() >= 0
+    # J of Eq. (11) counts the depth now, too.
+    depths = np.column_stack([run.x[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg,
+                              r + np.einsum("nij,nj->ni", G, U)])
+    J = (depths**2).sum(axis=1) + weight * (U**2).sum(axis=1)
+    np.testing.assert_allclose(run.cost, J, rtol=1e-8, atol=1e-14)
+
+
+def test_commands_below_an_upper_bound_are_exact() -> None:
+    """From a full cistern the first command would be 1.0179."""
+    run = walk(1e-5, "--initial", "high-low", "--hours", "0.25", max_command=0.3)
+    exact = [solution(G, r, 1e-5, 0.3)[0] for G, r in zip(*programs(run), strict=True)]
+    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
+    assert exact[0] == pytest.approx(0.3, rel=1e-12)
+    assert run.u.max() == 0.3
 
 
 def first_inputs() -> tuple[float, float, list[float], list[float]]:
@@ -208,8 +191,9 @@ def test_unsolved_program_pumps_nothing(
     assert (fresh.status, fresh.fallbacks) == (1, 0)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-@pytest.mark.parametrize("index", [0, 1, 2, 3])
+@pytest.mark.parametrize(
+    ("bad", "index"), [(math.nan, 0), (math.inf, 1), (math.nan, 2), (math.inf, 3)]
+)
 def test_what_is_no_number_pumps_nothing(
     bad: float, index: int, caplog: pytest.LogCaptureFixture
 ) -> None:

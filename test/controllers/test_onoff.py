@@ -18,9 +18,7 @@ NO_WEATHER = [0.0] * 10
         (0.75, math.nextafter(0.0457, 0), True),
         (0.75, 0.0457, False),
         (math.nextafter(0.75, 0), 0.0, False),
-        (0.0, 0.0, False),
         (3.0, 0.0, True),
-        (3.0, 1.0, False),
         (math.nan, 0.0, False),
         (3.0, math.nan, False),
     ],
@@ -36,13 +34,3 @@ def test_a_level_below_the_target() -> None:
     controller = OnOff(PAPER_SITE, 1.5, 0.75)
     assert controller.command(3.0, 0.034274, NO_WEATHER, NO_WEATHER) == 1.5
     assert controller.command(3.0, 0.034276, NO_WEATHER, NO_WEATHER) == 0.0
-
-
-def test_parameters_may_change_between_two_ticks() -> None:
-    """The next command is by the new ones."""
-    controller = OnOff(PAPER_SITE, 0.2)
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.2
-    controller.fraction = 2.0
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 2.0
-    controller.level = 0.8
-    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.0

@@ -10,161 +10,75 @@ import pytest
 from commands import run_command
 from graphs import environment
 from paper import PAPER_SITE
-from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.simulate import main
 from greenroof_ros.weather.reading import read_weather
 
-SITE = (CHECKOUT / "config" / "site.yaml").read_text()
-WEATHER = (CHECKOUT / "config" / "weather" / "toronto_2021-07.csv").read_text()
-HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
-HOUR = "2021-07-07T0{}:00-05:00,{},2.0"
-
-
-def weather(*lines: str, header: str = HEADER) -> bytes:
-    """Return a weather file."""
-    return "\n".join([header, *lines, ""]).encode()
-
-
-HOURS = [HOUR.format(number, 0.0) for number in range(8)]
-
-# name: options, words of the message. Of each rule there is one case; what files are refused,
-# test_site.py, test_weather.py and FORECASTS have.
-OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "unknown-controller": ("--controller pid", ("controller", "pid")),
-    "unknown-initial": ("--initial low", ("--initial", "low-low")),
-    "another-controllers": ("--controller onoff --weight 0.1", ("--weight", "onoff", "--fraction")),
-    "number-zero": ("--weight 0", ("--weight", "greater than 0")),
-    "number-none": ("--weight nan", ("--weight",)),
-    "number-beyond": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
-    "number-broken": ("--noise-seed 0.5", ("must be a whole number from 0 to 2147483647",)),
-    "number-or-word": ("--speed fast", ("must be max, or a number greater than 0, is fast",)),
-    "cistern-deep": (
-        "--cistern 401 --roof 2.4",
-        ("--cistern = 401.0: must be at most 400 m3, a level of 16 m (", "401 mm is 10.025 m3"),
-    ),
-    "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
-    "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
-    "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
-    "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
-    "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
-    "start-no-time": ("--start yesterday", ("start", "yesterday")),
-    "start-beyond-time": ("--start 9999-12-31T23:00", ("start", "2037")),
-    "site-absent": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
-    "site-wrong": ("--site wrong.yaml", ("wrong.yaml", "a3", "not a parameter")),
-    "weather-endless": ("--weather /dev/zero", ("/dev/zero", "regular file")),
-    "weather-wrong": ("--weather mark.csv", ("mark.csv", "byte order mark")),
-    "output-not-empty": ("--output full", ("--output", "full", "never written over")),
-    "output-unwritable": ("--output /proc/greenroof", ("--output", "/proc/greenroof")),
-    "forecast-unknown": (
-        "--forecast perfekt", ("--forecast = 'perfekt'", "perfect, persistence, errors, ensemble")
-    ),
-    "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "a file (.csv, ")),
-    "forecast-absent": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
-    "forecast-wrong": ("--forecast wrong.csv", ("wrong.csv", "line 1", "'issued'")),
-    "forecast-late": (
-        "--forecast late.csv", ("from 2021-07-07T03:00-05:00 on", "2021-07-07T02:00-05:00")
-    ),
-    "forecast-at-half-past": (
-        "--forecast half.csv",
-        ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
-    ),
-    "forecast-without-a-seed": (
-        "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")
-    ),
-    "forecast-skill-unknown": (
-        "--forecast errors --forecast-skill large", ("--forecast-skill", "real, worse", "large")
-    ),
-    "forecast-skill-absent": (
-        "--forecast errors --forecast-skill absent.yaml", ("absent.yaml", "cannot be read")
-    ),
-}
-FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
+HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"
-ISSUED = "2021-07-07T00:00-05:00"
+# Beginnings of hours.
+H0, H1, H2, H3 = (f"2021-07-07T0{hour}:00-05:00" for hour in range(4))
+HALF = "2021-07-07T00:30-05:00"
 
-
-def forecasts(*lines: str, header: str = FORECAST_HEADER, issued: str = ISSUED) -> bytes:
-    """Return a file of forecasts; a line begins with its time."""
-    return "\n".join([header, *(f"{issued},{line}" for line in lines), ""]).encode()
-
-
-FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
-    "weather": (weather(*HOURS), ("line 1", "'time'", "'issued'")),
-    "wrong-unit-of-evapotranspiration": (
-        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/day", "mm/h")),
-        ("line 1", "'evapotranspiration [mm/h]'", "'evapotranspiration [mm/day]'"),
-    ),
-    "no-rain": (forecasts(header="issued,time"), ("line 1", "'precipitation [mm/h]'")),
-    "further-column": (
-        forecasts(HOURS[0], header=FORECAST_HEADER + ",snow [cm]"), ("snow", "one column too many")
-    ),
-    "member-last": (
-        forecasts(HOURS[0], header=FORECAST_HEADER + ",member"), ("line 1", "'member'")
-    ),
-    "absurd-rain": (forecasts(HOUR.format(0, 501)), ("line 2", "'501'", "0 to 500 mm/h")),
-    "absurd-evapotranspiration": (
-        forecasts(HOURS[0].replace("2.0", "51")),
-        ("line 2", "evapotranspiration [mm/day] = '51'", "0 to 50 mm/day"),
-    ),
-    "gap": (forecasts(HOURS[0], HOURS[2]), ("line 3", "time =", "must be 2021-07-07T01:00-05:00")),
-    "late-first": (forecasts(HOURS[1]), ("line 2", "must be 2021-07-07T00:00-05:00")),
-    "issued-no-time": (forecasts(HOURS[0], issued="noon"), ("line 2", "issued = 'noon'")),
-    "unsorted-issues": (
-        forecasts(HOURS[0]) + forecasts(HOURS[0], issued="2021-07-06T23:00-05:00", header="#"),
-        ("line 4", "issued = '2021-07-06T23:00-05:00'", "order of time"),
-    ),
-    "member-negative": (
-        forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),
-        ("line 2", "member = '-1'", "whole number from 0 to 99"),
-    ),
-    "member-of-many-digits": (
-        forecasts(f"2021-07-07T00:00-05:00,{'9' * 5000},0.0", header=MEMBERS),
-        ("line 2", "member = '99", "whole number from 0 to 99"),
-    ),
-    "member-left-out": (
-        forecasts(
-            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T00:00-05:00,2,0.0", header=MEMBERS
-        ),
-        ("line 2", "members 0, 2", "0 to 1"),
-    ),
-    "member-of-one-issue": (
-        forecasts("2021-07-07T00:00-05:00,0,0.0", header=MEMBERS)
-        + forecasts(
-            "2021-07-07T01:00-05:00,0,0.0", "2021-07-07T01:00-05:00,1,0.0",
-            header="#", issued="2021-07-07T01:00-05:00",
-        ),
-        ("line 4", "2021-07-07T01:00-05:00 has members 0, 1", "0 to 0"),
-    ),
-    "member-cut-short": (
-        forecasts(
-            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T01:00-05:00,0,0.0",
-            "2021-07-07T00:00-05:00,1,0.0", header=MEMBERS,
-        ),
-        ("line 2", "member 1 has 1, member 0 has 2"),
-    ),
+# Options, and what is said of them. Of each rule there is one case; what files are refused,
+# test_site.py, test_weather.py and FORECASTS have.
+OPTIONS = {
+    "--controller pid": "controller = 'pid'",
+    "--controller onoff --weight 0.1": "the parameters of onoff are --fraction",
+    "--weight 0": "greater than 0",
+    "--weight nan": "--weight",
+    "--noise-seed 0.5": "must be a whole number from 0 to 2147483647",
+    "--speed fast": "must be max, or a number greater than 0, is fast",
+    "--cistern 60": "--cistern and --roof",
+    "--initial low-low --cistern 60 --roof 2": "--initial",
+    "--hours 0.0001": "whole number of ticks",
+    "--start 2021-07-06T23:00-05:00": "2021-07-07T00:00-05:00",
+    "--start yesterday": "yesterday",
+    "--site nowhere.yaml": "nowhere.yaml: cannot be read: No such file",
+    "--weather /dev/zero": "regular file",
+    "--output full": "never written over",
+    "--output /proc/greenroof --trajectory run.csv": "/proc/greenroof",
+    "--trajectory-every 60": "--trajectory-every: needs --trajectory",
+    "--forecast perfekt": "perfect, persistence, errors, ensemble",
+    "--forecast file": "a file (.csv, ",
+    "--forecast late.csv": "from 2021-07-07T03:00-05:00 on",
+    "--forecast half.csv": f"line 2: issued = '{HALF}'",
+    "--forecast-seed 1": "errors and ensemble",
+    "--forecast errors --forecast-skill large": "real, worse",
 }
+# Lines of a file of forecasts, which of them is wrong, and what is said of it.
+FORECASTS = [
+    ([HEADER.replace("mm/day", "mm/h"), f"{H0},{H0},0,2"], 1, "'evapotranspiration [mm/day]'"),
+    (["issued,time", f"{H0},{H0}"], 1, "'precipitation [mm/h]'"),
+    ([f"{HEADER},snow [cm]", f"{H0},{H0},0,2,1"], 1, "one column too many"),
+    ([HEADER, f"{H0},{H0},0,2", f"{H0},{H2},0,2"], 3, f"must be {H1}"),
+    ([HEADER, f"noon,{H0},0,2"], 2, "issued = 'noon'"),
+    ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in the order of time"),
+    ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a whole number from 0 to 99"),
+    ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
+    ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2, but must have 0 to 1"),
+    (
+        [MEMBERS, f"{H0},{H0},0,0", f"{H1},{H1},0,0", f"{H1},{H1},1,0"], 3,
+        "has members 0, 1, but must have 0 to 0",
+    ),
+    (
+        [MEMBERS, f"{H0},{H0},0,0", f"{H0},{H1},0,0", f"{H0},{H0},1,0"], 2,
+        "member 1 has 1, member 0 has 2",
+    ),
+]
 
 
-@pytest.mark.parametrize(("options", "words"), OPTIONS.values(), ids=OPTIONS)
+@pytest.mark.parametrize("options", OPTIONS)
 def test_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    options: str, words: tuple[str, ...],
+    options: str,
 ) -> None:
     """It is said what is wrong, where, and what would be right; and nothing is left."""
     (tmp_path / "full" / "something").mkdir(parents=True)
-    for name, content in (
-        ("wrong.yaml", (SITE + "\na3: 1.0\n").encode()), ("wrong.csv", weather(*HOURS)),
-        ("mark.csv", b"\xef\xbb\xbf" + WEATHER.encode()),
-        (
-            "half.csv",
-            forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
-        ),
-        ("late.csv", forecasts(HOURS[3], issued="2021-07-07T03:00-05:00")),
-    ):
-        (tmp_path / name).write_bytes(content)
+    for name, hour in (("half.csv", HALF), ("late.csv", H3)):
+        (tmp_path / name).write_text(f"{HEADER}\n{hour},{hour},0.0,2.0\n")
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["simulate", *options.split()])
@@ -173,62 +87,49 @@ def test_refused(
     said = capsys.readouterr()
     assert (ended.value.code, said.out) == (2, "")
     assert said.err.count("error:") == 1, said.err
-    message = said.err.partition("error:")[2]
-    for word in words:
-        assert word in message
+    assert OPTIONS[options] in said.err.partition("error:")[2]
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("options", ["--controller pid", "--weight 0", "--hours 0.0001"])
-def test_bringup_refuses_the_same(unused_domain: int, tmp_path: Path, options: str) -> None:
-    """What the controller's name, argparse and the run itself refuse; and it leaves nothing."""
-    done = run_command("bringup", *options.split(), cwd=tmp_path, env=environment(unused_domain))
+@pytest.mark.parametrize(
+    ("options", "domain_id", "words"),
+    [
+        ("--controller pid", None, "controller = 'pid'"), ("--hours 0.0001", None, "--hours"),
+        # An input, too.
+        ("--hours 0.01", "abc", "ROS_DOMAIN_ID = 'abc'"),
+        ("--hours 0.01", "300", "ROS_DOMAIN_ID = '300'"),
+    ],
+)
+def test_bringup_refuses_the_same(
+    unused_domain: int, tmp_path: Path, options: str, domain_id: str | None, words: str
+) -> None:
+    """What the controller's name and the run itself refuse; and it leaves nothing."""
+    given = environment(unused_domain)
+    given["ROS_DOMAIN_ID"] = domain_id or given["ROS_DOMAIN_ID"]
+    done = run_command("bringup", *options.split(), cwd=tmp_path, env=given)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("error:") == 1, done.stderr
-    assert options.split()[0].removeprefix("--") in done.stderr
+    assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
 
 
 def test_weather_without_evapotranspiration(tmp_path: Path) -> None:
     """It is neither there nor can it be computed."""
-    hours = [line.rpartition(",")[0] for line in HOURS]
-    (tmp_path / "FILE.csv").write_bytes(weather(*hours, header="time,precipitation [mm/h]"))
+    (tmp_path / "FILE.csv").write_text(f"time,precipitation [mm/h]\n{H0},0.0\n{H1},0.0\n")
     with pytest.raises(ConfigurationError, match=r"FILE\.csv.*evapotranspiration \[mm/day\]"):
         read_weather([tmp_path / "FILE.csv"], PAPER_SITE)
 
 
-@pytest.mark.parametrize(("content", "words"), FORECASTS.values(), ids=FORECASTS)
-def test_refused_forecasts(tmp_path: Path, content: bytes, words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("lines", "line", "words"), FORECASTS)
+def test_refused_forecasts(tmp_path: Path, lines: list[str], line: int, words: str) -> None:
     """Of what only a file of forecasts has; test_records.py has the rules of all CSV."""
-    (tmp_path / "FILE.csv").write_bytes(content)
+    file = tmp_path / "FILE.csv"
+    file.write_text("\n".join([*lines, ""]))
     with pytest.raises(ConfigurationError) as refused:
-        read_forecasts(tmp_path / "FILE.csv")
-    for word in ("FILE.csv", *words):
-        assert word in str(refused.value)
-
-
-@pytest.mark.parametrize("wrong", ["abc", "300", "-1"])
-def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
-    """ROS_DOMAIN_ID is an input, too."""
-    done = run_command(
-        "bringup", "--hours", "0.01",
-        cwd=tmp_path, env={**environment(0), "ROS_DOMAIN_ID": wrong},
-    )
-    assert done.returncode == 2
-    assert f"ROS_DOMAIN_ID = '{wrong}'" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def test_wrong_output_leaves_no_trajectory(unused_domain: int, tmp_path: Path) -> None:
-    """What is refused writes nothing, so that the repaired command can be given again."""
-    done = run_command(
-        "simulate", "--hours", "0.01", "--trajectory", "run.csv", "--output", "/proc/greenroof",
-        cwd=tmp_path, env=environment(unused_domain),
-    )
-    assert done.returncode == 2
-    assert not list(tmp_path.iterdir())
+        read_forecasts(file)
+    assert str(refused.value).startswith(f"{file}, line {line}: ")
+    assert words in str(refused.value)
 
 
 def test_output_that_nobody_reads(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from dataclasses import asdict
 from datetime import datetime, timedelta, timezone
@@ -12,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from disks import full_pipe
-from places import CHECKOUT
 
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment import incidents
@@ -193,22 +189,3 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     assert [one.number for one in found] == [1, 2, 3]
     assert [one.ended is None for one in found] == [False, False, True]
     assert second.count == 1
-
-
-def test_a_standard_error_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:
-    """With what live bringup says lines by, in a process whose standard error is a full pipe."""
-    program = (
-        "import sys; from pathlib import Path\n"
-        "from greenroof_ros.bringup import live\n"
-        "from greenroof_ros.experiment.incidents import IncidentLog\n"
-        "log = IncidentLog(live.say, Path(sys.argv[1]))\n"
-        "for number in range(3): log.fail('pump', 'silent')\n"
-        "print(log.count, flush=True)\n"
-    )
-    command = [sys.executable, "-c", program, str(tmp_path / INCIDENTS)]
-    with full_pipe() as (_, full):
-        done = subprocess.run(
-            command, cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=full, timeout=30, check=True
-        )
-    assert done.stdout == b"3\n"
-    assert [one.number for one in read_incidents(tmp_path)] == [1, 2, 3]

@@ -26,11 +26,8 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("redirections", "why"),
     [
-        (">/dev/full", "No space left on device"),
         ("--json >/dev/full", "No space left on device"),
-        (">&-", "it is closed"),
         ("<&- >&-", "it is closed"),
-        (">/dev/full 2>/dev/full", None),
         ("<&- >&- 2>&-", None),
     ],
 )
@@ -51,18 +48,16 @@ def test_summary_that_cannot_be_printed(
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("redirection", ["2>/dev/full", "2>&-"])
-def test_progress_that_cannot_be_shown(tmp_path: Path, redirection: str) -> None:
+def test_progress_that_cannot_be_shown(tmp_path: Path) -> None:
     """As after the end of the terminal: the run goes on, and its summary is printed."""
-    done = run_in_shell(f"$SIMULATE {redirection}", tmp_path)
+    done = run_in_shell("$SIMULATE 2>/dev/full", tmp_path)
     assert done.returncode == 0
     assert f"written to {tmp_path / 'run'}\n" in done.stdout
 
 
-@pytest.mark.parametrize("redirection", [">/dev/full", ">&-"])
-def test_help_that_cannot_be_printed(tmp_path: Path, redirection: str) -> None:
+def test_help_that_cannot_be_printed(tmp_path: Path) -> None:
     """argparse says nothing of it."""
-    done = run_in_shell(f"$SIMULATE --help {redirection}", tmp_path)
+    done = run_in_shell("$SIMULATE --help >/dev/full", tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith("error: standard output cannot be written: ")
     assert done.stderr.count("\n") == 1

@@ -43,11 +43,6 @@ def test_csv(tmp_path: Path) -> None:
     rows = [list(csv.reader((tmp_path / name).open())) for name in ("all.csv", "some.csv")]
     assert len(rows[0]) == 182
     assert rows[1] == [rows[0][0], *(rows[0][1 + second] for second in (0, 60, 120, 180))]
-    refused = run_command(
-        "simulate", "--trajectory-every", "60", cwd=tmp_path, env=environment(0)
-    )
-    assert refused.returncode == 2
-    assert "--trajectory-every: needs --trajectory" in refused.stderr
 
 
 def test_results_do_not_depend_on_it(tmp_path: Path) -> None:

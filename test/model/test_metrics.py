@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import random
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 from paper import PAPER_SITE, site_with
 
 from greenroof_ros.model import metrics as metrics_module
-from greenroof_ros.model.metrics import METRICS, Metrics
+from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows
-from greenroof_ros.model.site import Site, site_parameters
+from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
@@ -47,7 +47,7 @@ def metrics_of(site: Site, ticks: Ticks) -> Metrics:
     return metrics
 
 
-@pytest.mark.parametrize(("days", "weeks"), [(1, 1), (14, 2), (34, 5)])
+@pytest.mark.parametrize(("days", "weeks"), [(14, 2), (34, 5)])
 def test_weeks(days: int, weeks: int) -> None:
     """Each week's deviation by hand, across blocks; the last tick counts in the last."""
     site = replace(PAPER_SITE, tau=600.0)
@@ -86,11 +86,11 @@ def test_sums_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tau", "gap", "busiest"), [(0.1, 1800, 20), (0.1, 1799, 21), (1.0, 180, 20)]
+    ("gap", "busiest"), [(1800, 20), (1799, 21)]
 )
-def test_an_hour_holds_its_first_start_no_more(tau: float, gap: int, busiest: int) -> None:
-    """Twenty starts 180 s apart fill it; the next comes as the first leaves it."""
-    site = site_with(tau=tau)
+def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
+    """Twenty starts 180 s apart fill it; the next comes as the first leaves it. Ticks of 0.1 s."""
+    site = site_with(tau=0.1)
     metrics = Metrics()
     for tick in range(30 * gap):
         metrics.observe(site, 75.0, 1.0)
@@ -206,25 +206,16 @@ def test_a_storm_has_more(depth: float, there: bool) -> None:
 
 
 def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four days of 1 min with storms of ten hours; a tick, 7 and 4096 a block."""
-    site, found = site_with(tau=60.0, starts_per_hour=10.0), []
+    """Four days of 5 min with storms of ten hours; a tick, 7 and 1000 a block."""
+    site, found = site_with(tau=300.0, starts_per_hour=3.0), []
     ticks = [
-        (x1, x2, command, 3 * rain * (k // 600 % 3 == 0), flows)
-        for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 1440 + 1, seed=1))
+        (x1, x2, command, 3 * rain * (k // 120 % 3 == 0), flows)
+        for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 288 + 1, seed=1))
     ]
-    for size in (1, 7, 4096):
+    for size in (1, 7, 1000):
         monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module._TICK))
         metrics = metrics_of(site, ticks)
         found.append((metrics.results(), metrics.weekly_deviations()))
         assert found[-1] == (metrics.results(), metrics.weekly_deviations())
     assert found[0] == found[1] == found[2]
     assert all(0 < found[0][0][name] < 1 for name in KEPT)
-
-
-def test_each_has_its_words() -> None:
-    """Metrics and site parameters: a name of its own, a unit and a meaning."""
-    assert len({metric.name for metric in METRICS}) == len(METRICS)
-    assert len({metric.label for metric in METRICS}) == len(METRICS)
-    assert all(metric.unit and metric.meaning for metric in METRICS)
-    assert [one.name for one in site_parameters()] == [one.name for one in fields(PAPER_SITE)]
-    assert all(one.unit and one.meaning for one in site_parameters())

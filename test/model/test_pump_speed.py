@@ -45,17 +45,6 @@ def test_flow_by_hand(site: Site, speed: float, level: float, flow: float) -> No
     assert flow_at(site, speed, level) == pytest.approx(flow, rel=1e-6, abs=0)
 
 
-def test_a_small_share_from_a_cistern_above_the_roof_turns_slowly() -> None:
-    assert 0 < speed_for(PAPER_SITE, 0.01, 20.0) < 1e-9
-
-
-@given(site=st.just(PAPER_SITE) | sites(), level=st.floats(0, 20))
-def test_rated_speed_is_the_maximum_flow(site: Site, level: float) -> None:
-    """To the bit, where the level is the one that the plant's volume gives."""
-    x1 = level * site.a1
-    assert flow_at(site, 1.0, x1 / site.a1) == maximum_pump_flow(site, x1)
-
-
 @given(
     site=st.just(PAPER_SITE) | sites(),
     above_suction=st.floats(0, 5),

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from paper import PAPER_SITE, TABLE_I, paper_run, sites
 from studies import GRID, grid
 
@@ -45,27 +44,24 @@ def test_packaged_site_is_table_i() -> None:
     """Every row with the paper's value, and no row more."""
     site = asdict(read_site(shared_directory() / "config" / "site.yaml"))
     assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
-    # Without a source: pumps and motors of this size waste about half.
-    assert site.pop("pump_efficiency") == 0.5
-    assert site.pop("starts_per_hour") == 20
-    # The paper's soil drains by Eq. (4), nobody tops its cistern up, and it has one outlet.
-    absent = (*MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius")
-    assert {site.pop(key) for key in absent} == {None}
-    # A run begins in one of Table II's states.
-    assert {site.pop(key) for key in ("initial_cistern", "initial_roof")} == {None}
-    assert site.pop("initial_layer") == 0
-    # All rain on its inlet arrives.
-    assert site.pop("runoff_coefficient") == 1
+    # The paper's soil drains by Eq. (4), nobody tops its cistern up, it has one outlet, all rain on
+    # its inlet arrives, and a run begins in one of Table II's states.
+    absent = {
+        *MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
+        "initial_cistern", "initial_roof",
+    }
+    assert {key for key, value in site.items() if value is None} == absent
+    assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)
     # What fao56 makes of the records of Toronto: 125 mm in July, 0.8 m in a year.
-    climate = site.pop("monthly_evapotranspiration")
+    climate = site["monthly_evapotranspiration"]
     assert 31 * climate[6] == pytest.approx(125, abs=1)
     assert sum(climate) / 12 * 365 == pytest.approx(804, abs=5)
-    place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
-    assert place == {
+    place = {
         "latitude": 43.63, "longitude": -79.40, "elevation": 77.0, "utc_offset": -5.0,
         "albedo": 0.23, "k_Rs": 0.19, "wind_height": 10.0, "crop_coefficient": 1.0,
     }
+    assert {key: site[key] for key in place} == place
     assert (type(site["M"]), type(site["N"])) == (int, int)
 
 
@@ -77,14 +73,7 @@ def test_constants_by_hand() -> None:
     assert PAPER_SITE.suction_level == 0.75
 
 
-def test_levels_and_volumes_by_hand() -> None:
-    """Over 25 m2 and 68.8 m2."""
-    assert PAPER_SITE.cistern_level(75.0) == 3.0
-    assert PAPER_SITE.cistern_volume(3.0) == 75.0
-    assert PAPER_SITE.roof_level(34.4) == pytest.approx(0.5, rel=1e-15)
-    assert PAPER_SITE.roof_volume(0.5) == pytest.approx(34.4, rel=1e-15)
-
-
+@settings(max_examples=20)
 @given(site=sites())
 def test_any_consistent_site_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, site: Site
@@ -109,8 +98,8 @@ def test_site_climate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "months",
-    ["2.5", "[]", MONTHS[:11], [*MONTHS, 1.0], [*MONTHS[:11], -0.1], [*MONTHS[:11], 20.1],
-     *(f"[{one}, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]" for one in (".nan", "x", "true")), "{a: 1}"],
+    ["2.5", MONTHS[:11], [*MONTHS[:11], -0.1], [*MONTHS[:11], 20.1],
+     "[true, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"],
 )
 def test_wrong_site_climates(tmp_path: Path, months: object) -> None:
     path = write(tmp_path, monthly_evapotranspiration=months)
@@ -130,43 +119,21 @@ def test_missing(tmp_path: Path, key: str) -> None:
     assert refusal(path) == f"{path}: {key}: is missing"
 
 
+@pytest.mark.parametrize(("key", "wrong"), [("z_H", "-1e-300"), ("M", "10.5")])
+def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, wrong: str) -> None:
+    """Nor is what is not finite."""
+    for value in (wrong, "1e10", ".nan", ".inf", "-.inf", "1e400"):
+        assert f" {key} = " in refusal(write(tmp_path, **{key: value}))
+    for value in ("three", "true", "", "[3]", "2021-07-07"):
+        assert refusal(write(tmp_path, **{key: value})).endswith(": must be a number")
+
+
 PAPERS: dict[str, object] = {}
 ROOF: dict[str, object] = {"z_cap": 20.64, **MEASURED}
 MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
 LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
 OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}
-WHOLE = {"M": (1, 1000), "N": (1, 2**40)}
-RANGES = {
-    **dict.fromkeys(TABLE_I, (1e-12, 1e9)),
-    **dict.fromkeys((*OWN, "initial_layer", "k_L", "z_pump", "z_H"), (0, 1e9)), **WHOLE,
-    "a_hat": (-1e9, -1e-12), "tau": (0.001, 3600), "runoff_coefficient": (0.01, 1),
-    "field_capacity": (0.01, 0.9), "wilting_point": (0, 0.5), "depletion_fraction": (0, 0.95),
-    "drainage_storage": (0.0001, 1), "drainage_time": (1, 1e6), "mains_level": (0.01, 100),
-    "mains_flow": (1e-6, 1), "low_outlet_level": (0.001, 100), "low_outlet_radius": (0.001, 1),
-    "pump_efficiency": (0.001, 1), "starts_per_hour": (1, 3600), "latitude": (-66, 66),
-    "longitude": (-180, 180), "elevation": (-430, 6000), "utc_offset": (-12, 14), "albedo": (0, 1),
-    "k_Rs": (0.1, 0.25), "wind_height": (0.5, 100), "crop_coefficient": (0.01, 3),
-}
-
-
-@pytest.mark.parametrize("key", RANGES)
-def test_each_number_has_its_range(tmp_path: Path, key: str) -> None:
-    """Refused are the next numbers beyond it, what is no finite number, and half a whole one."""
-    low, high = RANGES[key]
-    wrong: list[object] = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf)]
-    if key in WHOLE:
-        wrong = [low - 1, high + 1, low + 0.5]
-    for value in (*wrong, ".nan", ".inf", "-.inf", "1e400"):
-        path = write(tmp_path, **{key: value})
-        whole = "a whole number " if key in WHOLE else ""
-        assert refusal(path).startswith(f"{path}, line ")
-        assert f" {key} = " in refusal(path)
-        assert f": must be {whole}from {low:g} to {high:g} (" in refusal(path)
-    for value in ("three", "true", "", "[3]", "2021-07-07"):
-        assert refusal(write(tmp_path, **{key: value})).endswith(": must be a number")
-
-
-NEED = " as well"
+LAYER: dict[str, object] = {"drainage_storage": 0.01, "drainage_time": 600.0}
 
 
 @pytest.mark.parametrize(
@@ -175,7 +142,7 @@ NEED = " as well"
         # Beyond its range: with a unit, without one, and of a whole number.
         (PAPERS, {"a2": "-68.8"}, "a2", "from 1e-12 to 1e+09 (m2, bottom surface area of the roof"),
         (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "from 0 to 1e+09 (minor loss coefficient of the pipe)"),
-        (PAPERS, {"M": "10.5"}, "M", "a whole number from 1 to 1000 (ticks, look-ahead"),
+        (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 (ticks, look-ahead"),
         # One that another contradicts.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
         (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out and it is"),
@@ -183,54 +150,29 @@ NEED = " as well"
         (PAPERS, {"c_hat": 15.25}, "c_hat", "d - z_pump - z_H = 15.25 m"),
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
         (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_soil = 0.5 m"),
-        (ROOF, {"field_capacity": None}, "wilting_point", f"needs field_capacity{NEED}"),
-        (
-            ROOF, {"wilting_point": None, "depletion_fraction": None}, "field_capacity",
-            f"needs wilting_point, depletion_fraction{NEED}",
-        ),
-        (ROOF, {"drainage_storage": None}, "drainage_time", f"needs drainage_storage{NEED}"),
-        (ROOF, {"drainage_time": None}, "drainage_storage", f"needs drainage_time{NEED}"),
-        (
-            ROOF, {"field_capacity": None, "wilting_point": None, "depletion_fraction": None},
-            "drainage_storage", f"needs field_capacity{NEED}",
-        ),
+        (ROOF, {"wilting_point": None}, "field_capacity", "needs wilting_point as well"),
+        (ROOF, {"drainage_time": None}, "drainage_storage", "needs drainage_time as well"),
+        (PAPERS, LAYER, "drainage_storage", "needs field_capacity as well"),
         (ROOF, {"field_capacity": 0.05, "z_cap": 1.72}, "wilting_point", "below field_capacity"),
         (ROOF, {"z_cap": 34.4}, "z_cap", "a2 z_soil field_capacity = 20.64 m3"),
         (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "below z_cap / a2 = 0.3 m"),
-        (
-            ROOF, {"wilting_point": 0.1}, "wilting_point",
-            "below x2_star / (a2 z_soil) = 0.0914, or plants take no water at the target",
-        ),
-        (MAINS, {"mains_flow": None}, "mains_level", f"needs mains_flow{NEED}"),
+        (ROOF, {"wilting_point": 0.1}, "wilting_point", "below x2_star / (a2 z_soil) = 0.0914"),
+        (MAINS, {"mains_flow": None}, "mains_level", "needs mains_flow as well"),
         (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
-        (
-            MAINS, {"mains_level": 3.0}, "mains_level",
-            "above z_pump + z_H = 0.75 m, below which the pumps do not work, and below z_o = 3 m",
-        ),
-        (MAINS, LOW, "mains_level", "above z_pump + z_H = 0.75 m, below which the pumps do not "
-         "work, and below low_outlet_level = 1 m, or it flows to the sewer"),
-        (LOW, {"low_outlet_radius": None}, "low_outlet_level", f"needs low_outlet_radius{NEED}"),
+        (MAINS, {"mains_level": 3.0}, "mains_level", "above z_pump + z_H = 0.75 m, below which"),
+        (MAINS, LOW, "mains_level", "above z_pump + z_H = 0.75 m, below which"),
+        (LOW, {"low_outlet_radius": None}, "low_outlet_level", "needs low_outlet_radius as well"),
         (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "below z_o = 3 m, the outlet above"),
-        (
-            LOW, {"low_outlet_level": 0.75}, "low_outlet_level",
-            "above z_pump + z_H = 0.75 m, or it takes all that the pumps could",
-        ),
-        (OWN, {"initial_roof": None}, "initial_cistern", f"needs initial_roof{NEED}"),
-        (
-            OWN, {"initial_cistern": 401.0}, "initial_cistern",
-            "at most 400 m3, a level of 16 m (its outlet is at 3 m, the roof 16 m above its base); "
-            "is a unit wrong? It is a volume in m3; a level of 401 mm is 10.025 m3",
-        ),
+        (LOW, {"low_outlet_level": 0.75}, "low_outlet_level", "above z_pump + z_H = 0.75 m"),
+        (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
+        (OWN, {"initial_cistern": 401.0}, "initial_cistern", "at most 400 m3, a level of 16 m"),
         (
             {**ROOF, **OWN}, {"initial_roof": 150.0}, "initial_roof",
             "at most 146.2 m3, a level of 2.125 m (the soil holds 20.64 m3, 0.3 m, and at most "
-            "1.825 m stand on it)",
+            "1.825 m stand on it); is a unit wrong? It is a volume in m3; a level of 150 mm is "
+            "10.32 m3",
         ),
-        (
-            ROOF, {"initial_layer": 5.5}, "initial_layer",
-            "at most what the drainage layer holds, a2 drainage_storage = 0.688 m3",
-        ),
-        (PAPERS, {"initial_layer": 0.1}, "initial_layer", "at most what the drainage layer holds"),
+        (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most what the drainage layer holds"),
     ],
 )
 def test_wrong_values(
@@ -247,11 +189,10 @@ def test_wrong_values(
     assert re.search(rf": (must be |must exceed |){re.escape(reason)}", message)
 
 
-@pytest.mark.parametrize("key", COMPUTED)
-def test_what_follows_is_computed(tmp_path: Path, key: str) -> None:
+def test_what_follows_is_computed(tmp_path: Path) -> None:
     """To the last digit what Table I says; and after the area, where that is another."""
-    whole, without = read_site(write(tmp_path)), read_site(write(tmp_path, **{key: None}))
-    assert without == whole
+    whole = read_site(write(tmp_path))
+    assert read_site(write(tmp_path, x2_star=None, z_cap=None)) == whole
     larger = read_site(write(tmp_path, a2=120.0, x2_star=None, z_cap=None))
     assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
     stale = write(tmp_path, a2=120.0, x2_star=None, z_cap=34.4)
@@ -268,10 +209,6 @@ def test_what_earlier_versions_had(tmp_path: Path) -> None:
 
 def test_a_mistyped_key(tmp_path: Path) -> None:
     """Named with what it may stand for; all of them only where nothing is like it."""
-    path = write(tmp_path, a2=None, a_2=68.8)
-    assert "a_2: is not a parameter of a site; did you mean a2?" in refusal(path)
-    path = write(tmp_path, "pump_effciency: 0.6")
-    assert refusal(path).endswith("is not a parameter of a site; did you mean pump_efficiency?")
     path = write(tmp_path, a2=None, a3=68.8)
     assert refusal(path).endswith("a3: is not a parameter of a site; did you mean a1 or a2?")
     path = write(tmp_path, "pi: 3.14")
@@ -279,40 +216,10 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
     assert refusal(path).startswith(start)
 
 
-def test_a_measured_roof(tmp_path: Path) -> None:
-    """A soil of 34.4 m3 holds 0.6 of it, of which 0.05 is not for plants; 10 mm in its layer."""
-    site = read_site(write(tmp_path, z_cap=20.64, **MEASURED))
-    assert {key: getattr(site, key) for key in MEASURED} == MEASURED
-    assert site.wilting_volume == pytest.approx(1.72, rel=1e-12)
-    assert site.available_volume == pytest.approx(18.92, rel=1e-12)
-    assert site.stress_onset == 0.5
-    assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
-
-
-@pytest.mark.parametrize("key", ["k_L", "z_pump", "z_H"])
-def test_what_may_be_zero(tmp_path: Path, key: str) -> None:
+def test_what_may_be_zero(tmp_path: Path) -> None:
     """A pipe without bends, pumps on the floor, pumps that suck the last drop."""
-    assert getattr(read_site(write(tmp_path, **{key: 0})), key) == 0
-
-
-def test_pump_that_just_lifts(tmp_path: Path) -> None:
-    """The least head above d - z_pump - z_H is enough."""
-    least = math.nextafter(15.25, 16)
-    assert read_site(write(tmp_path, c_hat=repr(least))).c_hat == least
-
-
-def test_duplicate_key(tmp_path: Path) -> None:
-    """The second one does not win in silence."""
-    path = write(tmp_path, "a1: 26.0")
-    assert refusal(path) == (
-        f"{path}, line {len(TABLE_I) + 1}: is not valid YAML: a1 is given twice, here and in line 1"
-    )
-
-
-def test_unreadable_file(tmp_path: Path) -> None:
-    """A file that is not there, and a directory."""
-    assert "cannot be read: No such file" in refusal(tmp_path / "absent.yaml")
-    assert "must be a regular file" in refusal(tmp_path)
+    site = read_site(write(tmp_path, k_L=0, z_pump=0, z_H=0))
+    assert (site.k_L, site.z_pump, site.z_H) == (0, 0, 0)
 
 
 def test_a_site_that_extends_another(tmp_path: Path) -> None:

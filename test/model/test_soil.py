@@ -48,25 +48,6 @@ def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) ->
     assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
 
 
-def test_both_soils_have_the_same_methods() -> None:
-    """What the paper's has, a measured one has too; its parts are its own."""
-    public = [{name for name in dir(one) if name[0] != "_"} for one in (PAPER_SOIL, SOIL)]
-    assert public[1] - public[0] == {"filled_share", "layer_outflow", "mean_percolation"}
-    assert public[0] <= public[1]
-
-
-def test_water_stress_in_millimetres() -> None:
-    """FAO-56's Eqs. 82-84: TAW = 1000 (0.22 - 0.14) 1 m = 80 mm, RAW = 0.4 TAW = 32 mm.
-
-    Where 60 mm are gone, K_s = (80 - 60) / (80 - 32).
-    """
-    tomato = replace(
-        site_with(a2=100.0, z_soil=1.0, z_veg=0.1), z_cap=22.0,
-        field_capacity=0.22, wilting_point=0.14, depletion_fraction=0.4,
-    )
-    assert soil_of(tomato).water_stress(22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
-
-
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
@@ -126,7 +107,7 @@ def test_a_layer_by_hand(
     assert found == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15)
 @given(
     layer=st.floats(0, 1), inflow=st.floats(0, 0.005) | st.just(0.0),
     seconds=st.sampled_from([0.1, 1.0, 60.0, 3600.0, 1e6]),
@@ -140,14 +121,14 @@ def test_the_layer_follows_its_equation(
     k = 1 / (100 * 100 * time * 1e-4)
     steps = solve_ivp(
         lambda _, v: inflow - k * v * v, (0, seconds), [layer], method="Radau",
-        jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-10, atol=1e-13,
+        jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-8, atol=1e-12,
     )
     flow = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
     left = layer + seconds * (inflow - flow)
     assert left == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 @given(
     x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), asked=st.floats(0, 1e-4),
     seconds=st.sampled_from([10.0, 3600.0]),
@@ -155,14 +136,16 @@ def test_the_layer_follows_its_equation(
 def test_free_changes_follow_their_equations(
     x2: float, rain: float, asked: float, seconds: float
 ) -> None:
-    """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy."""
+    """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy; one step, or of many roofs."""
     volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
     volume = solved(lambda x: -SOIL.water_stress(x) * asked, volume, seconds)
     (found,) = SOIL.free_changes(x2, np.array([rain]), np.array([asked]), np.array([seconds]))
     assert x2 + found == pytest.approx(volume, rel=1e-6, abs=1e-6)
+    roofs = SOIL.after(np.full(2, x2), rain * ROOF.a2 * seconds, asked * seconds, seconds)
+    assert roofs.tolist() == pytest.approx([volume] * 2, rel=1e-6, abs=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 @given(
     x2=st.floats(0, 6), arriving=st.floats(0, 1e-3) | st.just(0.0),
     seconds=st.sampled_from([10.0, 300.0, 3600.0]),
@@ -174,14 +157,6 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
     volume = solved(lambda x: SOIL.kept_share(x) * arriving, x2, seconds)
     passed = seconds * SOIL.mean_percolation(x2, arriving, seconds)
     assert passed == pytest.approx(x2 + seconds * arriving - volume, abs=1e-6)
-
-
-def test_what_comes_stays_and_lasts_on_the_papers_soil() -> None:
-    """Rain on the bed less evapotranspiration; and all of what fills it is there in every step."""
-    weather = np.array([1e-6, 0.0]), np.array([1e-6, 2e-6]), np.array([10.0, 100.0])
-    found = PAPER_SOIL.free_changes(3.0, *weather)
-    assert found == pytest.approx([6.88e-4 - 1e-5, -2e-4], rel=1e-12)
-    assert PAPER_SOIL.lasting_share(3.0, found, *weather).tolist() == [1.0, 1.0]
 
 
 def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
@@ -216,6 +191,7 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     assert found == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
 
 
+@settings(max_examples=30)
 @given(
     site=measured_sites(),
     x2=st.floats(0, 1.5),
@@ -245,24 +221,3 @@ def test_what_is_followed_is_what_the_plant_did(
     assert found.evaporated == pytest.approx(
         [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15
     )
-
-
-def test_a_dry_roof_gives_nothing() -> None:
-    """At the wilting point nothing evaporates; what falls stays, to the last drop."""
-    plant = Plant(ROOF, 50.0, 2.0)
-    assert plant.flows(0.0, 1e-3, 0.0).evapotranspiration == 0.0
-    plant = Plant(ROOF, 50.0, 0.0)
-    flows = plant.flows(1e-4, 1e-3, 0.0)
-    plant.step(1e-4, flows)
-    assert plant.x2 == pytest.approx(0.01, rel=1e-12)
-    assert plant.layer == 0.0
-    assert math.isclose(plant.levels()[1], 1e-4)
-
-
-def test_a_roof_without_a_layer() -> None:
-    """What percolates drains off in the same tick."""
-    plant = Plant(BARE, 50.0, 5.0)
-    flows = plant.flows(1e-4, 0.0, 0.0)
-    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
-    plant.step(1e-4, flows)
-    assert plant.layer == 0.0
