@@ -13,19 +13,12 @@ import yaml
 from bag_topics import MPC_TOPICS
 from commands import run_command
 from disks import small_disk
-from graphs import Process, bag_file, bring_up, environment, summary_of
+from graphs import Process, bag_file, environment, summary_of
 from mcap.reader import make_reader
-from places import Once
 from ros_rig import Observer
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.report.runs import find_runs
-
-
-@pytest.fixture(scope="session")
-def recorded(domain: int, once: Once) -> Path:
-    """The directory of a good run of 360 ticks."""
-    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -93,6 +86,8 @@ def test_killed_recorder_costs_at_most_32_ticks(
     os.kill(process.nodes()["recorder"], signal.SIGKILL)
     observer.until(lambda: process.process.poll() is not None, 300, "the end of the run")
     assert process.wait(300) == 1
+    assert "node recorder ended (SIGKILL)" in process.stderr()
+    assert "Traceback" not in process.stderr()
     reached = stamps[-1] - 1_625_641_200  # the tick that the plant had begun
     done = recover(tmp_path / "run")
     assert done.returncode == 0, done.stderr
