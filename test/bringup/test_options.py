@@ -16,7 +16,7 @@ from graphs import environment
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup import live
+from greenroof_ros.bringup import in_the_loop, live
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
@@ -27,6 +27,8 @@ from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive import DriveLock
 from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.graph.supervision import Permit
+from greenroof_ros.graph.supervisor import NodeFailed
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -263,6 +265,25 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+    )
+
+
+def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which has what the pump node says of it, and what to look at; no log."""
+    assert in_the_loop._DRIVE_LIMIT_S == 60.0
+    monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 0.1)
+    said = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
+    silent: Any = SimpleNamespace(check=lambda *_: None, say=lambda _: None, waiting=lambda _: None)
+    supervisor: Any = SimpleNamespace(
+        permit=Permit(), listen=lambda: None, check=lambda _: None, last={"pump": said}
+    )
+    with pytest.raises(NodeFailed) as failed:
+        in_the_loop.wait_for_drive(supervisor, silent, "pump.json", silent)
+    assert (failed.value.code, str(failed.value)) == (
+        1, "the drive cannot be run, after 0.1 s: cannot connect; check its power and cable, and "
+        "the address of --drive-at"
     )
 
 

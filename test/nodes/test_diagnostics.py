@@ -127,7 +127,7 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
 
     (tmp_path / "my_site.yaml").write_text((CONFIG / "site.yaml").read_text())
     weather = observer.start("weather")
-    plant = observer.start("plant", start_limit=10.0, site_file="my_site.yaml")
+    plant = observer.start("plant", start_limit=6.0, site_file="my_site.yaml")
     observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
     observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
     for process in (plant, weather):
@@ -137,7 +137,7 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
     values = observer.values("/plant")
     assert values["code"] == "node_failed"
     assert abs(datetime.fromisoformat(values["since"]).timestamp() - time.time()) < 300
-    assert "no start within 10 s" in values["failure"]
+    assert "no start within 6 s" in values["failure"]
     assert "/pump/command from the controller" in values["failure"]
     assert "weather" not in values["failure"]
     assert values["process"] == f"{HERE} {plant.pid}"

@@ -41,22 +41,19 @@ def test_levels_of_a_simulated_site(domain: int, tmp_path: Path, observer: Obser
     # 50 m3 on 25 m2, 2 m3 on 68.8 m2, of which a dry night takes next to nothing.
     assert levels["cistern"][-1] == pytest.approx(2.0, abs=2e-3)
     assert levels["roof"][-1] == pytest.approx(2 / 68.8, abs=1e-3)
-    began = time.monotonic()
-    observer.until(lambda: time.monotonic() > began + 0.5, 60, "what was published before")
     began, before = time.monotonic(), len(levels["roof"])
-    observer.until(lambda: len(levels["roof"]) >= before + 30, 60, "30 levels")
-    assert time.monotonic() - began > 2.5  # 6 s, but for what may have waited
+    observer.until(lambda: len(levels["roof"]) >= before + 20, 60, "20 levels")
+    assert time.monotonic() - began > 2  # 4 s, but for what may have waited
     part = "/roof_sensor: sensor"
-    for fault in ("roof_silent", "roof_absurd"):
-        inject(found[1], fault)
-        observer.until(observer.says(part, ERROR), 60, fault)
-        for _ in range(2):  # at first what was published before may come
-            before, other = len(levels["roof"]), len(levels["cistern"])
-            observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
-        assert len(levels["roof"]) == before
-        assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
-        inject(found[1], "none")
-        observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")  # noqa: B023
+    inject(found[1], "roof_absurd")
+    observer.until(observer.says(part, ERROR), 60, "what is wrong")
+    for _ in range(2):  # at first what was published before may come
+        before, other = len(levels["roof"]), len(levels["cistern"])
+        observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
+    assert len(levels["roof"]) == before
+    assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
+    inject(found[1], "none")
+    observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")
     observer.until(observer.says(part, OK), 60, "all is well")
     for node in nodes:
         node.terminate()

@@ -7,20 +7,17 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from datetime import timedelta
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from disks import disk_that_hangs, full_pipe, small_disk
-from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
+from graphs import Process, alive, bring_up, free_ports, summary_of, wait_for
 from places import CHECKOUT, CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
 from rcl_interfaces.srv import SetParameters
@@ -402,55 +399,6 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert done.wait(300) == 0, done.stderr()
     assert summary_of(tmp_path / "other")["pumped_m3"] > 0
     assert hardware.speed() == 0
-
-
-def test_a_drive_that_is_lost_in_the_loop_leaves_a_trace(domain: int, tmp_path: Path) -> None:
-    """On the console, beside the bag and in the summary; the bag is as always."""
-    hardware = Hardware(domain, tmp_path, "20")
-    run = hardware.in_the_loop("--hours", "0.08", "--speed", "15", "--state", "state")
-    run.wait_for_ticks(size=0)
-    hardware.process.process.kill()
-    hardware.process.wait(300)
-    run.until_said("incident 1 at tick", 60)
-    port = hardware.address.rpartition(":")[2]
-    hardware.start("--port", port, "--workbench", "0")
-    run.until_said("incident 1 is over at tick", 60)
-    assert run.wait(120) == 1, run.stderr()
-    summary = summary_of(tmp_path / "run")
-    assert (summary["status"], summary["last_tick"]) == ("done", 288)
-    (incident,) = summary["incidents"]
-    assert (incident["node"], incident["part"]) == ("pump", "drive")
-    assert incident["cause"].startswith("no connection to the drive: gateway://127.0.0.1:")
-    assert 0 < incident["began_tick"] < incident["ended_tick"] < 288
-    assert [asdict(one) for one in read_incidents(tmp_path / "run")] == [incident]
-    assert "done, with 1 incident;" in run.stdout()
-    with AnyReader([tmp_path / "run" / "bag"]) as reader:
-        assert not {"/pump/state", "/diagnostics"} & reader.topics.keys()
-
-
-# Has bringup wait for a drive for 6 s, not a minute.
-HASTY = """
-from greenroof_ros.bringup import in_the_loop, simulated
-assert in_the_loop._DRIVE_LIMIT_S == 60.0
-in_the_loop._DRIVE_LIMIT_S = 6.0
-simulated.main()
-"""
-
-
-def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(domain: int, tmp_path: Path) -> None:
-    """Which names the address, and what to look at; no log."""
-    (port,) = free_ports(1)
-    run = subprocess.run(
-        [sys.executable, "-c", HASTY, "--output", "run", "--hours", "0.01", "--state", "state",
-         "--drive", "abb_acs880", "--drive-at", f"gateway://127.0.0.1:{port}"],
-        cwd=tmp_path, env=environment(domain), stderr=subprocess.PIPE, text=True, timeout=120,
-        check=False,
-    )
-    assert run.returncode == 1
-    (error,) = [line for line in run.stderr.splitlines() if line.startswith("error: ")]
-    assert "cannot connect; check its power and cable, and the address of --drive-at" in error
-    assert "last lines of" not in run.stderr
-    assert len(run.stderr.splitlines()) < 8
 
 
 WITHOUT_FORECAST = (

@@ -13,9 +13,8 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable
-from contextlib import closing, nullcontext
+from contextlib import closing
 from datetime import datetime
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -28,10 +27,8 @@ from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.exchange import Snapshot
-from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.nodes.pump import _Drive
 from greenroof_ros.pumping.ledger import Ledger
 
@@ -537,22 +534,3 @@ def test_live(rig: PumpRig) -> None:
     measured = {**good, "/pump/meter": 0.00321}
     rig.play(measured, lambda: rig.flows[-1] == 0.00321, "the measured flow")
     rig.play(measured, lambda: rig.says("flow", OK, "flow meter"), "its source")
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("folow_time:=9.0", "there is no such parameter; the closest is follow_time; --help lists"),
-        ("qos_overrides./pump/flow.publisher.depth:=3", None),
-        ("plant:folow_time:=9.0", None),
-    ],
-)
-def test_a_parameter_that_it_does_not_have(given: str, words: str | None) -> None:
-    """rclpy ignores it: the pump would run with another limit than was given."""
-    declared = {"follow_time": 12.0, "ramp": 1.0}
-    node: Any = SimpleNamespace(
-        get_name=lambda: "pump", has_parameter=declared.__contains__,
-        get_parameters_by_prefix=lambda _: declared,
-    )
-    with pytest.raises(ConfigurationError, match=words) if words else nullcontext():
-        refuse_unknown(node, ["pump", "--ros-args", "-p", given])
