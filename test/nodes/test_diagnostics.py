@@ -12,6 +12,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
+from rcl_interfaces.msg import ParameterType
 from ros_rig import ERROR, OK, STALE, WARN, Observer
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
@@ -69,10 +70,12 @@ def test_every_node_has_its_group() -> None:
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     """All nodes are well while it runs, say the numbers that a watcher needs, and its time.
 
-    The graph is in a namespace; a clock on /clock, a day later, is not its own.
+    The graph is in a namespace; a clock on /clock, a day later, is not its own. Its parameter file
+    has ``/**:`` and a whole number, as most have: of that the node makes a double.
     """
     start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
+    (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
     began = time.time()
     arrays = observer.hear("/diagnostics", lambda one: one)
     other = observer.node.create_publisher(Clock, "/clock", 10)
@@ -80,8 +83,11 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     message.clock.sec = start + 86_400
     process = Process(
         domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
-        "--speed", "120", cwd=tmp_path,
+        "--speed", "120", "--parameters", "mine.yaml", "--node-parameters", "mine.yaml",
+        cwd=tmp_path,
     )
+    weight = parameter(observer, "/site1/mpc", "weight")
+    assert (weight.type, weight.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
     for name in names:
         assert parameter(observer, name, "use_sim_time").bool_value is True
 

@@ -9,7 +9,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -50,12 +49,6 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     rig.until_said("drive", WARN, "not configured", f"127.0.0.1:{port}")
-    # What the drive lacks now is said once, and not beside what it lacked when that was refused.
-    silent = socket.create_server(("127.0.0.1", port))
-    rig.until_state("no valid answer")
-    assert "the node is not active; no connection to the drive: " in rig.state
-    assert rig.state.count("no connection to the drive") == 1
-    silent.close()
     drive = rig.simulate()
     drive.end()
     drive.start("--port", str(port), "--workbench", "0")
@@ -313,30 +306,16 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "")
 
 
-def _numbers(rig: PumpRig) -> dict[str, float]:
-    """Return the numbers of the parts "pump", "flow" and "command"."""
-    values = [rig.observer.values(f"/pump: {part}") for part in ("pump", "flow", "command")]
-    return {
-        key: float(value) for one in values for key, value in one.items()
-        if key not in ("code", "since", "cause")
-    }
-
-
 def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     """Connection refused, power cycle: off, said, and running again by itself."""
     rig.start()
     for fault in ("refused", "power_cycle"):
         rig.run()
-        rig.tick_until(0.5, lambda: _numbers(rig) == pytest.approx({
-            "command": 0.5, "asked_speed": rig.drive.speed(), "speed": rig.drive.speed(),
-            "flow": rig.flows[-1],
-        }, rel=0.05), LATE, "numbers of a pump that does what it was asked to")
         rig.drive.inject(fault)
         rig.until_state("unknown: no connection to the drive", 6)
         assert rig.tick(0.5) == 0.0
         assert rig.state.endswith("whether the pump stands is not known")  # it may slow down yet
         rig.until_code("drive", "drive_lost")
-        assert not {"speed", "asked_speed", "flow"} & _numbers(rig).keys()
         since = rig.observer.values("/pump: drive")["since"]
         assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
         if fault != "power_cycle":
