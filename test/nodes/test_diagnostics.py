@@ -118,10 +118,10 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
         assert 0 <= moved[0] < moved[-1] <= ticks, name
 
 
-def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
+def test_failure_of_a_node(observer: Observer) -> None:
     """The last word of a plant whose controller was never started is an error that names it.
 
-    Its process and site are in its values. The weather ends with it.
+    Its process is in its values. The weather ends with it.
     """
     arrays = observer.hear("/diagnostics", lambda one: one)
 
@@ -131,9 +131,8 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
             if one.name == "/plant"
         ]
 
-    (tmp_path / "my_site.yaml").write_text((CONFIG / "site.yaml").read_text())
     weather = observer.start("weather")
-    plant = observer.start("plant", start_limit=6.0, site_file="my_site.yaml")
+    plant = observer.start("plant", start_limit=6.0)
     observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
     observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
     for process in (plant, weather):
@@ -147,4 +146,3 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
     assert "/pump/command from the controller" in values["failure"]
     assert "weather" not in values["failure"]
     assert values["process"] == f"{HERE} {plant.pid}"
-    assert values["site"] == str(tmp_path / "my_site.yaml")
