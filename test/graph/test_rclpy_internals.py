@@ -27,6 +27,7 @@ from greenroof_ros.graph.lifecycle import (  # noqa: E402
     transition,
 )
 from greenroof_ros.graph.messages import qos_profile  # noqa: E402
+from greenroof_ros.graph.rclpy_internals import waiting_in  # noqa: E402
 
 
 class Small(Lifecycle, Node):
@@ -66,7 +67,10 @@ class Deaf:
 
 
 def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
-    """rclpy's fast one is not told of all of them, once in 7,000 times; they are handed on."""
+    """rclpy's fast one is not told of all of them, once in 7,000 times; they are handed on.
+
+    Each has the number that its publisher gave it.
+    """
     profile = qos_profile(read_topics()["/roof/level"].qos)
     heard: list[float] = []
     small.create_subscription(
@@ -75,11 +79,19 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     )
     publisher = small.create_publisher(Float64, "level", profile)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
-    for value in (1.0, 2.0, 3.0):
-        publisher.publish(Float64(data=value))
-    assert publisher.wait_for_all_acked(Duration(seconds=60))
+
+    def say(*values: float) -> None:
+        for value in values:
+            publisher.publish(Float64(data=value))
+        assert publisher.wait_for_all_acked(Duration(seconds=60))
+
+    say(1.0, 2.0, 3.0)
     begin_to_listen(Deaf(), small)
     assert heard == [1.0, 2.0, 3.0]
+    say(4.0, 5.0)
+    (subscription,) = (one for one in small.subscriptions if one.raw)
+    numbers = [said["publication_sequence_number"] for _, said in waiting_in(subscription)]
+    assert numbers == [4, 5]
 
 
 def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:

@@ -425,10 +425,9 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the node had is of before; that nobody watched over the pump meanwhile is said.
 
-    In an hour a low outlet takes 0.5 m: no fault; and the drive may have run until its timeout.
-    That is 55 s at most: 15 s for a drive that is not read, 10 s its timeout, and 30 s its ramp.
+    In an hour a low outlet takes 0.5 m: no fault.
     """
-    site, state = rig.cwd / "site.yaml", rig.cwd / "state.json"
+    site = rig.cwd / "site.yaml"
     site.write_text(
         (CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 ")
         + "\nlow_outlet_level: 1.0\nlow_outlet_radius: 0.025\n"
@@ -447,7 +446,6 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
 
     rig.join()
     play(lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
-    pumped = sum(rig.flows) * 0.2
     (rig.cwd / "suspended").touch()
     given["/cistern/level"] = 2.0
     play(lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)
@@ -457,12 +455,6 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     play(lambda: time.monotonic() > began + 3, "three seconds", 0.0)
     assert rig.state == "off: the command is 0"
     assert not any(one.startswith("fault") for one in rig.states)
-    assert rig.call(SetBool, "stop", data=True).success  # it is written
-    lines = [json.loads(line[9:]) for line in state.read_bytes().splitlines()]
-    kept = max(lines, key=lambda one: one["sequence"])
-    assert 3600 < kept["elapsed"] < 3720
-    assert 55 < kept["day_run"] < 130
-    assert kept["day_volume"] > pumped + 50 * max(rig.flows)
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
