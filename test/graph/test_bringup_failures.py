@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,7 +13,6 @@ from graphs import (
     alive,
     assert_on_loopback_alone,
     bag_file,
-    environment,
     messages_of,
     summary_of,
     udp_addresses_of,
@@ -112,26 +109,6 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
         assert any(text in process.stderr() for text in reported), process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes)
-
-
-def test_output_that_is_closed(domain: int, tmp_path: Path) -> None:
-    """The run is done and in its directory; one sentence says that its summary is there."""
-    done = subprocess.run(
-        f"{sys.executable} -m greenroof_ros.bringup --hours 0.01 --output run <&- >&-",
-        shell=True, cwd=tmp_path, env=environment(domain), stderr=subprocess.PIPE, text=True,
-        timeout=60, check=False,
-    )
-    assert done.returncode == 1
-    *_, last = done.stderr.splitlines()
-    assert last == (
-        "error: standard output cannot be written: it is closed; the summary is in "
-        f"{tmp_path / 'run' / 'summary.json'}"
-    )
-    assert "Traceback" not in done.stderr
-    assert summary_of(tmp_path / "run")["status"] == "done"
-    assert len(messages_of(tmp_path / "run")["/clock"]) == 37
-    # A closed number went to no file or pipe of the run, and nothing was printed into those.
-    assert "recorder" not in (tmp_path / "run" / "log" / "plant.log").read_text()
 
 
 def test_pause_shorter_than_the_limit_changes_nothing(

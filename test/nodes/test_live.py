@@ -311,6 +311,8 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.until(lambda: newest(commands), LATE, "a command")
         # What it says is heard, too, before it is stopped: discovery may take seconds.
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        before = len(commands)
+        site.until(lambda: len(commands) > before, LATE, "the end of a decision")
         os.kill(process.pid, signal.SIGSTOP)
         site.during(1.0)
         before = len(commands)

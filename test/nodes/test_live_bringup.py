@@ -419,7 +419,7 @@ def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
         Process(domain, "drive_simulator", *drive, "--speed", "15", "--port", "0", "--workbench",
                 "0", cwd=tmp_path)
     )
-    hours = ("--hours", "0.05")
+    hours = ("--hours", "0.1")
     done = bring_up(domain, tmp_path, *run, "--drive-at", place, *hours, "--speed", "15")
     # As without a drive, but for a least pulse of this pump at its least speed: 0.0167 m3.
     simulated = Process(domain, "simulate", *hours, "--output", "simulated", cwd=tmp_path)
