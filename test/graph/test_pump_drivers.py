@@ -60,10 +60,6 @@ BROKEN = {
             "stops in frost", r"m3/s 3 s after 1 on /weather/frost",
         ),
         (
-            ' or math.isnan(told["roof/level"])', "",
-            "stops while the roof's level is unknown", r"m3/s 3 s after nan on /roof/level",
-        ),
-        (
             "SUCTION  # a NaN",
             'SUCTION + last[0]; last[0] += told["cistern/level"] <= SUCTION  #',
             "runs again when the cistern has filled again",

@@ -142,49 +142,33 @@ def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: P
     assert "FileNotFoundError" in summary["reason"]
 
 
-# Node and parameters: what is said. The sites and sensors are made below.
-WRONG_PARAMETERS = {
-    "controller --controller mpc": {
-        "weight:=-1.0": ("weight", "-1.0", "1e-09"),
-        "weight:=heavy": ("weight", "heavy", "number"),
-    },
-    "plant": {
-        "initial_roof_volume:=250.0": ("at most 159.96 m3", "250 mm is 17.2 m3"),
-        "pump:=outside": ("pump", "outside", "external"),
-        "speed": ("-p speed",),
-    },
-    "weather": {
-        "run_length:=10000000": ("toronto_2021-07.csv",),
-        # A model of forecasts is made of records, which a live site does not have.
-        "live:=true -p forecast:=persistence": ("forecast of weather = 'persistence': must be a",),
-    },
-    "recorder": {
-        "directory:=.": ("directory", "exists"),
-    },
+DRIVE = "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:1"
+# By the command what is said; the sites and sensors are made below.
+REFUSED = {
+    "plant --nonsense": ("--nonsense",),
+    "controller --controller pid --help": ("pid", "mpc", "package.module:Class"),
+    "controller --controller mpc --ros-args -p weight:=-1.0": ("weight", "-1.0", "1e-09"),
+    "controller --controller mpc --ros-args -p weight:=heavy": ("weight", "heavy", "number"),
+    "plant --ros-args -p initial_roof_volume:=250.0": ("at most 159.96 m3", "250 mm is 17.2 m3"),
+    "plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
+    "plant --ros-args -p speed": ("-p speed",),
+    "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
+    # A model of forecasts is made of records, which a live site does not have.
+    "weather --ros-args -p live:=true -p forecast:=persistence":
+        ("forecast of weather = 'persistence': must be a",),
+    "recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), and two readings must fit into that.
-    "level_sensor --tank cistern": {
-        "sensors_file:=sensors.yaml": ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
-    },
-    "pump": {
-        "drive:=abb_acs880 -p address:=tcp://127.0.0.1:1 -p live:=true -p site_file:=slow.yaml "
-        "-p command_limit:=3.0": ("command_limit of pump = 3.0: must be more than tau of the",),
-        "drive:=abb_acs880 -p address:=tcp://127.0.0.1:1 -p folow_time:=9.0": (
-            "folow_time of pump = '9.0': there is no such parameter; the closest is follow_time",
-        ),
-    },
+    "level_sensor --tank cistern --ros-args -p sensors_file:=sensors.yaml":
+        ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
+    f"pump {DRIVE} -p live:=true -p site_file:=slow.yaml -p command_limit:=3.0":
+        ("command_limit of pump = 3.0: must be more than tau of the",),
+    f"pump {DRIVE} -p folow_time:=9.0":
+        ("folow_time of pump = '9.0': there is no such parameter; the closest is follow_time",),
 }
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        *((f"{node} --ros-args -p {given}", words)
-          for node, wrong in WRONG_PARAMETERS.items() for given, words in wrong.items()),
-        ("plant --nonsense", ("--nonsense",)),
-        ("controller --controller pid --help", ("pid", "mpc", "package.module:Class")),
-    ],
-)
-def test_what_is_refused(domain: int, tmp_path: Path, command: str, words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("command", REFUSED)
+def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     """Exit code 2 and one clear line: who supervises it need not start it again."""
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
@@ -196,8 +180,7 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str, words: tuple
     # Which parameters there are is known when there is a node, which may have said something.
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
     assert line.startswith("error: ")
-    for word in words:
-        assert word in line
+    assert all(word in line for word in REFUSED[command]), line
 
 
 # --- help: nothing is started, and what it says is what the started node has ----------------------
