@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 from disks import disk_that_hangs, full_pipe, small_disk
-from graphs import Process, alive, bring_up, free_ports, summary_of, wait_for
-from places import CHECKOUT, CONFIG, guarding
+from graphs import Process, alive, free_ports, summary_of, wait_for
+from places import CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -403,32 +403,6 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     assert (summary["status"], summary["incidents"]) == ("done", [])
     assert summary["forecast"] is None
     assert "forecast:" not in process.stderr()
-
-
-def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
-    """Its two lines as printed, but for where the drive is, how long the run is and how fast.
-
-    A second that this busy machine stands still is a minute of the pump at the speed printed.
-    """
-    readme = (CHECKOUT / "README.md").read_text().splitlines()
-    words = [line.split() for line in readme if line.startswith(".venv/bin/greenroof ")]
-    (_, *simulator), (_, *run) = words
-    assert (simulator[:2], run[0], simulator.pop()) == (["simulators", "drive"], "run", "&")
-    drive, run = simulator[2:], run[1:]
-    place, _ = addresses(
-        Process(domain, "drive_simulator", *drive, "--speed", "15", "--port", "0", "--workbench",
-                "0", cwd=tmp_path)
-    )
-    hours = ("--hours", "0.1")
-    done = bring_up(domain, tmp_path, *run, "--drive-at", place, *hours, "--speed", "15")
-    # As without a drive, but for a least pulse of this pump at its least speed: 0.0167 m3.
-    simulated = Process(domain, "simulate", *hours, "--output", "simulated", cwd=tmp_path)
-    assert simulated.wait(300) == 0
-    expected = summary_of(tmp_path / "simulated")["pumped_m3"]
-    assert done["pumped_m3"] == pytest.approx(expected, abs=0.0167)
-    assert done["pumped_m3"] > 0
-    assert state_of_drive().is_file()
-    assert not (tmp_path / "run" / "pump.json").exists()
 
 
 def state_of_drive() -> Path:
