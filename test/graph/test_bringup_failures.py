@@ -32,7 +32,7 @@ def started(
 ) -> tuple[Process, dict[str, int]]:
     """Start a long run and wait until it is well under way."""
     process = Process(domain, "bringup", "--output", "run", *arguments, cwd=cwd, ignored=ignored)
-    process.wait_for_ticks()
+    process.wait_for_ticks(size=10_000)
     nodes = process.nodes()
     assert sorted(nodes) == sorted(NODES)
     return process, nodes
@@ -82,7 +82,7 @@ def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
     else:
         for each in ignored:
             process.process.send_signal(each)
-        process.wait_for_ticks(size=60_000)
+        process.wait_for_ticks(size=30_000)
         number = signal.SIGTERM if ignored else signal.SIGINT
         process.process.send_signal(number)
         code, status, reason = 130, "interrupted", f"interrupted by {number.name}"

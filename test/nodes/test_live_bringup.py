@@ -345,12 +345,14 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     A terminal that takes nothing stops no pump: the permit is given by who draws the bar.
     """
     hardware = Hardware(domain, tmp_path, "20")
-    with full_pipe() as (_, full):
+    with full_pipe() as (reading, full):
         early = hardware.in_the_loop(*PUMPING, "--hours", "1", output="early", stderr=full)
         hardware.until_it_pumps(120)
         assert min(hardware.speeds_for(4)) > 0.9
+        os.read(reading, 1 << 20)  # from here on it takes what is said
         os.kill(early.nodes()["pump"], signal.SIGKILL)
         assert early.wait(300) == 1
+        assert b"bringup told the drive to stop" in os.read(reading, 1 << 20)
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     summary = summary_of(tmp_path / "early")
     assert summary["reason"] == "node pump ended (SIGKILL)"

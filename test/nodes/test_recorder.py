@@ -53,7 +53,7 @@ def test_killed_recorder_costs_at_most_32_ticks(
     """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     stamps = observer.hear("/clock", lambda one: one.clock.sec)
-    process.wait_for_ticks(size=60_000)
+    process.wait_for_ticks(size=20_000)
     observer.until(lambda: stamps, 60, "the clock")
     os.kill(process.nodes()["recorder"], signal.SIGKILL)
     observer.until(lambda: process.process.poll() is not None, 300, "the end of the run")
@@ -78,8 +78,10 @@ def test_killed_recorder_costs_at_most_32_ticks(
 def test_full_disk(domain: int, tmp_path: Path) -> None:
     """A disk that fills up is an error that says so, and the bag can be recovered."""
     disk = tmp_path / "disk"
-    with small_disk(disk, "300k"):
-        process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
+    with small_disk(disk, "200k"):
+        process = Process(
+            domain, "bringup", "--controller", "onoff", "--output", str(disk / "run"), cwd=tmp_path
+        )
         assert process.wait(120) == 1
         assert "node recorder ended" in process.stderr()
         assert "No space left on device" in process.stderr()
