@@ -217,11 +217,6 @@ class Hardware(SimulatedDrive):
         return speeds
 
 
-def last_list(process: Process) -> str:
-    """Return what is missing."""
-    return process.stderr().rpartition("missing:\n")[2]
-
-
 def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: Site) -> None:
     """The controller pumps and the roof rises; a pump node that hangs is stopped, and goes on.
 
@@ -233,6 +228,10 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
     options = hardware.be_a_site("    activate_without_drive_timeout: true\n")
     levels = site.watcher.hear("/roof/level", namespace="/site1")
     options += ("--namespace", "site1", "--peer-limit", "60")
+
+    def missing() -> str:
+        return process.stderr().rpartition("missing:\n")[2]
+
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
             "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The level",
@@ -240,11 +239,11 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         ):
             process.until_said(reason)
         # What only follows from these is not in it, nor a drive that is there.
-        found = {line.partition(":")[0] for line in last_list(process).splitlines()}
+        found = {line.partition(":")[0] for line in missing().splitlines()}
         assert found <= {"  cistern_sensor", "  roof_sensor", "  weather"}
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
-        wait_for(lambda: "  weather: " not in last_list(process), 60, "the forecast")
-        assert "  roof_sensor: " in last_list(process)
+        wait_for(lambda: "  weather: " not in missing(), 60, "the forecast")
+        assert "  roof_sensor: " in missing()
         hardware.begin()
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         assert levels[0] == pytest.approx(0.0457 / 1.3, abs=1e-3)  # the paper's low roof
@@ -358,7 +357,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert summary["reason"] == "node pump ended (SIGKILL)"
     assert 1 < summary["last_tick"] < 3600
     # A fault is the drive's: it stops the pump in the next run, and bringup says so, and where.
-    state = state_of_drive()
+    (state,) = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
     ledger = Ledger(state, time.time)
     ledger.fault("the drive reports: overload", "drive_fault")
     assert ledger.close() == ""
@@ -377,18 +376,16 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert hardware.speed() == 0
 
 
-WITHOUT_FORECAST = (
-    "--sensors", "external", "--pump", "external", "--controller", "onoff",
-    "--thermometer", "external", "--node-parameters", "nodes.yaml",
-)
-
-
 def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
     """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost."""
     commands, rain = site.listen("/pump/command"), site.listen("/weather/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
     (tmp_path / "nodes.yaml").write_text(f"{QUICK}    gauge_limit: 1.0\n")
-    with live(domain, tmp_path, *WITHOUT_FORECAST) as process:
+    options = (
+        "--sensors", "external", "--pump", "external", "--controller", "onoff",
+        "--thermometer", "external", "--node-parameters", "nodes.yaml",
+    )
+    with live(domain, tmp_path, *options) as process:
         site.values = dict(LEVELS)
         frost = "  weather: frost: the temperature is unknown, and so whether there is frost"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
@@ -405,12 +402,6 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     assert (summary["status"], summary["incidents"]) == ("done", [])
     assert summary["forecast"] is None
     assert "forecast:" not in process.stderr()
-
-
-def state_of_drive() -> Path:
-    """Return where the state of the newest drive is kept to which nobody gave a place."""
-    states = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
-    return max(states, key=lambda path: path.stat().st_mtime)
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
