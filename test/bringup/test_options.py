@@ -204,23 +204,6 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "/**:\n  ros__parameters: {least_off: 1.0, forecast_seed: 3, use_sim_time: true}\n",
-        "/**/onoff:\n  ros__parameters: {recovery_time: 1.0}\n"
-        "/*/recorder:\n  ros__parameters: {file_limit: 1.0}\n"
-        "'**/roof_sensor':\n  ros__parameters: {qos_overrides: {/roof/level: {}}}\n",
-    ],
-)
-def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
-    """It is left to the node."""
-    pytest.importorskip("rclpy")
-    file = tmp_path / "nodes.yaml"
-    file.write_text(text)
-    assert parameters(file) == [file]
-
-
 def test_a_state_file_is_a_drives_however_its_address_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,13 +65,14 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
         assert commands == [f"  greenroof {name} {run}" for name in ("recover", "report")]
 
 
-@pytest.mark.parametrize("how", ["ctrl-c", "sigterm under nohup", "plant", "controller"])
+@pytest.mark.parametrize(
+    "how", ["ctrl-c", "sigterm under nohup", "plant", "weather", "controller"]
+)
 def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
     """A signal, or kill -9 of a node: at once, with its name, no traceback, and nothing left.
 
     By a signal the exit code is 130, and the bag is closed. What is ignored, as under nohup and in
-    a shell's background, ends nothing. The weather is killed below, the recorder in
-    test_recorder.py.
+    a shell's background, ends nothing. The recorder is killed in test_recorder.py.
     """
     ignored = (signal.SIGHUP, signal.SIGINT) if how == "sigterm under nohup" else ()
     process, nodes = started(domain, tmp_path, ignored=ignored)
@@ -154,18 +155,6 @@ def test_bringup_that_is_killed(domain: int, tmp_path: Path) -> None:
     process.process.wait()
     wait_for(lambda: not any(map(alive, nodes.values())), 60, "the end of all nodes")
     assert summary_of(tmp_path / "run")["status"] == "running"
-    assert messages_of(tmp_path / "run")["/clock"]
-
-
-def test_ctrl_c_after_the_death_of_a_node(domain: int, tmp_path: Path) -> None:
-    """It does not disturb the end: nothing is left, and the bag is closed."""
-    process, nodes = started(domain, tmp_path)
-    os.kill(nodes["weather"], signal.SIGKILL)
-    for _ in range(5):
-        time.sleep(0.1)
-        process.process.send_signal(signal.SIGINT)
-    assert process.wait(300) in (1, 130)
-    assert_gone(nodes)
     assert messages_of(tmp_path / "run")["/clock"]
 
 

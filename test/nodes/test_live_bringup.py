@@ -195,10 +195,11 @@ class Hardware(SimulatedDrive):
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
 
     def in_the_loop(self, *options: str, output: str = "run", stderr: int | None = None) -> Process:
-        """Start a simulated run with the drive."""
+        """Start a simulated run with the drive, whose pump need not be off for long."""
+        (self.cwd / "pump.yaml").write_text("/**/pump:\n  ros__parameters:\n    least_off: 1.0\n")
         return Process(
             self.domain, "bringup", "--output", output, "--drive", self.file, "--drive-at",
-            self.address, *options, cwd=self.cwd, stderr=stderr,
+            self.address, "--node-parameters", "pump.yaml", *options, cwd=self.cwd, stderr=stderr,
         )
 
     def speed(self) -> float:
