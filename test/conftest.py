@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from graphs import Process, own_domain
+from graphs import Process, bring_up, own_domain
 from hypothesis import settings
 from places import Once
 from studies import study
@@ -20,8 +20,8 @@ settings.load_profile("greenroof_ros")
 
 # What takes longest starts first, so that the workers end together: names of tests and files.
 LONGEST = (
-    "test_same_bits_as_simulate[mpc]", "test_report_page.py", "test_report.py", "test_faults.py",
-    "test_packaging.py", "test_learned_trust.py", "test_lookahead.py",
+    "test_pump_drivers.py", "test_live_bringup.py", "test_report_page.py", "test_report.py",
+    "test_faults.py", "test_packaging.py", "test_learned_trust.py", "test_lookahead.py",
 )
 
 # A thousand processes that import the package need not compile it each, whatever the user has set.
@@ -119,6 +119,12 @@ def once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Once:
         return directory
 
     return directory_of
+
+
+@pytest.fixture(scope="session")
+def recorded(domain: int, once: Once) -> Path:
+    """The directory of a good run of a graph: mpc, the paper's site, 360 ticks."""
+    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from typing import Any
 
 from graphs import Process, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
-from places import CONFIG, guarding
+from places import guarding
 from ros_rig import LATE, Observer
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S, Workbench
@@ -22,7 +22,6 @@ from greenroof_ros.simulators.faults import DEFAULT
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
-MAKES = {path.stem for path in (CONFIG / "drives").glob("*.yaml")}
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
 
@@ -30,12 +29,12 @@ class SimulatedDrive:
     """The program, which ends with the test, and its workbench."""
 
     def __init__(
-        self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880",
+        self, domain: int, cwd: Path, *options: str,
         pace: tuple[str, ...] = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5"),
     ) -> None:
         """Start it, and wait until it is ready."""
         self.domain, self.cwd = domain, cwd
-        self._options = ("--drive", make, *pace, *options)
+        self._options = ("--drive", "abb_acs880", *pace, *options)
         self.start("--port", "0", "--workbench", "0")
 
     def start(self, *options: str) -> None:
@@ -96,12 +95,12 @@ class PumpRig:
 
     @property
     def drive(self) -> SimulatedDrive:
-        """Return the drive, ABB's unless :meth:`simulate` made another."""
+        """Return the drive, and start it if need be."""
         return self._drive or self.simulate()
 
-    def simulate(self, *options: str, make: str = "abb_acs880") -> SimulatedDrive:
+    def simulate(self, *options: str) -> SimulatedDrive:
         """Start the drive."""
-        self._drive = SimulatedDrive(self.domain, self.cwd, *options, make=make)
+        self._drive = SimulatedDrive(self.domain, self.cwd, *options)
         return self._drive
 
     def code(self, part: str) -> str:
@@ -109,12 +108,11 @@ class PumpRig:
         return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
-        self, address: str = "", *, drive: str = "abb_acs880",
-        popen: dict[str, Any] | None = None, **parameters: object,
+        self, address: str = "", *, popen: dict[str, Any] | None = None, **parameters: object,
     ) -> subprocess.Popen[Any]:
         """Start the node, for the simulated drive unless told; its state file stays the same."""
         given = {
-            "drive": guarding(drive, self.cwd) if drive in MAKES else drive,
+            "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }

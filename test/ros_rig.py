@@ -265,22 +265,26 @@ def write_forecast(path: Path, ago: timedelta, rain: float, temperature: float) 
     draft.replace(path)
 
 
-# Lets a process find that the machine was suspended for an hour while there is a file *suspended*:
-# between two decisions of a node, or in the middle of one, before and after which it looks how long
-# that was.
+# Lets a process find, each time there is a file *suspended* or *suspended_in_a_decision*, that the
+# machine was suspended for an hour: between two decisions of a node, or in the middle of one,
+# before and after which it looks how long that was.
 SUSPENDED = """
+import os
 import sys
 import time
-from pathlib import Path
+from contextlib import suppress
 awake, slept, looks = time.clock_gettime, 0.0, 0
 def clock_gettime(clock):
     global slept, looks
     if clock != time.CLOCK_BOOTTIME:
         return awake(clock)
-    looks += sys._getframe(2).f_code.co_name == "suspended_time"
-    if Path("suspended").exists() or (Path("suspended_in_a_decision").exists() and looks % 2 == 0
-            and sys._getframe(2).f_code.co_name == "suspended_time"):
-        slept = 3600.0
+    decides = sys._getframe(2).f_code.co_name == "suspended_time"
+    looks += decides
+    for file, now in (("suspended", True), ("suspended_in_a_decision", decides and looks % 2 == 0)):
+        with suppress(FileNotFoundError):
+            if now:
+                os.unlink(file)
+                slept += 3600.0
     return awake(clock) + slept
 time.clock_gettime = clock_gettime
 """

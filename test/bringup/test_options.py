@@ -16,7 +16,7 @@ from graphs import environment
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup import live
+from greenroof_ros.bringup import in_the_loop, live
 from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.bringup.live_site import LiveSite
 from greenroof_ros.bringup.live_site import make_parser as live_site_parser
@@ -27,6 +27,8 @@ from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive import DriveLock
 from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.graph.supervision import Permit
+from greenroof_ros.graph.supervisor import NodeFailed
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -91,23 +93,15 @@ WRONG = {
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
-    f"{WEATHERED} --thermometer external": "--forecast FILE.csv: is missing: live",
     f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
         "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
     f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
-    "live --weather external --pump external --sensors no.yaml":
-        "--sensors = 'no.yaml': must be a file that is there",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is of the weather node",
-    f"{WEATHERED} --weather external --site no.yaml": "no.yaml",
-    f"{WEATHERED} --weather external {DRIVE}":
-        "--pump = 'external': leaves the pump to somebody else's node",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
-    "run --drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
     f"run {DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
-    "run --pump external --minimum-off 60": "are the pump driver's business where the pump is ext",
     "run --state here": "--state: is of a drive",
 }
 
@@ -117,7 +111,7 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
-@pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])
+@pytest.mark.parametrize("name", ["site 1", "a//b"])
 def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         make_parser().parse_args(["--namespace", name])
@@ -160,31 +154,21 @@ NO_EFFECT = {
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
         f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
-    "/site1/pump:\n  ros__parameters:\n    state_file: mine.json\n":
-        f"line 3: /site1/pump: state_file = 'mine.json': {_ONLY_BRINGUP}",
     # A real drive would run on levels of another time than --speed, which is refused, says.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
         "bringup --speed says it",
-    "/site1/*:\n  ros__parameters:\n    pump: external\n":
-        "line 3: /site1/*: pump = 'external': must not be given to the node plant",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
         "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is greatest_volume_per_day;",
-    "/**:\n  ros__parameters:\n    least_off: 1.0\n    recovery_tim: 0.5\n":
-        "line 4: /**: recovery_tim = 0.5: there is no such parameter; the closest is "
-        "recovery_time;",
     "/**/onoff:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 3: /**/onoff: least_off = 1.0: there is no such parameter",
     "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
-    "site1:\n  onof:\n    ros__parameters:\n      recovery_time: 1.0\n":
-        "line 2: site1/onof: bringup starts no such node; the closest is /**/",
     "/site2/pump:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
     "pump:\n  greatest_volume_per_day: 0.5\n":
         "line 2: pump: greatest_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
-    "/**/pump:\n": "line 1: /**/pump: has no effect here: write /**/NODE: {ros__parameters: ",
     "/**/pump:\n  ros__parameters: 0.5\n":
         "line 1: /**/pump: ros__parameters = 0.5: must hold parameters, NAME: VALUE",
 }
@@ -218,25 +202,6 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
     assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "/**:\n  ros__parameters: {least_off: 1.0, forecast_seed: 3, use_sim_time: true}\n",
-        "site1:\n  pump:\n    ros__parameters: {least_off: 1.0, level_limit: 3.0}\n",
-        "/site1/*:\n  ros__parameters: {sensors_file: a.yaml}\n",
-        "/**/onoff:\n  ros__parameters: {recovery_time: 1.0}\n"
-        "/*/recorder:\n  ros__parameters: {file_limit: 1.0}\n"
-        "'**/roof_sensor':\n  ros__parameters: {qos_overrides: {/roof/level: {}}}\n",
-    ],
-)
-def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
-    """It is left to the node."""
-    pytest.importorskip("rclpy")
-    file = tmp_path / "nodes.yaml"
-    file.write_text(text)
-    assert parameters(file) == [file]
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(
@@ -283,6 +248,25 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+    )
+
+
+def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which has what the pump node says of it, and what to look at; no log."""
+    assert in_the_loop._DRIVE_LIMIT_S == 60.0
+    monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 0.1)
+    said = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
+    silent: Any = SimpleNamespace(check=lambda *_: None, say=lambda _: None, waiting=lambda _: None)
+    supervisor: Any = SimpleNamespace(
+        permit=Permit(), listen=lambda: None, check=lambda _: None, last={"pump": said}
+    )
+    with pytest.raises(NodeFailed) as failed:
+        in_the_loop.wait_for_drive(supervisor, silent, "pump.json", silent)
+    assert (failed.value.code, str(failed.value)) == (
+        1, "the drive cannot be run, after 0.1 s: cannot connect; check its power and cable, and "
+        "the address of --drive-at"
     )
 
 

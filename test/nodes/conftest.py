@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 collect_ignore_glob = ["test_*.py"] if find_spec("rclpy") is None else []
 if find_spec("pymodbus") is None:  # drives and sensors are on Modbus
-    collect_ignore_glob += ["test_pump_node.py", "test_level_sensor.py", "test_live_bringup.py"]
+    collect_ignore_glob += ["test_pump_node.py", "test_live_bringup.py"]
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
+from rcl_interfaces.msg import ParameterType
 from ros_rig import ERROR, OK, STALE, WARN, Observer
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
@@ -69,10 +70,12 @@ def test_every_node_has_its_group() -> None:
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     """All nodes are well while it runs, say the numbers that a watcher needs, and its time.
 
-    The graph is in a namespace; a clock on /clock, a day later, is not its own.
+    The graph is in a namespace; a clock on /clock, a day later, is not its own. Its parameter file
+    has ``/**:`` and a whole number, as most have: of that the node makes a double.
     """
     start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
+    (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
     began = time.time()
     arrays = observer.hear("/diagnostics", lambda one: one)
     other = observer.node.create_publisher(Clock, "/clock", 10)
@@ -80,8 +83,11 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     message.clock.sec = start + 86_400
     process = Process(
         domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
-        "--speed", "120", cwd=tmp_path,
+        "--speed", "120", "--parameters", "mine.yaml", "--node-parameters", "mine.yaml",
+        cwd=tmp_path,
     )
+    weight = parameter(observer, "/site1/mpc", "weight")
+    assert (weight.type, weight.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
     for name in names:
         assert parameter(observer, name, "use_sim_time").bool_value is True
 
@@ -112,10 +118,10 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
         assert 0 <= moved[0] < moved[-1] <= ticks, name
 
 
-def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
+def test_failure_of_a_node(observer: Observer) -> None:
     """The last word of a plant whose controller was never started is an error that names it.
 
-    Its process and site are in its values. The weather ends with it.
+    Its process is in its values. The weather ends with it.
     """
     arrays = observer.hear("/diagnostics", lambda one: one)
 
@@ -125,9 +131,8 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
             if one.name == "/plant"
         ]
 
-    (tmp_path / "my_site.yaml").write_text((CONFIG / "site.yaml").read_text())
     weather = observer.start("weather")
-    plant = observer.start("plant", start_limit=10.0, site_file="my_site.yaml")
+    plant = observer.start("plant", start_limit=6.0)
     observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
     observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
     for process in (plant, weather):
@@ -137,8 +142,7 @@ def test_failure_of_a_node(tmp_path: Path, observer: Observer) -> None:
     values = observer.values("/plant")
     assert values["code"] == "node_failed"
     assert abs(datetime.fromisoformat(values["since"]).timestamp() - time.time()) < 300
-    assert "no start within 10 s" in values["failure"]
+    assert "no start within 6 s" in values["failure"]
     assert "/pump/command from the controller" in values["failure"]
     assert "weather" not in values["failure"]
     assert values["process"] == f"{HERE} {plant.pid}"
-    assert values["site"] == str(tmp_path / "my_site.yaml")

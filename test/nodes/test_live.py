@@ -94,7 +94,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
             recovers()
             assert commands[-1][0] - mended > recovery - 0.1  # from the first good value on
         site.values["/roof/level"] = lambda now: roof(now) + 0.012  # within the tolerance
-        site.during(2)
+        site.during(1)
         site.values["/roof/level"] = lambda now: roof(now) - 0.015
         stops(WARN, "/roof/level jumped")
         recovers()
@@ -124,10 +124,9 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
     check(arrays)
 
 
-# What a forecast of rain may be, and what is said of it: of another length, with a value far ahead
-# that cannot be, and none at all.
+# What a forecast of rain may be, and what is said of it: too long, with a value far ahead that
+# cannot be, and none at all.
 BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
-    "empty": ([], "was refused"),
     "long": ([0.0] * 2000, "was refused"),
     "not finite": ([*[0.0] * 9, math.nan], "was refused: nan"),
     "none": (None, "is older than 1 s (forecast_limit)"),
@@ -161,25 +160,13 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             assert site.says("/mpc: inputs", OK)()
             if bad is not None:
                 site.values = dict(good)
-        for change in (
-            {"/roof/level": 0.05}, {"/roof/level": math.nan}, {"/cistern/level": 0.5},
-            {"/weather/frost": 1.0}, {"/weather/frost": math.nan},
-        ):
+        for change in ({"/roof/level": math.nan}, {"/cistern/level": 0.5}, {"/weather/frost": 1.0}):
             site.values = {**without, **change}
             site.until(lambda: newest(commands) == 0.0, LATE, f"stop by {change}")
             site.values = without
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
-        site.values = {name: value for name, value in without.items() if name != "/cistern/level"}
-        site.until(lambda: newest(commands) == 0.0, LATE, "stop without a level")
         site.values = dict(good)
         site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
-        intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
-        site.watcher.publisher(rain, intruder)
-        two = site.says("/mpc: forecast", WARN, f"{rain} has 2 publishers (intruder, observer)")
-        site.until(two, LATE, "a second publisher")
-        site.until(lambda: newest(commands) == 1.0, LATE, "on/off beside two forecasts")
-        intruder.destroy_node()
-        site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again, with one forecast")
         # A wrong layout ends a simulated run; a live node refuses it, as too many members.
         del site.values[rain]
         for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
@@ -215,18 +202,11 @@ class Learner(Counting):
     def learned(self): return {"asked": float(self.asked)}
     @learned.setter
     def learned(self, values): self.asked = int(values["asked"])
-
-class Own(Waiting):
-    parameters = ()
-    needs_forecast = False
-    def __init__(self, site): pass
-    def command(self, cistern, roof, rain, evapotranspiration):
-        return 0.3 if len(rain) == len(evapotranspiration) == 10 else 0.2
 """
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """One that says nothing leaves it to on/off and begins anew; one with a rule is asked."""
+    """Without a forecast one leaves it to on/off, and begins anew; no command is 0, and said."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
@@ -243,14 +223,6 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.until(lambda: newest(commands) != 1.0, LATE, "its commands again")
         first = next(value for _, value in commands[before:] if value != 1.0)
         assert first == pytest.approx(0.501)
-    commands.clear()
-    with site.live("controller --controller mine:Own", **given):
-        site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast")
-        site.values = without
-        site.until(lambda: newest(commands) == 0.2, LATE, "without")
-        site.values = good
-        site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast again")
-        assert {value for _, value in commands} <= {0.0, 0.2, 0.3}
     # Of a roof that waits for rain: a moment without a forecast has on/off start no pump.
     commands.clear()
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
@@ -299,33 +271,35 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
     with site.live("controller --controller mine:Learner", **given):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
         assert its_own()[0] > last  # by the commands, too, that came while it ended
-    for content in ("not JSON", '{"another": 3.0}'):
-        file.write_text(content)
-        site.during(0.5)  # what the node before said last is heard
-        commands.clear()
-        with site.live("controller --controller mine:Learner", **given):
-            site.until(lambda: len(its_own()) > 0, LATE, "its first command")
-            assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may not be heard
+    file.write_text('{"another": 3.0}')
+    site.during(0.5)  # what the node before said last is heard
+    commands.clear()
+    with site.live("controller --controller mine:Learner", **given):
+        site.until(lambda: len(its_own()) > 0, LATE, "its first command")
+        assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may not be heard
 
 
-@pytest.mark.parametrize("when", ["suspended", "suspended_in_a_decision"])
 def test_no_command_of_what_was_before_a_suspend(
-    when: str, site: Site, monkeypatch: pytest.MonkeyPatch
+    site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In which the clock stands still by which a process otherwise tells how old a value is."""
     (site.cwd / "sitecustomize.py").write_text(SUSPENDED)
     monkeypatch.setenv("PYTHONPATH", str(site.cwd))
     commands = site.be_dry()
     with site.live("controller --controller onoff", recovery_time=1.0):
-        site.until(lambda: newest(commands), 60, "a command")
-        (site.cwd / when).touch()
-        site.until(lambda: newest(commands) == 0.0, LATE, "no command")
-        site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
+        for when in ("suspended", "suspended_in_a_decision"):
+            site.until(lambda: newest(commands), LATE, "a command")
+            site.said.clear()
+            (site.cwd / when).touch()
+            site.until(lambda: newest(commands) == 0.0, LATE, "no command")
+            site.until(
+                lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why"
+            )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
-    """The node is stopped for 7 s while the roof gets wet; a dry roof's command never follows.
+    """The node is stopped for 3 s while the roof gets wet; a dry roof's command never follows.
 
     The limits are far longer, and there is no time to recover: its own pause is what it must see.
     """
@@ -337,10 +311,12 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.until(lambda: newest(commands), LATE, "a command")
         # What it says is heard, too, before it is stopped: discovery may take seconds.
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        before = len(commands)
+        site.until(lambda: len(commands) > before, LATE, "the end of a decision")
         os.kill(process.pid, signal.SIGSTOP)
         site.during(1.0)
         before = len(commands)
-        site.during(6.0)
+        site.during(2.0)
         assert len(commands) == before
         dry = site.values["/roof/level"]
         site.values["/roof/level"] = lambda now: dry(now) + 0.04
@@ -356,7 +332,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
 
 
 def test_live_weather(site: Site) -> None:
-    """A file that is replaced, broken and removed, gauges that come and go, an issue too old."""
+    """A file that is replaced and broken, gauges that come and go, an issue too old."""
     file = site.cwd / "forecast.csv"
     write_forecast(file, timedelta(minutes=1), 3.6, 15.0)
     rain = site.listen("/weather/precipitation")
@@ -386,9 +362,6 @@ def test_live_weather(site: Site) -> None:
         expect(2e-6, 1.0)
         file.write_text(FORECAST_HEADER + "\nnow,now,1.0,2.0,3.0\n")
         expect(2e-6, 1.0, ("forecast", WARN, f"{file}, line 2", "'now'"))
-        file.unlink()
-        expect(2e-6, 1.0, ("forecast", WARN, f"{file}: cannot be read"))
-
         site.values = {"/gauge/precipitation": 5e-6, "/gauge/temperature": 4.0}
         expect(5e-6, 0.0)
         site.until(
@@ -438,7 +411,7 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
 
 
 def test_live_weather_that_is_fetched(site: Site) -> None:
-    """The forecast comes from a service; when that is gone, what it said before counts."""
+    """The forecast comes from a service, and is kept; why there is none is said."""
     paper = read_site(CONFIG / "site.yaml")
     records = read_weather([default_weather()], paper, gaps=FILL)
     service = ForecastService(paper, records, records.first, 0)
@@ -461,31 +434,18 @@ def test_live_weather_that_is_fetched(site: Site) -> None:
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()
     assert [one.parent.name for one in file.parent.rglob("*.csv")].count("forecast") == 1
-    before = len(forecast)
-    with site.live("weather", **options):
-        site.until(site.says(part, WARN, "Cannot connect"), LATE, "that it is gone")
-        site.until(lambda: len(forecast) > before + 1, LATE, "the forecast of before")
 
 
 def test_live_weather_that_lacks_something(site: Site) -> None:
     """Without a file at the start the node waits for one; unknown_frost_may_pump makes frost 0.
 
-    What evaporates is not said of a site without a climate. With a record of forecasts that is no
-    use they are used as they are issued, and it is said.
+    With a record of forecasts that is no use they are used as they are issued, and it is said.
     """
     file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
     record.write_text("issued\n")
-    lines = (CONFIG / "site.yaml").read_text().splitlines()
-    (site.cwd / "mine.yaml").write_text(
-        "\n".join(line for line in lines if not line.startswith("monthly_"))
-    )
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    evapotranspiration = site.listen("/weather/evapotranspiration")
     arrays = site.watcher.hear("/diagnostics", lambda one: one)
-    with site.live(
-        "weather", forecast=file, unknown_frost_may_pump="true", dressed=record,
-        site_file=site.cwd / "mine.yaml",
-    ):
+    with site.live("weather", forecast=file, unknown_frost_may_pump="true", dressed=record):
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
         site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
         site.until(lambda: len(frost) > 2, LATE, "frost")
@@ -494,7 +454,6 @@ def test_live_weather_that_lacks_something(site: Site) -> None:
         for array in arrays:
             said = {one.name: one.message for one in array.status}
             assert said.get("/weather") != "ready" or "/weather: frost" in said
-        assert not evapotranspiration
         useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
         site.until(site.says(*useless), LATE, "why")
         write_forecast(file, timedelta(0), 3.6, 15.0)

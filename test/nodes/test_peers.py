@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 from bag_topics import MPC_TOPICS
-from graphs import Process, bag_file, bring_up, wait_for
+from graphs import Process, bag_file, wait_for
 from mcap.reader import make_reader
-from places import Once
 from rclpy.duration import Duration
 from ros_rig import FORECASTS, Observer, ros_arguments
 from rosgraph_msgs.msg import Clock
 
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.messages import message_class
 
 
@@ -52,7 +52,7 @@ def nodes(domain: int, tmp_path: Path) -> Nodes:
 
 
 def test_started_by_hand_gives_the_bag_of_bringup(
-    domain: int, tmp_path: Path, nodes: Nodes, once: Once
+    tmp_path: Path, nodes: Nodes, recorded: Path
 ) -> None:
     """Equal in every byte, each node started when the others wait for it, by name.
 
@@ -71,21 +71,22 @@ def test_started_by_hand_gives_the_bag_of_bringup(
         log = nodes.log(name)
         assert "does not answer" not in log and "ended" not in log
         assert log.count("waiting for") < 15
-    run = once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
     mine = tmp_path / "bag" / "bag_0.mcap"
-    assert mine.read_bytes() == bag_file(run).read_bytes()
+    assert mine.read_bytes() == bag_file(recorded).read_bytes()
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
-def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> None:
-    """By name, with exit code 1; the bag is closed. ROS knows a killed node for 20 s."""
+def test_plant_that_is_killed_ends_the_others(
+    nodes: Nodes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By name, with exit code 1; the bag is closed. ROS knows the plant for 6 s more, not 20."""
+    monkeypatch.setenv(LEASE, "6")
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("recorder", directory="bag", controller="onoff")
     nodes.node("plant", run_length=40_000, record="true", speed=500.0)
     file = nodes.cwd / "bag" / "bag_0.mcap"
     wait_for(lambda: file.exists() and file.stat().st_size > 20_000, 60, "a growing bag")
-    nodes.started["plant"].process.send_signal(how)
+    nodes.started["plant"].process.kill()
     for name in ("weather", "onoff", "recorder"):
         assert nodes.code(name) == 1, name
         (line,) = [line for line in nodes.log(name).splitlines() if "FATAL" in line]
@@ -98,14 +99,14 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     """The weather: not the controller that waits for its forecast."""
     nodes.node("weather")
     nodes.node("onoff")
-    nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=5.0)
+    nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=4.0)
     flows = observer.hear("/pump/flow")
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
     nodes.started["weather"].process.kill()
     assert nodes.code("plant") == 1
     (said,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
     assert said.endswith(
-        "nothing came within 5 s on /weather/precipitation, /weather/evapotranspiration from "
+        "nothing came within 4 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
 

@@ -9,23 +9,14 @@ import subprocess
 from pathlib import Path
 
 import pytest
-import yaml
 from bag_topics import MPC_TOPICS
 from commands import run_command
 from disks import small_disk
-from graphs import Process, bag_file, bring_up, environment, summary_of
-from mcap.reader import make_reader
-from places import Once
+from graphs import Process, environment, summary_of
 from ros_rig import Observer
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.report.runs import find_runs
-
-
-@pytest.fixture(scope="session")
-def recorded(domain: int, once: Once) -> Path:
-    """The directory of a good run of 360 ticks."""
-    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -56,43 +47,19 @@ def test_rosbags_decodes_it(recorded: Path) -> None:
     assert windows == [(list(range(1, 11)), 10)] * 361  # when each of ten ticks ends, and its rain
 
 
-def test_metadata_and_channels_agree(recorded: Path) -> None:
-    """One QoS written differently in two places makes readers drop a topic silently."""
-    metadata = yaml.safe_load((recorded / "bag" / "metadata.yaml").read_text())
-    information = metadata["rosbag2_bagfile_information"]
-    assert information["version"] == 9
-    assert information["message_count"] == 361 * len(MPC_TOPICS)
-    described = {
-        entry["topic_metadata"]["name"]: entry["topic_metadata"]
-        for entry in information["topics_with_message_count"]
-    }
-    with bag_file(recorded).open("rb") as stream:
-        summary = make_reader(stream, validate_crcs=True).get_summary()
-    assert summary is not None and summary.statistics is not None
-    assert summary.statistics.message_count == 361 * len(MPC_TOPICS)
-    assert summary.chunk_indexes
-    for channel in summary.channels.values():
-        topic = described.pop(channel.topic)
-        assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == (
-            topic["offered_qos_profiles"]
-        )
-        assert channel.metadata["topic_type_hash"] == topic["type_description_hash"]
-        assert summary.schemas[channel.schema_id].name == topic["type"]
-        assert summary.schemas[channel.schema_id].encoding == "ros2msg"
-    assert not described
-
-
 def test_killed_recorder_costs_at_most_32_ticks(
     domain: int, tmp_path: Path, observer: Observer
 ) -> None:
     """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     stamps = observer.hear("/clock", lambda one: one.clock.sec)
-    process.wait_for_ticks(size=60_000)
+    process.wait_for_ticks(size=20_000)
     observer.until(lambda: stamps, 60, "the clock")
     os.kill(process.nodes()["recorder"], signal.SIGKILL)
     observer.until(lambda: process.process.poll() is not None, 300, "the end of the run")
     assert process.wait(300) == 1
+    assert "node recorder ended (SIGKILL)" in process.stderr()
+    assert "Traceback" not in process.stderr()
     reached = stamps[-1] - 1_625_641_200  # the tick that the plant had begun
     done = recover(tmp_path / "run")
     assert done.returncode == 0, done.stderr
@@ -111,8 +78,10 @@ def test_killed_recorder_costs_at_most_32_ticks(
 def test_full_disk(domain: int, tmp_path: Path) -> None:
     """A disk that fills up is an error that says so, and the bag can be recovered."""
     disk = tmp_path / "disk"
-    with small_disk(disk, "300k"):
-        process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
+    with small_disk(disk, "200k"):
+        process = Process(
+            domain, "bringup", "--controller", "onoff", "--output", str(disk / "run"), cwd=tmp_path
+        )
         assert process.wait(120) == 1
         assert "node recorder ended" in process.stderr()
         assert "No space left on device" in process.stderr()

@@ -8,7 +8,6 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
-from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from random import Random
@@ -20,19 +19,17 @@ from disks import no_file_beyond
 from graphs import environment
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from paper import PAPER_SITE
 from places import CHECKOUT
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.recording.bag_reader import count_ticks, load_bag
+from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.bag_writer import BagWriter, LiveBag
 from greenroof_ros.recording.results_table import parameter_columns, row_parameters
 from greenroof_ros.recover import restore
 
-START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
 TOPICS = (
     "/roof/level", "/cistern/level", "/pump/command", "/pump/flow", "/weather/precipitation"
@@ -55,15 +52,6 @@ def clock(time_ns: int) -> bytes:
     return struct.pack("<III", 256, time_ns // 10**9, time_ns % 10**9)
 
 
-def value(topic: str, tick: int) -> float:
-    """Return a value that no other tick or topic has."""
-    first, more = {
-        "/roof/level": (0.03, 1e-5), "/cistern/level": (2.3, -1e-4), "/pump/command": (0.5, 1e-4),
-        "/pump/flow": (4e-3, 1e-7), "/weather/precipitation": (0.0, 1e-8),
-    }[topic]
-    return first + tick * more
-
-
 def write_bag(directory: Path, ticks: int) -> list[tuple[str, int, int, bytes]]:
     """Write a bag, and return its messages: topic, time, tick, content."""
     writer = bag_writer(directory)
@@ -71,7 +59,7 @@ def write_bag(directory: Path, ticks: int) -> list[tuple[str, int, int, bytes]]:
     for tick in range(ticks):
         time_ns = START_NS + tick * 10**9
         messages = {"/clock": clock(time_ns)} | {
-            topic: number(value(topic, tick)) for topic in TOPICS
+            topic: number(tick + index / 10) for index, topic in enumerate(TOPICS)
         }
         writer.write_tick(time_ns, list(messages.values()))
         written += [(topic, time_ns, tick, message) for topic, message in messages.items()]
@@ -88,25 +76,6 @@ def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
         ]
 
 
-def test_a_bag_comes_back(tmp_path: Path) -> None:
-    """Levels as volumes over the bottom areas of Table I, everything else as it was."""
-    write_bag(tmp_path / "bag", 40)
-    zone = START.tzinfo
-    assert zone is not None
-    read, notes = load_bag(tmp_path / "bag", PAPER_SITE, zone, own=False)
-    assert read.start == START
-    assert read.time.tolist() == list(range(40))
-    for name, topic, area in (
-        ("roof", "/roof/level", 68.8), ("cistern", "/cistern/level", 25),
-        ("command", "/pump/command", 1), ("pump_flow", "/pump/flow", 1),
-        ("precipitation", "/weather/precipitation", 1),
-    ):
-        expected = [value(topic, tick) * area for tick in range(40)]
-        assert getattr(read, name).tolist() == expected, name
-    assert not read.drainage.any()
-    assert any("/roof/drainage is not in the bag" in str(note) for note in notes)
-
-
 def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
     """The format's own library finds what was written; recovery gives its bytes."""
     written = write_bag(tmp_path / "bag", 200)
@@ -117,12 +86,11 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
         assert again == (tmp_path / "bag" / name).read_bytes()
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5])
-def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, share: float) -> None:
+def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path) -> None:
     """From the first on, without a gap, and no half tick."""
     written = write_bag(tmp_path / "bag", 200)
     file = tmp_path / "bag" / "bag_0.mcap"
-    os.truncate(file, int(share * file.stat().st_size))
+    os.truncate(file, file.stat().st_size // 2)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     said = restore(tmp_path / "bag", tmp_path / "new")
     found = messages_of(tmp_path / "new" / "new_0.mcap")
@@ -154,7 +122,7 @@ def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
     whole, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
     (tmp_path / "hostile").mkdir()
     amounts = set()
-    for number in range(200):
+    for number in range(100):
         content = bytearray(whole[: random.choice((len(whole), random.randrange(len(whole))))])
         for _ in range(random.choice((1, 8))):
             at = random.randrange(len(content))
@@ -186,7 +154,7 @@ def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
     assert (topic["topic_metadata"]["type"], topic["message_count"]) == ("scan", 10)
 
 
-@pytest.mark.parametrize("room", range(20_000, 24_000, 400))
+@pytest.mark.parametrize("room", range(20_000, 24_000, 1000))
 def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
     """Wherever in its chunks the room ends: as many ticks as the writer says, and no more."""
     writer = bag_writer(tmp_path / "bag")
@@ -332,7 +300,7 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("room", range(6000, 14_000, 1000))
+@pytest.mark.parametrize("room", [6000, 9000, 12_000])
 def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
     """Wherever the room ends: the rest is lost, counted, and said until something is safe."""
     bag, random = live_bag(tmp_path / "bag"), Random(1)
