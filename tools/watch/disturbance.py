@@ -1,10 +1,9 @@
-"""What watchers cost a run: ``python tools/watch/disturbance.py tick|stops|browsers|memory``.
+"""What watchers cost a run: ``python tools/watch/disturbance.py tick|stops|memory``.
 
 - ``tick``: in one run at full speed, turns of some seconds with a watcher and without; the ratio
   of the medians of a tick's time.
 - ``stops``: the watcher's process stopped for 6 s a hundred times, beside a run at 30 times real
   time; its bag must equal the bag of a run that nobody watched, byte for byte.
-- ``browsers``: three Chromium on one page, one of them stopped, one on a slow link; likewise.
 - ``memory``: of the watcher, beside a run at full speed for an hour.
 """
 
@@ -22,23 +21,20 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(CHECKOUT / "test"), str(CHECKOUT)]
 
-from browsers import CHROMIUM  # noqa: E402
 from graphs import Process, bag_file, bring_up, free_ports, own_domain, wait_for  # noqa: E402
 from places import DATA  # noqa: E402
-from playwright.sync_api import sync_playwright  # noqa: E402
 
 from greenroof_ros.graph.looker import Looker  # noqa: E402
 from greenroof_ros.watch import wire  # noqa: E402
 
 STOP_S, BETWEEN_S = 6.0, 1.0
-SLOW_BYTES_S = 4096
 
 
 @contextmanager
@@ -159,86 +155,30 @@ def long_run(domain: int, place: Path) -> Process:
 
 
 def stops(count: int, hours: float) -> None:
-    """Stop the watcher's process again and again, beside a run at 30 times real time."""
-    options = ("--hours", f"{hours:g}", "--speed", "30", "--controller", "mpc")
+    """Stop the watcher's process again and again, beside a run at 30 times real time.
 
-    def disturb(process: Process, address: str, over: Callable[[], bool]) -> str:
+    Compare the run's bag with an unwatched run's.
+    """
+    options = ("--hours", f"{hours:g}", "--controller", "mpc")
+    with ExitStack() as stack:
+        domain = stack.enter_context(own_domain())
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        run = Process(
+            domain, "bringup", *options, "--speed", "30", "--output", "run", cwd=place
+        )
+        run.wait_for_ticks(1000)
+        process, _ = stack.enter_context(watcher(domain, place))
         done = 0
-        while done < count and not over():
+        while done < count and run.process.poll() is None:
             process.process.send_signal(signal.SIGSTOP)
             time.sleep(STOP_S)
             process.process.send_signal(signal.SIGCONT)
             time.sleep(BETWEEN_S)
             done += 1
-        return f"{done} stops of {STOP_S:g} s"
-
-    _compare(options, disturb)
-
-
-def browsers(hours: float) -> None:
-    """Have three browsers on the page: one is stopped, one is on a slow link."""
-    options = ("--hours", f"{hours:g}", "--speed", "30", "--controller", "mpc")
-
-    def disturb(process: Process, address: str, over: Callable[[], bool]) -> str:
-        with sync_playwright() as playwright, tempfile.TemporaryDirectory() as directory:
-            contexts = []
-            for name in ("stopped", "usual", "slow"):
-                context = playwright.chromium.launch_persistent_context(
-                    f"{directory}/{name}", executable_path=CHROMIUM, args=["--no-sandbox"])
-                contexts.append(context)
-                if name == "slow":
-                    link = context.new_cdp_session(context.pages[0])
-                    link.send("Network.enable")
-                    link.send("Network.emulateNetworkConditions", {
-                        "offline": False, "latency": 0, "downloadThroughput": SLOW_BYTES_S,
-                        "uploadThroughput": -1,
-                    })
-                context.pages[0].goto(address, wait_until="commit")
-            time.sleep(10)
-            stopped = _pids_of(f"{directory}/stopped")
-            _signal(stopped, signal.SIGSTOP)
-            try:
-                wait_for(over, 3600, "the end of the run")
-            finally:
-                _signal(stopped, signal.SIGCONT)
-            for context in contexts:
-                context.close()
-        return f"three browsers, one stopped, one at {SLOW_BYTES_S} bytes a second"
-
-    _compare(options, disturb)
-
-
-def _pids_of(words: str) -> list[int]:
-    """Return the processes that were started with some words."""
-    found = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):  # it has just ended
-            if words.encode() in file.read_bytes():
-                found.append(int(file.parent.name))
-    return found
-
-
-def _signal(pids: list[int], number: signal.Signals) -> None:
-    for pid in pids:
-        os.kill(pid, number)
-
-
-def _compare(
-    options: tuple[str, ...], disturb: Callable[[Process, str, Callable[[], bool]], str]
-) -> None:
-    """Disturb a run by its watchers, and compare its bag with an unwatched run's."""
-    with ExitStack() as stack:
-        domain = stack.enter_context(own_domain())
-        place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        run = Process(domain, "bringup", *options, "--output", "run", cwd=place)
-        run.wait_for_ticks(1000)
-        process, address = stack.enter_context(watcher(domain, place))
-        done = disturb(process, address, lambda: run.process.poll() is not None)
         code = run.wait(7200)
-        unpaced = tuple(o for o in options if o not in ("--speed", "30"))
-        bring_up(domain, place, *unpaced, output="alone", seconds=3600)
+        bring_up(domain, place, *options, output="alone", seconds=3600)
         equal = filecmp.cmp(bag_file(place / "run"), bag_file(place / "alone"), shallow=False)
-        print(f"{done}: the run ended with exit code {code}, its bag is "
+        print(f"{done} stops of {STOP_S:g} s: the run ended with exit code {code}, its bag is "
               f"{'byte-equal' if equal else 'ANOTHER'}")
         if code or not equal:
             print(run.stderr())
@@ -277,11 +217,11 @@ def main() -> None:
     """Do what the command line asks for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["tick", "stops", "browsers", "memory"])
+    parser.add_argument("what", choices=["tick", "stops", "memory"])
     parser.add_argument("--turns", type=int, default=5, help="of tick (default: %(default)s)")
     parser.add_argument("--seconds", type=float, default=6.0, help="of a turn (default: 6)")
     parser.add_argument("--count", type=int, default=100, help="of stops (default: %(default)s)")
-    parser.add_argument("--hours", type=float, help="simulated, of stops and browsers")
+    parser.add_argument("--hours", type=float, help="simulated, of stops")
     parser.add_argument("--minutes", type=float, default=60.0, help="of memory (default: 60)")
     arguments = parser.parse_args()
     if arguments.what == "tick":
@@ -290,8 +230,6 @@ def main() -> None:
         lasts = arguments.count * (STOP_S + BETWEEN_S) + 30
         whole = math.ceil(lasts * 30 / 36) / 100  # hours, of whole ticks
         stops(arguments.count, arguments.hours or whole)
-    elif arguments.what == "browsers":
-        browsers(arguments.hours or 1.5)
     else:
         memory(arguments.minutes)
 
