@@ -69,10 +69,9 @@ def test_a_pump_node_that_is_started_again_is_one() -> None:
         assert pump_of(graph, at) == "/pump"
 
 
-@pytest.mark.parametrize(
-    "level", [10**400, 10**19, float("inf"), float("nan"), "1", None],
-    ids=["401 digits", "20 digits", "infinite", "no number", "text", "nothing"],
-)
+@pytest.mark.parametrize("level", [10**400, 10**19, float("inf"), "1", None], ids=[
+    "401 digits", "20 digits", "infinite", "text", "nothing",
+])
 def test_a_level_that_is_no_number_is_no_sample(level: object) -> None:
     graph = Registry()
     say(graph, 1.0, "plant", tick=5, roof_level=level, cistern_level=2.5)
