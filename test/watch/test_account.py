@@ -131,7 +131,8 @@ def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated]) -> Non
 
 
 @pytest.mark.parametrize(("name", "keys"), [
-    ("measured", ("drained", "evapotranspired")), ("low outlet", ("overflow",)),
+    ("storm", ("drained", "overflow")), ("measured", ("drained", "evapotranspired")),
+    ("low outlet", ("overflow",)),
 ])
 def test_a_live_site_has_the_same_computed_from_its_levels(
     runs: dict[str, Simulated], name: str, keys: tuple[str, ...]
@@ -254,19 +255,6 @@ def test_a_refused_live_value_is_unknown() -> None:
     account = filled(topics, live=True)
     assert account.totals()["rain"] == pytest.approx(1e-6 * 68.8 * 3499.6, rel=1e-12)
     assert account.gap_s == pytest.approx(1120, rel=1e-12)
-
-
-def test_live_drainage_and_overflow_follow_from_the_levels() -> None:
-    """Eq. (4) at 0.6 m: K a2 (0.6 + 0.5) / 0.5; Eq. (2) at 3.25 m: c_d r_o^2 pi sqrt(2 g 0.25)."""
-    topics = live_topics()
-    topics["/roof/level"][1][:] = 0.6
-    topics["/cistern/level"][1][:] = 3.25
-    account = filled(topics, live=True)
-    totals = account.totals()
-    assert not account.measured
-    assert totals["drained"] == pytest.approx(7.83e-8 * 68.8 * 2.2 * 3599.6, rel=1e-9)
-    outflow = 0.61 * np.pi * 0.125**2 * (2 * 9.81 * 0.25) ** 0.5
-    assert totals["overflow"] == pytest.approx(outflow * 3599.6, rel=1e-9)
 
 
 def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> None:

@@ -50,16 +50,6 @@ def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     assert live.mode(61.0) == "ended"
 
 
-def test_two_nodes_that_claim_the_pump() -> None:
-    graph = Registry()
-    for at in (0.0, 0.25):
-        say(graph, at, "pump")
-        say(graph, at, "pump", name="/other", process="host 2")
-    assert pump_of(graph, 0.25) == "/pump"
-    assert "/pump (host 1) and /other (host 2)" in graph.two_pumps(0.25)
-    assert graph.two_pumps(3.0) == ""
-
-
 def test_a_pump_node_that_is_started_again_is_one() -> None:
     graph = Registry()
     say(graph, 0.0, "pump")
