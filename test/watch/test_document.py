@@ -748,22 +748,20 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
 # --- recordings -------------------------------------------------------------------------------
 
 
-def incident(**changes: Any) -> Dated:
-    at, why = START / 1e9, "no connection to the drive"
-    given = Dated("pump", "drive", why, "drive_lost", at + 10, at + 30)
-    return replace(given, **changes)
-
-
 @pytest.mark.parametrize(("second", "level", "word", "value"), [
     (5, "stale", "Alarms are not known.", "off"),
-    (20, "error", "1 alarm.", "unknown"),
-    (60, "warn", "1 incident, over.", "off"),
+    (20, "error", "1 alarm, 1 incident, over.", "unknown"),
+    (60, "warn", "2 incidents, all over.", "off"),
 ])
 def test_an_incident_of_a_recording_stands_while_it_did(
     second: int, level: str, word: str, value: str
 ) -> None:
-    one = store("ended", SITE)
-    one.recorded_incidents = [incident()]
+    """Why the pump stood is not guessed then."""
+    one, at = store("ended", SITE), START / 1e9
+    one.recorded_incidents = [
+        Dated("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
+        Dated("mpc", "", "ended", "node_failed", at + 10, at + 12),
+    ]
     hear(one, 0, second + 1, QUIET)
     document = shown(one)
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
@@ -772,39 +770,24 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     if second == 5:
         assert document["alarms"] == []
         return
-    (row,) = document["alarms"]
+    row, other = document["alarms"]
     assert (row["id"], row["what"]) == ("pump: drive", "no connection to the drive")
     assert row["since_text"] == "00:00:10" and "The drive is not heard" in row["do"]
     assert row["over_text"] == ("00:00:30" if second == 60 else "")
-    assert "0.0 L/min" in tile["sentence"] or value == "unknown"
+    assert (other["id"], other["over_text"]) == ("mpc", "00:00:12")
+    assert ("0.0 L/min" in tile["sentence"]) == bool(tile["why"]) == (value == "off")
     flow = read_series(one, 1)["lines"]["flow"]
     assert not any(10 < row[0] - START / 1e9 < 30 for row in flow if row[1] is not None)
 
 
-def test_an_incident_that_lasted_to_the_end_stands() -> None:
-    """Why the pump stood is not guessed then."""
-    one = watched("ended", pump_command=0.5, roof_level=0.04)
-    one.recorded_incidents = [
-        incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12),
-    ]
-    document = shown(one)
-    assert document["tiles"]["summary"]["word"] == "1 alarm, 1 incident, over."
-    assert [row["id"] for row in document["alarms"]] == ["pump: drive", "mpc"]
-    tile = document["tiles"]["pump"]
-    assert (tile["value"], tile["why"]) == ("unknown", "")
-
-
 def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; what stands there, and what came since, the nodes say themselves."""
-    one = store("live", SITE)
-    before = time.time()
-    one.recorded_incidents = [
-        incident(began=before - 60, ended=before - 30), incident(began=before - 20, ended=None),
-        incident(began=before - 20, ended=before + 60),
-    ]
+    one, before = store("live", SITE), time.time()
+    over = Dated("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
+    one.recorded_incidents = [over, replace(over, ended=None), replace(over, ended=before + 60)]
     assert shown(one)["alarms"] == []
     one.add_statuses(time.monotonic(), [])
-    assert [row["since"] for row in shown(one)["alarms"]] == [before - 60]
+    assert [row["over"] for row in shown(one)["alarms"]] == [before - 30]
 
 
 @pytest.mark.parametrize(("said", "state", "level"), [
@@ -891,17 +874,12 @@ def test_a_flood_of_statuses_leaves_a_short_document() -> None:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def test_the_charts_have_the_values_of_the_ticks() -> None:
-    """In rows whose rules test_history.py has; with what is drawn besides."""
-    one = store(site=SITE)
-    values = np.random.default_rng(1).uniform(0.01, 0.05, 3600)
-    one.add("/roof/level", START + SECOND * np.arange(3600), values)
-    series = read_series(one, 12)
-    rows = series["lines"]["roof"]
-    assert len(rows) <= 401
-    assert all(last == values[round(at - START / 1e9)] for at, _, _, last in rows)
-    assert min(row[1] for row in rows) == values.min()
-    assert (series["now"], series["to"]) == (START / 1e9 + 3599, START / 1e9 + 3599 + 43_200)
+def test_what_the_charts_are_told() -> None:
+    """Rows, whose rules test_history.py has, times, and what is drawn besides."""
+    series = read_series(watched(), 12)
+    at = START / 1e9
+    assert series["lines"]["roof"][-1] == [at + 60, 0.0457, 0.0457, 0.0457]
+    assert (series["from"], series["now"], series["to"]) == (at - 43_140, at + 60, at + 43_260)
     assert series["marks"] == {
         "target": 0.0457, "band": pytest.approx([0.043415, 0.047985]), "suction": 0.75,
         "low_outlet": None, "outlet": 3.0,

@@ -260,10 +260,10 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 def test_it_fits_every_width(open_page: Open) -> None:
     """No list is cut at its end, and no text lies over another one, be it of three references."""
     watched = site_watched("simulated")
-    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     long = "the drive at its gateway does not answer " * 12
     parts = [(f"part {i}", ERROR, long) for i in range(12)]
     page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)])
+    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
     until_drawn(page)
     until_shown(page, ".alarm")
     read = "charts.views.get('cistern').marks"
@@ -272,6 +272,7 @@ def test_it_fits_every_width(open_page: Open) -> None:
         ("suction level 750 mm", True), ("low outlet 1000 mm", True),
         ("outlet 3000 mm \u2191", False),
     ]
+    page.locator(".tile[data-key=cistern] .text").nth(2).wait_for()
     for width in (400, 800, 1400):
         page.set_viewport_size({"width": width, "height": 900})
         wait_for(lambda: overflow(page) == 0, 60, f"a page that fits {width} px")

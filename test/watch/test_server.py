@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import json
 import socket
-import threading
 import time
 import zlib
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ from greenroof_ros.watch import server
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.server import GZIP_HEAD, Message
+from greenroof_ros.watch.server import GZIP_HEAD, Message, News
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
@@ -380,38 +380,34 @@ def _week(watched: Store) -> None:
 def test_what_is_pushed_is_made_once_for_all_pages(
     made: list[float | None], watched: Store
 ) -> None:
-    set_level(watched, 0.01, 1)
-    with served(watched) as port:
+    async def follow(news: News, hours: float) -> list[bytes]:
+        names = []
+        async for message in news.messages(hours):
+            names.append(message.plain.partition(b"\n")[0])
+            if b'"number":0.05,' in message.plain:
+                break
+        return names
+
+    async def eight() -> list[list[bytes]]:
+        news = News(watched)
+        await asyncio.sleep(1.0)
         assert made == []  # nobody looks
-        streams = [Stream(port, hours) for hours in ["3"] * 4 + ["12"] * 4]
-        seen: list[list[str]] = [[] for _ in streams]
-
-        def follow(number: int) -> None:
-            streams[number].head()
-            for name, content in streams[number].events():
-                seen[number].append(name)
-                if level_in(content) == 0.05:
-                    return
-
-        begun = time.monotonic()
-        threads = [threading.Thread(target=follow, args=(n,)) for n in range(len(streams))]
-        for thread in threads:
-            thread.start()
+        readers = [asyncio.create_task(follow(news, hours)) for hours in [3.0] * 4 + [12.0] * 4]
         for step in range(12):
-            time.sleep(0.25)
+            await asyncio.sleep(0.25)
             set_level(watched, 0.02 + step / 1000, 2 + step)
         set_level(watched, 0.05, 100)
-        for thread in threads:
-            thread.join(20)
-            assert not thread.is_alive()
-        ticks = (time.monotonic() - begun) / 0.5 + 2
-        assert made.count(None) <= ticks
-        assert all(made.count(hours) <= ticks / 4 + 2 for hours in (3.0, 12.0))
-        assert {*made} == {None, 3.0, 12.0}
-        for names in seen:
-            assert 5 <= names.count("state") <= ticks and names.count("series") >= 2
-        for stream in streams:
-            stream.close()
+        return await asyncio.wait_for(asyncio.gather(*readers), 20)
+
+    set_level(watched, 0.01, 1)
+    begun = time.monotonic()
+    seen = asyncio.run(eight())
+    ticks = (time.monotonic() - begun) / 0.5 + 2
+    assert made.count(None) <= ticks
+    assert all(made.count(hours) <= ticks / 4 + 2 for hours in (3.0, 12.0))
+    assert {*made} == {None, 3.0, 12.0}
+    for names in seen:
+        assert 5 <= names.count(b"event: state") <= ticks and names.count(b"event: series") >= 2
 
 
 def test_a_change_comes_soon_and_nothing_new_every_few_seconds(watched: Store) -> None:
