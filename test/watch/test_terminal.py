@@ -55,8 +55,7 @@ def run_of(
 
 def with_storm() -> Store:
     one = run_of(6.0)
-    now = START + round(6 * 3.6e12)
-    ends = growing_steps(12)[1:]
+    now, ends = START + 6 * 3600 * SECOND, growing_steps(12)[1:]
     rain = np.outer(np.arange(1.0, 12.0), [1e-7] * 32)
     one.add_forecast("/forecast/precipitation", now, rain, np.array([now / 1e9, *ends]))
     levels = np.linspace(0.046, 0.050, 32)
@@ -389,9 +388,14 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
 
 
 def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
-    """Each after a question, which y confirms and any other key does not; y alone does nothing."""
-    with on_terminal("with_a_stop_of_the_page") as terminal:
+    """Each after a question, which y confirms and any other key does not; y alone does nothing.
+
+    Here without colours.
+    """
+    with on_terminal("with_a_stop_of_the_page", NO_COLOR="1") as terminal:
         terminal.read_until("r releases the pump; c clears its fault")
+        assert "\x1b[?1049h" in terminal.text
+        assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
         for number, (key, question, action) in enumerate((
             (b"r", "Release the pump? The pump then starts by itself", "release"),
             (b"c", "Clear the pump? The fault is cleared: a slow start.", "clear"),
@@ -402,38 +406,24 @@ def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
             terminal.read_until(question)
             terminal.press(b"y")
             terminal.read_until(f"asked {number} times, now for: {action}")
-        terminal.process.send_signal(signal.SIGINT)
-        assert terminal.ends() == 0
-
-
-def test_without_colours_it_is_drawn_plainly_and_ends_on_a_signal() -> None:
-    with on_terminal(NO_COLOR="1") as terminal:
-        terminal.read_until("SetBool")
-        assert "\x1b[?1049h" in terminal.text
-        assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
         terminal.process.send_signal(signal.SIGTERM)
         assert terminal.ends() == 0
 
 
-def test_a_dumb_terminal_gets_lines() -> None:
-    with on_terminal(TERM="dumb") as terminal:
-        terminal.read_until("SetBool")
-        terminal.press(b"Q")
-        assert terminal.ends() == 0
-        assert "\x1b" not in terminal.text
-
-
-def test_into_a_file() -> None:
-    """It is printed, and ends with the reader."""
+def test_what_cannot_be_drawn_over_is_printed() -> None:
+    """Into a file, where it ends with the reader, and on a dumb terminal."""
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM.format(state="with_a_silent_sensor")],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         cwd=CHECKOUT, env={**os.environ, "PYTHONUTF8": "1"},
-    ) as process:
+    ) as process, on_terminal(TERM="dumb") as terminal:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(10)]
         assert lines[0].startswith("Live site")
         process.terminate()
         rest, errors = process.communicate(timeout=120)
-    assert "\x1b" not in rest
+        terminal.read_until("SetBool")
+        terminal.press(b"Q")
+        assert terminal.ends() == 0
+    assert "\x1b" not in rest + terminal.text
     assert (process.returncode, errors) == (0, "")
