@@ -192,15 +192,15 @@ def _watcher_of(bringup: Process) -> int:
 def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
     """However the run ends; if the page fails it ends no run."""
 
-    def start(output: str, hours: float) -> tuple[Process, int, int]:
+    def start(output: str, hours: float) -> tuple[Process, int]:
         process = Process(
             domain, "bringup", "--hours", f"{hours}", "--speed", "20", "--watch",
             "--output", output, cwd=tmp_path,
         )
-        port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
-        return process, port, _watcher_of(process)
+        return process, wait_for(lambda: _watcher_of(process), 60, "a watcher")
 
-    process, port, page = start("run", 1)  # as long as a busy machine may need until it is shown
+    process, page = start("run", 1)  # as long as a busy machine may need until it is shown
+    port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
     wait_for(
         lambda: (one := document(port))["mode"] == "simulated"
         and one["tiles"]["roof"]["number"] is not None, 60, "the run on the page",
@@ -209,12 +209,13 @@ def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
     assert process.wait(120) == 130
     assert not alive(page)
     assert "the page has ended" not in process.stderr()
-    process, _, page = start("failed", 0.05)
+    process, page = start("failed", 0.05)
     os.kill(page, signal.SIGKILL)
     process.until_said("the page has ended (SIGKILL)")
     assert process.wait(120) == 0
     assert summary_of(tmp_path / "failed")["status"] == "done"
-    process, _, page = start("killed", 1)
+    process, page = start("killed", 1)
+    wait_for(lambda: port_of(process.stderr()), 60, "an address")
     process.process.kill()
     process.wait(120)
     wait_for(lambda: not alive(page), 60, "the page's end")
