@@ -8,8 +8,8 @@ import json
 import socket
 import time
 import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,13 @@ def watched() -> Store:
 def port(watched: Store) -> Iterator[int]:
     with served(watched) as number:
         yield number
+
+
+@pytest.fixture
+def look(port: int) -> Iterator[Callable[..., Stream]]:
+    """Open streams of events, which are closed at last."""
+    with ExitStack() as stack:
+        yield lambda *given, **more: stack.enter_context(closing(Stream(port, *given, **more)))
 
 
 def shown(watched: Store) -> dict[str, Any]:
@@ -139,9 +146,8 @@ def test_only_the_page_itself_acts(
         if status != 200:
             assert request(port, "POST", "/stop", body, **headers).status == status
         if token:
-            stream = Stream(port, **headers)
-            assert f" {status} " in stream.head()
-            stream.close()
+            with closing(Stream(port, **headers)) as stream:
+                assert f" {status} " in stream.head()
             assert request(port, "GET", "/").status == 200
         for said, ok in ((body, status == 200), (b'{"id": "/nobody"}', False)):
             answer = request(port, "POST", "/acknowledge", said, **headers)
@@ -149,13 +155,10 @@ def test_only_the_page_itself_acts(
         assert shown(watched)["alarms"][0]["acknowledged"] == (status == 200)
 
 
-def test_another_page_does_not_read_the_stream(port: int) -> None:
-    for headers, status in (
-        ({}, 200), ({"Sec_Fetch_Site": "same-origin"}, 200), ({"Sec_Fetch_Site": "same-site"}, 403),
-    ):
-        stream = Stream(port, **headers)
-        assert f" {status} " in stream.head()
-        stream.close()
+def test_another_page_does_not_read_the_stream(look: Callable[..., Stream]) -> None:
+    assert " 200 " in look().head()
+    assert " 200 " in look(Sec_Fetch_Site="same-origin").head()
+    assert " 403 " in look(Sec_Fetch_Site="same-site").head()
 
 
 def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
@@ -293,59 +296,44 @@ def test_broken_requests_stop_nothing(
 
 
 def test_silent_connections_keep_nobody_away(
-    watched: Store, monkeypatch: pytest.MonkeyPatch
+    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three times as many as there may be."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
-    with served(watched) as port:
-        stream = Stream(port)
-        stream.head()
-        events = stream.events()
-        next(events)
-        before = _open_files()
-        with ExitStack() as stack:
-            silent = []
-            for number in range(3 * server._MOST_CONNECTIONS):
-                connection = socket.create_connection((LOOPBACK, port), timeout=10)
-                silent.append(stack.enter_context(connection))
-                if number % 3 == 0:
-                    connection.sendall(b"GET / HT")
-                if number % 100 == 0:
-                    assert_goes_on(port)
-            assert_goes_on(port)
-            taken = _open_files() - before - len(silent)
-            assert taken <= server._MOST_CONNECTIONS + 10
-            set_level(watched, 0.03, 1)
-            for _, content in events:  # a page that was there goes on
-                if level_in(content) == 0.03:
-                    break
-            for connection in silent:  # those that still were there are ended, too
-                connection.settimeout(5)
-                with suppress(ConnectionResetError):
-                    assert connection.recv(1) == b""
-        stream.close()
-
-
-def test_there_is_a_most_of_streams(watched: Store) -> None:
-    with served(watched) as port:
-        streams = [Stream(port) for _ in range(server._MOST_STREAMS)]
-        for stream in streams:
-            assert "200 OK" in stream.head()
-        answer = request(port, "GET", "/events")
-        assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
+    events = look().events()
+    next(events)
+    before = _open_files()
+    with ExitStack() as stack:
+        silent = []
+        for number in range(3 * server._MOST_CONNECTIONS):
+            connection = socket.create_connection((LOOPBACK, port), timeout=10)
+            silent.append(stack.enter_context(connection))
+            if number % 3 == 0:
+                connection.sendall(b"GET / HT")
+            if number % 100 == 0:
+                assert_goes_on(port)
         assert_goes_on(port)
-        streams.pop().close()
+        taken = _open_files() - before - len(silent)
+        assert taken <= server._MOST_CONNECTIONS + 10
+        set_level(watched, 0.03, 1)
+        for _, content in events:  # a page that was there goes on
+            if level_in(content) == 0.03:
+                break
+        for connection in silent:  # those that still were there are ended, too
+            connection.settimeout(5)
+            with suppress(ConnectionResetError):
+                assert connection.recv(1) == b""
 
-        def there_is_room() -> bool:
-            stream = Stream(port)
-            try:
-                return "200 OK" in stream.head()
-            finally:
-                stream.close()
 
-        wait_for(there_is_room, 60, "room for another page")
-        for stream in streams:
-            stream.close()
+def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> None:
+    streams = [look() for _ in range(server._MOST_STREAMS)]
+    for stream in streams:
+        assert "200 OK" in stream.head()
+    answer = request(port, "GET", "/events")
+    assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
+    assert_goes_on(port)
+    streams.pop().close()
+    wait_for(lambda: "200 OK" in look().head(), 60, "room for another page")
 
 
 # ------------------------------------------------------------------------------------- the stream
@@ -367,14 +355,6 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[float | None]:
     monkeypatch.setattr(server, "document", document)
     monkeypatch.setattr(server, "series", series)
     return found
-
-
-def _week(watched: Store) -> None:
-    """Have so much of the past that a series is large."""
-    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
-    noise = np.random.default_rng(0).random(len(times))
-    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
-        watched.add(topic, times, noise * scale)
 
 
 def test_what_is_pushed_is_made_once_for_all_pages(
@@ -410,26 +390,25 @@ def test_what_is_pushed_is_made_once_for_all_pages(
         assert 5 <= names.count(b"event: state") <= ticks and names.count(b"event: series") >= 2
 
 
-def test_a_change_comes_soon_and_nothing_new_every_few_seconds(watched: Store) -> None:
+def test_a_change_comes_soon_and_nothing_new_every_few_seconds(
+    look: Callable[..., Stream], watched: Store
+) -> None:
     set_level(watched, 0.01, 1)
-    with served(watched) as port:
-        stream = Stream(port)
-        head = stream.head()
-        assert "text/event-stream" in head and "no-store" in head
-        arrived: list[float] = []
-        for name, content in stream.events():
-            if name == "state":
-                arrived.append(time.monotonic())
-                if level_in(content) == 0.04:
-                    break
-                if len(arrived) == 2:
-                    set_level(watched, 0.04, 2)
-        nothing_new, change = np.diff(arrived)
-        assert 0.3 < nothing_new < 7 and change < 2
-        stream.close()
+    stream = look()
+    assert "text/event-stream" in stream.head() and "no-store" in stream.head()
+    arrived: list[float] = []
+    for name, content in stream.events():
+        if name == "state":
+            arrived.append(time.monotonic())
+            if level_in(content) == 0.04:
+                break
+            if len(arrived) == 2:
+                set_level(watched, 0.04, 2)
+    nothing_new, change = np.diff(arrived)
+    assert 0.3 < nothing_new < 7 and change < 2
 
 
-def test_each_message_is_compressed_for_all_and_read_by_any(watched: Store) -> None:
+def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
     """As a browser reads gzip: one stream, from whichever message it began."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
     messages = [Message("state", {"n": n, "text": hostile * 10}) for n in range(20)]
@@ -441,59 +420,51 @@ def test_each_message_is_compressed_for_all_and_read_by_any(watched: Store) -> N
         for message in messages[first::2]:
             assert unpacking.decompress(message.compressed) == message.plain
     assert len(messages[0].compressed) < len(messages[0].plain) / 3
-    with served(watched) as port:
-        stream = Stream(port, Accept_Encoding="gzip, deflate, br")
-        assert "Content-Encoding: gzip" in stream.head()
-        unpacking = zlib.decompressobj(wbits=31)
-        text = b""
-        for chunk in stream.chunks():
-            text += unpacking.decompress(chunk)
-            if text.count(b"event: state\n") == 2:
-                break
-        assert text.startswith(b"event: state\ndata: {")
-        stream.close()
+    stream = look(Accept_Encoding="gzip, deflate, br")
+    assert "Content-Encoding: gzip" in stream.head()
+    unpacking, text = zlib.decompressobj(wbits=31), b""
+    for chunk in stream.chunks():
+        text += unpacking.decompress(chunk)
+        if text.count(b"event: state\n") == 2:
+            break
+    assert text.startswith(b"event: state\ndata: {")
 
 
 def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
-    monkeypatch: pytest.MonkeyPatch,
+    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It gets no queue; when it reads again, it soon has what is new."""
     monkeypatch.setattr(server, "_UNREAD_S", 8.0)
-    watched = Store()
-    _week(watched)
-    with served(watched) as port:
-        size = len(json.dumps(read_series(watched, 168.0)))
-        assert size > 60_000
-        deaf = [Stream(port, "168", receiving=4096) for _ in range(3)]
-        reader = Stream(port, "168")
-        reader.head()
-        events = reader.events()
-        before = _memory()
-        gaps = [time.monotonic()]
-        for step in range(8):
-            set_level(watched, 0.02 + step / 1000, 700_000 + step)
-            while level_in(next(events)[1]) != 0.02 + step / 1000:
-                pass
-            gaps.append(time.monotonic())
-            assert_goes_on(port)
-        assert np.diff(gaps).max() < 3
-        assert _memory() - before < 30e6
-        # One that reads again has first what was on its way, then what is newest.
-        deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        deaf[0].head()
-        states = []
-        for name, content in deaf[0].events():
-            if name == "state":
-                states.append(level_in(content))
-                if states[-1] == 0.027:
-                    break
-        assert len(states) < 8  # those between were never kept
-        # The others are ended after a while, and make room.
-        for stream in deaf[1:]:
-            wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
-        reader.close()
-        for stream in deaf:
-            stream.close()
+    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
+    noise = np.random.default_rng(0).random(len(times))
+    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
+        watched.add(topic, times, noise * scale)
+    assert len(json.dumps(read_series(watched, 168.0))) > 60_000
+    deaf = [look("168", receiving=4096) for _ in range(3)]
+    events = look("168").events()
+    next(events)
+    before = _memory()
+    gaps = [time.monotonic()]
+    for step in range(8):
+        set_level(watched, 0.02 + step / 1000, 700_000 + step)
+        while level_in(next(events)[1]) != 0.02 + step / 1000:
+            pass
+        gaps.append(time.monotonic())
+        assert_goes_on(port)
+    assert np.diff(gaps).max() < 3
+    assert _memory() - before < 30e6
+    # One that reads again has first what was on its way, then what is newest.
+    deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    states = []
+    for name, content in deaf[0].events():
+        if name == "state":
+            states.append(level_in(content))
+            if states[-1] == 0.027:
+                break
+    assert len(states) < 8  # those between were never kept
+    # The others are ended after a while, and make room.
+    for stream in deaf[1:]:
+        wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
 
 
 def _is_ended(connection: socket.socket) -> bool:
@@ -504,50 +475,42 @@ def _is_ended(connection: socket.socket) -> bool:
 
 
 def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
-    watched: Store, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    port: int, look: Callable[..., Stream], capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A page then says that it is not connected: nothing old is shown as if it were now."""
 
     def fail(store: Store, wall: float) -> None:
         raise RuntimeError("this document cannot be made")
 
-    with served(watched) as port:
-        stream = Stream(port)
-        stream.head()
-        events = stream.events()
-        assert next(events)[0] == "state"
-        with monkeypatch.context() as broken:
-            broken.setattr(server, "document", fail)
-            assert {name for name, _ in events} <= {"series", "state"}  # to their end
-            stream.close()
-            assert "this document cannot be made" in capfd.readouterr().err
-            assert_goes_on(port)
-        again = Stream(port)
-        again.head()
-        assert next(again.events())[0] == "state"
-        again.close()
+    events = look().events()
+    assert next(events)[0] == "state"
+    with monkeypatch.context() as broken:
+        broken.setattr(server, "document", fail)
+        assert {name for name, _ in events} <= {"series", "state"}  # to their end
+        assert "this document cannot be made" in capfd.readouterr().err
+        assert_goes_on(port)
+    assert next(look().events())[0] == "state"
 
 
-def test_a_page_that_nobody_sees_gets_the_summary_alone(watched: Store) -> None:
+def test_a_page_that_nobody_sees_gets_the_summary_alone(
+    look: Callable[..., Stream], watched: Store
+) -> None:
     """For its title: when it changes, and now and then to hear that it is connected."""
     set_level(watched, 0.01, 1)
     watched.set_present(mode="live", factor=None, note="")
-    with served(watched) as port:
-        stream = Stream(port, "0")
-        stream.head()
-        events = stream.events()
-        name, content = next(events)
-        assert (name, content["level"]) == ("summary", "warn")
-        begun = time.monotonic()
-        watched.add_statuses(time.monotonic(), [ALARM])
-        name, content = next(events)
-        assert (name, content["word"]) == ("summary", "1 warning.")
-        assert time.monotonic() - begun < 3
-        watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
-        begun = time.monotonic()
-        assert next(events)[1]["word"] == "1 warning."  # what did not change is not pushed
-        assert time.monotonic() - begun > 3
-        stream.close()
+    events = look("0").events()
+    name, content = next(events)
+    assert (name, content["level"]) == ("summary", "warn")
+    begun = time.monotonic()
+    watched.add_statuses(time.monotonic(), [ALARM])
+    name, content = next(events)
+    assert (name, content["word"]) == ("summary", "1 warning.")
+    assert time.monotonic() - begun < 3
+    watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
+    begun = time.monotonic()
+    assert next(events)[1]["word"] == "1 warning."  # what did not change is not pushed
+    assert time.monotonic() - begun > 3
 
 
 def _open_files() -> int:

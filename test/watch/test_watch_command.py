@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import closing, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -58,12 +59,8 @@ def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
 
 def document(port: int) -> dict:
     """Return the newest document."""
-    stream = Stream(port)
-    try:
-        stream.head()
+    with closing(Stream(port)) as stream:
         return next(content for name, content in stream.events() if name == "state")
-    finally:
-        stream.close()
 
 
 def tcp_addresses_of(pid: int) -> set[str]:
@@ -101,12 +98,12 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
         pid = process.process.pid
         assert tcp_addresses_of(pid) == {"0100007F"}
         assert {*udp_addresses_of(pid)} <= {"127.0.0.1", "239.255.0.1"}
-        stream = Stream(port)
-        stream.head()
-        with socket.create_connection(("127.0.0.1", port)):
+        with (
+            closing(Stream(port)) as stream, socket.create_connection(("127.0.0.1", port)),
+        ):
+            stream.head()
             end(process, number)
         assert "Traceback" not in process.stderr()
-        stream.close()
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -184,8 +181,9 @@ def _watcher_of(bringup: Process) -> int:
     """Return the process of the watcher that a bringup has started; 0 for none."""
     children = Path(f"/proc/{bringup.process.pid}/task/{bringup.process.pid}/children")
     for pid in children.read_text().split():
-        if b"greenroof_ros.watch" in Path(f"/proc/{pid}/cmdline").read_bytes():
-            return int(pid)
+        with suppress(OSError):  # it has just ended
+            if b"greenroof_ros.watch" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                return int(pid)
     return 0
 
 
