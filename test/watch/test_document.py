@@ -289,15 +289,6 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert tile_of(one, "roof")["state"] == "good"
 
 
-@pytest.mark.parametrize("at", [0, 2**62])
-def test_what_has_no_time_was_not_heard(at: int) -> None:
-    one = Store()
-    one.add("/roof/level", np.array([at]), np.array([0.04]))
-    document = shown(one)
-    assert document["time"]["now"] is None
-    assert document["tiles"]["roof"]["value"] == "unknown"
-
-
 def test_hostile_forecasts_and_plans() -> None:
     """Nor is a forecast shown that does not say when its steps end."""
     one, ten = watched(), np.full(10, 1e-7)
@@ -317,7 +308,8 @@ def test_hostile_forecasts_and_plans() -> None:
         one.add_plan(MINUTE + later * SECOND, rows)
         assert read_series(one, 3)["plan"] == []
     one.add_plan(2**63, np.array([[1.0, 0, 0]]))
-    one.add("/roof/level", np.array([2**63 - 1, MINUTE + 5 * SECOND]), np.array([0.1, 0.02]))
+    times = np.array([-5, 0, 2**62, 2**63 - 1, MINUTE + 5 * SECOND])
+    one.add("/roof/level", times, np.array([0.1, 0.1, 0.1, 0.1, 0.02]))
     for topic in ("/no/such/topic", "/pump/state"):
         one.add(topic, np.array([MINUTE]), np.array([1.0]))
     document = shown(one)

@@ -107,9 +107,9 @@ def later(watched: Store, level: float) -> None:
 
 
 @contextmanager
-def opened(browser: Any, port: int, width: int = 1400, hash_: str = "") -> Iterator[Any]:
+def opened(browser: Any, port: int, hash_: str = "") -> Iterator[Any]:
     """Open the page; all that a browser complains of is in ``page.said``."""
-    page = browser.new_page(viewport={"width": width, "height": 900})
+    page = browser.new_page(viewport={"width": 1400, "height": 900})
     page.set_default_timeout(LONG_MS)
     page.said, page.asked = [], []
     page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
@@ -129,11 +129,11 @@ def open_page(browser: Any) -> Iterator[Open]:
     with ExitStack() as stack:
         pages = []
 
-        def open_page(watched: Store, said: list[Status] | None = None, width: int = 1400) -> Any:
+        def open_page(watched: Store, said: list[Status] | None = None) -> Any:
             if said is not None:
                 stack.enter_context(saying(watched, said))
             port = stack.enter_context(served(watched))
-            pages.append(stack.enter_context(opened(browser, port, width)))
+            pages.append(stack.enter_context(opened(browser, port)))
             return pages[-1]
 
         yield open_page
@@ -246,7 +246,8 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
     page = open_page(watched, [
         *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
         *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE, "", {}) for i in range(50)),
-    ], width=400)
+    ])
+    page.set_viewport_size({"width": 400, "height": 900})
     alarm = until_shown(page, ".alarm .what", "<script>hacked=2</script>")
     assert alarm.text_content() in [row["what"] for row in document_of(watched)["alarms"]]
     until_shown(page, ".tile[data-key=pump] .why", "<script>")

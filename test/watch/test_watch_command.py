@@ -187,8 +187,10 @@ def _watcher_of(bringup: Process) -> int:
     return 0
 
 
-def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
-    """However the run ends; if the page fails it ends no run."""
+def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
+    domain: int, tmp_path: Path
+) -> None:
+    """Here the page is killed, and then a run; for one that ends see below."""
 
     def start(output: str, hours: float) -> tuple[Process, int]:
         process = Process(
@@ -197,16 +199,6 @@ def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
         )
         return process, wait_for(lambda: _watcher_of(process), 60, "a watcher")
 
-    process, page = start("run", 1)  # as long as a busy machine may need until it is shown
-    port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
-    wait_for(
-        lambda: (one := document(port))["mode"] == "simulated"
-        and one["tiles"]["roof"]["number"] is not None, 60, "the run on the page",
-    )
-    process.process.send_signal(signal.SIGINT)
-    assert process.wait(120) == 130
-    assert not alive(page)
-    assert "the page has ended" not in process.stderr()
     process, page = start("failed", 0.05)
     os.kill(page, signal.SIGKILL)
     process.until_said("the page has ended (SIGKILL)")
@@ -295,8 +287,11 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         )
         wait_for(lambda: not document(port)["stop"]["release"], 60, "the pump released")
         assert "stopped" not in tile()["why"]
+        page = _watcher_of(process)
         process.process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
+        assert page and not alive(page)
+        assert "the page has ended" not in process.stderr()
     viewer, port = watcher(domain, tmp_path, "--bag", str(tmp_path / "run" / "bag"))
     found = wait_for(
         lambda: (one := document(port))["alarms"] and one["account"]["since_text"] and one, 60,
