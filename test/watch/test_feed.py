@@ -191,7 +191,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
 ) -> None:
     """Of it /diagnostics alone is heard; the water account is that of the run's own summary."""
     monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine is slower than 66 at moments
-    options = ("--hours", "0.25", *STORM)
+    options = ("--controller", "onoff", "--hours", "0.25", *STORM)
     with fed(domain) as (watched, _):
         run = Process(
             domain, "bringup", *options, "--speed", "100", "--no-record", "--output", "first",
@@ -224,7 +224,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
     with fed(domain, tmp_path / "second" / "bag") as (watched, _):
         ended(watched, tmp_path / "second")
         assert watched.of(READ)[LEVEL] == bag[LEVEL]
-        assert _shown(watched)["tiles"]["controller"]["value"] == "mpc"
+        assert _shown(watched)["tiles"]["controller"]["value"] == "onoff"
 
 
 def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:

@@ -194,8 +194,8 @@ def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
 
     def start(output: str, hours: float) -> tuple[Process, int]:
         process = Process(
-            domain, "bringup", "--hours", f"{hours}", "--speed", "20", "--watch",
-            "--output", output, cwd=tmp_path,
+            domain, "bringup", "--controller", "onoff", "--hours", f"{hours}", "--speed", "20",
+            "--watch", "--output", output, cwd=tmp_path,
         )
         return process, wait_for(lambda: _watcher_of(process), 60, "a watcher")
 
