@@ -133,6 +133,11 @@ def test_other_wrong_input(capsys: pytest.CaptureFixture[str]) -> None:
         listen("no.such.host.invalid", 0)
 
 
+def test_help_teaches() -> None:
+    for word in ("ssh -L", "--bag runs/", "Ctrl-C", "exit codes", "with a token"):
+        assert word in make_parser().format_help()
+
+
 WITHOUT = """
 import sys, runpy
 sys.modules[sys.argv[1]] = None
