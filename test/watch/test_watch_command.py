@@ -246,12 +246,13 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     the command that is shown, word by word as it is typed.
     """
     at, bench = free_ports(2)
-    options = ("--drive", guarding("danfoss_fc202", tmp_path / "drives"), "--speed", "20")
+    options = ("--drive", guarding("danfoss_fc202", tmp_path / "drives"), "--speed", "10")
     ports = ("--port", str(at), "--workbench", str(bench))
     lost = Simulator("drive_simulator", *options, *ports)
     process = Process(
         domain, "bringup", *options, "--drive-at", lost.ready.split()[2].rstrip(","),
         "--controller", "onoff", "--hours", "2", "--namespace", "site1", "--watch",
+        "--cistern", "57", "--roof", "0",  # so that the pump runs for half a minute
         "--output", "run", cwd=tmp_path,
     )
     port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
