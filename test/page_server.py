@@ -112,22 +112,25 @@ class Stream:
         lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
         self.socket.sendall("\r\n".join([*lines, "", ""]).encode())
         self._file = self.socket.makefile("rb")
+        self._head: str | None = None
 
     def head(self) -> str:
-        """Read the answer's head."""
-        lines = []
-        while (line := self._file.readline()) not in (b"\r\n", b""):
-            lines.append(line.decode())
-        return "".join(lines)
+        """Return the answer's head."""
+        if self._head is None:
+            self._head = ""
+            while (line := self._file.readline()) not in (b"\r\n", b""):
+                self._head += line.decode()
+        return self._head
 
     def chunks(self) -> Iterator[bytes]:
         """Yield what comes, until its end."""
+        self.head()
         while size := int(self._file.readline() or b"0", 16):
             yield self._file.read(size)
             self._file.readline()
 
     def events(self) -> Iterator[tuple[str, Any]]:
-        """Yield each event's name and content, after the head."""
+        """Yield each event's name and content."""
         for chunk in self.chunks():
             name, data, *_ = chunk.decode().split("\n")
             yield name.removeprefix("event: "), json.loads(data.removeprefix("data: "))

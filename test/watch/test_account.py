@@ -30,18 +30,16 @@ SUMMED = {
 OVER_TICKS = {"stress": "stress_hours", "deviation": "mean_deviation_mm"}
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
 MEASURED = CONFIG / "site_neubrandenburg.yaml"
-# A dry day; a storm on a full roof beside a full cistern; a roof with nothing to evaporate. On a
-# measured roof half an hour of rain: its drainage layer is a part of what is stored, its plants are
-# dry. With water in that layer at first: it drains off, and what is stored falls by it. With a low
-# outlet, through which the detention volume drains.
+# A storm on a full roof beside a full cistern; a roof with nothing to evaporate; on a measured roof
+# half an hour of rain: its drainage layer is a part of what is stored, its plants are dry, and of
+# the water in that layer at first some drains off; with a low outlet, through which the detention
+# volume drains.
 RUNS = {
-    "dry": ("--hours", "0.5"),
     "storm": ("--hours", "0.5", *STORM),
     "empty": ("--hours", "0.2", "--start", "2021-07-07T14:00-05:00", "--cistern", "10",
               "--roof", "0"),
     "measured": ("--hours", "0.5", "--fraction", "0.02", "--cistern", "57.7", "--roof", "1.7",
-                 "--start", "2021-07-08T05:00-05:00", "--site", str(MEASURED)),
-    "layer": ("--hours", "0.5"),
+                 "--start", "2021-07-08T05:00-05:00"),
     "low outlet": ("--hours", "0.5", *STORM[:2]),
 }
 
@@ -78,12 +76,12 @@ def simulated(*options: str) -> Simulated:
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Simulated]:
     place = tmp_path_factory.mktemp("sites")
-    layer = place / "layer.yaml"
-    layer.write_text(f"{edited(MEASURED, {})}initial_layer: 0.3\n", encoding="utf-8")
+    measured = place / "measured.yaml"
+    measured.write_text(f"{edited(MEASURED, {})}initial_layer: 0.3\n", encoding="utf-8")
     outlet = site_file(
         place, runoff_coefficient=0.8, low_outlet_level=1.0, low_outlet_radius=0.05
     )
-    sites = {"layer": layer, "low outlet": outlet}
+    sites = {"measured": measured, "low outlet": outlet}
     return {
         name: simulated(*options, *(("--site", str(sites[name])) if name in sites else ()))
         for name, options in RUNS.items()
@@ -121,9 +119,8 @@ def test_batches_give_the_summary(runs: dict[str, Simulated], name: str) -> None
     assert abs(totals["unexplained"]) < 1e-9
 
 
-@pytest.mark.parametrize("name", RUNS)
-def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated], name: str) -> None:
-    run = runs[name]
+def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated]) -> None:
+    run = runs["empty"]
     one_by_one = Account(run.site)
     for tick in range(len(run.topics["/roof/level"][0])):
         for topic, (times, values) in run.topics.items():
@@ -134,7 +131,8 @@ def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated], name: 
 
 
 @pytest.mark.parametrize(("name", "keys"), [
-    ("measured", ("drained", "evapotranspired")), ("low outlet", ("overflow",)),
+    ("storm", ("drained", "overflow")), ("measured", ("drained", "evapotranspired")),
+    ("low outlet", ("overflow",)),
 ])
 def test_a_live_site_has_the_same_computed_from_its_levels(
     runs: dict[str, Simulated], name: str, keys: tuple[str, ...]
@@ -152,11 +150,10 @@ def test_the_runs_reach_what_they_are_for(runs: dict[str, Simulated]) -> None:
     assert found["storm"]["drainage_m3"] > 1e-3
     assert found["storm"]["outflow_m3"] > 0.1
     assert found["empty"]["limited_steps"] > 10
-    assert found["measured"]["drainage_m3"] > 0.001
+    assert found["measured"]["drainage_m3"] > 0.1
     assert found["measured"]["final_layer_m3"] > 0.001
     asked = runs["measured"].topics["/weather/evapotranspiration"][1][:-1].sum()
     assert 0 < found["measured"]["evapotranspiration_m3"] < 0.9 * asked
-    assert found["layer"]["drainage_m3"] > 0.1
     assert found["low outlet"]["outflow_m3"] > 10
 
 
@@ -260,24 +257,11 @@ def test_a_refused_live_value_is_unknown() -> None:
     assert account.gap_s == pytest.approx(1120, rel=1e-12)
 
 
-def test_live_drainage_and_overflow_follow_from_the_levels() -> None:
-    """Eq. (4) at 0.6 m: K a2 (0.6 + 0.5) / 0.5; Eq. (2) at 3.25 m: c_d r_o^2 pi sqrt(2 g 0.25)."""
-    topics = live_topics()
-    topics["/roof/level"][1][:] = 0.6
-    topics["/cistern/level"][1][:] = 3.25
-    account = filled(topics, live=True)
-    totals = account.totals()
-    assert not account.measured
-    assert totals["drained"] == pytest.approx(7.83e-8 * 68.8 * 2.2 * 3599.6, rel=1e-9)
-    outflow = 0.61 * np.pi * 0.125**2 * (2 * 9.81 * 0.25) ** 0.5
-    assert totals["overflow"] == pytest.approx(outflow * 3599.6, rel=1e-9)
-
-
 def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> None:
     """The flow is heard last at 100 s, and holds to 700 s; nobody waits for it any longer then."""
     account = Account(PAPER_SITE)
     account.live = True
-    for second in range(0, 3600, 10):
+    for second in range(0, 3600, 20):
         for topic in TOPICS[:5]:
             if topic != "/pump/flow" or second <= 100:
                 time = np.array([START + second * SECOND])
@@ -286,9 +270,9 @@ def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> N
         if second == 400:
             assert account.until == START + 100 * SECOND
     totals = account.totals()
-    assert account.until == START + 3590 * SECOND
+    assert account.until == START + 3580 * SECOND
     assert totals["pumped"] == pytest.approx(1e-3 * 700, rel=1e-12)
-    assert account.gap_s == pytest.approx(3590 - 700)
+    assert account.gap_s == pytest.approx(3580 - 700)
 
 
 def test_what_was_never_heard_is_unknown_and_not_nothing() -> None:
@@ -304,10 +288,10 @@ def test_what_was_never_heard_is_unknown_and_not_nothing() -> None:
 
 
 def test_memory_is_bounded_while_nobody_looks() -> None:
-    """A million values: what is counted is let go of."""
+    """Half a million values: what is counted is let go of."""
     account = Account(PAPER_SITE)
     topics = steady(1000)
-    for block in range(150):
+    for block in range(70):
         for topic, (times, values) in topics.items():
             account.add(topic, times + block * 1000 * SECOND, values)
     kept = sum(len(pending.all()[0]) for pending in account._topics.values())

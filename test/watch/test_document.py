@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,14 +13,10 @@ from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from paper import PAPER_SITE, paper_run
+from paper import PAPER_SITE
 from said import ERROR, OK, SECOND, START, STOPPED, WARN, hear, node, store
 
-from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.watch import words
 from greenroof_ros.watch.bag import Dated
 from greenroof_ros.watch.document import LINES
@@ -102,11 +97,9 @@ def pump_says(one: Store, wall: float, text: str, stamp_ns: int = 0, **said: Any
 
 
 @pytest.mark.parametrize(("level", "state", "sentence"), [
-    (0.0457, "good", "at its target"),
     (0.04566, "good", "at its target"),
     (0.0453, "good", "0.4 mm below its target"),
     (0.0434, "low", "2.3 mm below its target"),
-    (0.0480, "high", "2.3 mm above its target"),
     (0.55, "high", "504.3 mm above its target; the soil is full, and water drains off"),
     (-0.0, "low", "45.7 mm below its target"),
 ])
@@ -125,7 +118,6 @@ def test_roof(level: float, state: str, sentence: str) -> None:
     (None, 3.01, "high", "above its outlet: it overflows to the sewer"),
     (1.0, 2.5, "good",
      "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
-    (1.0, 1.0, "good", "6.2 m3 above the suction level can be pumped"),
 ])
 def test_cistern(low_outlet: float | None, level: float, state: str, sentence: str) -> None:
     one = watched(cistern_level=level)
@@ -155,18 +147,15 @@ def test_the_simulated_pump_says_why_it_stands(
     assert tile["sentence"] == f"{flow}; {command}"
 
 
-@pytest.mark.parametrize("state", ["off", "starting", "running", "stopping", "held", "fault"])
-def test_the_pump_node_says_how_it_is(state: str) -> None:
-    """On /diagnostics, and in a bag."""
-    heard, read = watched(), watched()
-    pump_says(heard, 100.0, f"{state}: by: its own words")
-    read.add_pump_state(START + 5, f"{state}: by: its own words")
-    read.add_pump_state(START + 4, "off: older")
-    for one in (heard, read):
-        tile = tile_of(one, "pump")
-        assert (tile["state"], tile["why"]) == (state, "by: its own words")
-    read.add_pump_state(START + 6, "<b>dancing</b>: \x00 no such state")
-    tile = tile_of(read, "pump")
+def test_the_pump_node_says_how_it_is() -> None:
+    """In a bag; for what it says on /diagnostics see below."""
+    one = watched()
+    one.add_pump_state(START + 5, "starting: by: its own words")
+    one.add_pump_state(START + 4, "off: older")
+    tile = tile_of(one, "pump")
+    assert (tile["state"], tile["why"]) == ("starting", "by: its own words")
+    one.add_pump_state(START + 6, "<b>dancing</b>: \x00 no such state")
+    tile = tile_of(one, "pump")
     assert tile["state"] == "unknown"
     assert "\x00" not in tile["why"]
 
@@ -194,17 +183,6 @@ def test_rain_and_what_is_to_come() -> None:
     )
 
 
-@pytest.mark.parametrize("ends", [
-    [], [*range(1, 11), 12], range(10), [1, *range(1, 10)], [*range(1, 10), math.inf],
-], ids=["none", "of another one", "from now", "twice", "endless"])
-def test_a_forecast_that_does_not_say_when_its_steps_end_is_not_shown(ends: list[float]) -> None:
-    """Not even where there are as many as ticks of a look-ahead."""
-    one = watched()
-    one.add_forecast(RAIN, MINUTE, np.full(10, 1e-7), np.array([math.nan, *ends]))
-    assert tile_of(one, "rain")["sentence"] == "no forecast is known"
-    assert read_series(one, 3)["forecast"] == []
-
-
 @pytest.mark.parametrize(("values", "level", "advice"), [
     ({}, "ok", "Nothing to do."),
     ({"roof_level": 0.04, "pump_command": 0.4, "pump_flow": 2e-4}, "warn",
@@ -226,8 +204,8 @@ def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
     assert document["advice"] == advice
 
 
-def test_the_pump_state_alone_is_something_that_was_heard() -> None:
-    """And of a controller whose command nobody hears one cannot say that it works."""
+def test_what_is_known_by_words_alone() -> None:
+    """Of a controller whose command nobody hears one cannot say that it works."""
     one = Store()
     pump_says(one, 100.0, "held: there is frost")
     one.add_statuses(100.0, node("/mpc", "controller"))
@@ -235,46 +213,23 @@ def test_the_pump_state_alone_is_something_that_was_heard() -> None:
     assert (pump["value"], pump["sentence"]) == ("held", "")
     assert (controller["value"], controller["state"]) == ("mpc", "unknown")
     assert controller["sentence"] == "its command is unknown"
+    bad = node("/mpc", "controller", ("inputs", ERROR, "/roof/level is frozen"))
+    one.add_statuses(100.0, bad)
+    controller = tile_of(one, "controller")
+    assert (controller["state"], controller["sentence"]) == ("alarm", "/roof/level is frozen")
 
 
-def test_alarms_are_counted_and_acknowledged_as_they_are_listed() -> None:
+def test_alarms_are_counted_as_they_are_listed() -> None:
     one = watched()
     parts = {"drive": 2, "levels": 2, "limits": 1, "delivery": 1, "drive file": 1}
     one.add_statuses(100.0, node("/pump", "pump", *(
         (part, level, f"{part} is not well") for part, level in parts.items()
     ), pump="off: no command"))
     document = shown(one)
-    word = document["tiles"]["summary"]["word"]
-    assert word == "2 alarms, 2 warnings (1 more caused by these)."
-    alarm = document["alarms"][0]
-    assert (alarm["level"], alarm["acknowledged"]) == ("error", False)
+    summary, alarm = document["tiles"]["summary"], document["alarms"][0]
+    assert summary["word"] == "2 alarms, 2 warnings (1 more caused by these)."
+    assert summary["level"] == alarm["level"] == "error"
     assert alarm["since_text"] == "00:01:00"
-    assert one.acknowledge(alarm["id"])
-    assert not one.acknowledge("/no: such")
-    document = shown(one)
-    assert {row["id"] for row in document["alarms"] if row["acknowledged"]} == {alarm["id"]}
-    assert document["tiles"]["summary"]["word"] == word
-    assert document["tiles"]["summary"]["level"] == "error"
-
-
-def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
-    """Of a simulation that is joined late: in its time, and so in order with what comes later."""
-    one = store(site=SITE)
-    lost = node("/pump", "pump", ("drive", ERROR, "lost"), pump="off: lost")
-    one.add_statuses(100.0, [Status("/fan", WARN, "slow", "fan")])  # of no graph, before it
-    one.add_statuses(100.1, lost, START)
-    one.start_over()
-    one.add_event(time.time(), "Another run began.")
-    one.add_statuses(100.2, lost, START + 5 * SECOND)
-    one.add_statuses(100.3, lost, 2**62)
-    hear(one, 7, 8, QUIET)
-    one.add_statuses(100.4, [Status("/pump: limits", WARN, "5 m3 are outstanding", "host")])
-    document = shown(one)
-    since = {row["id"]: row["since_text"] for row in document["alarms"]}
-    assert since == {
-        "/pump: drive": "00:00:05", "/fan": "00:00:05", "/pump: limits": "00:00:07",
-    }
-    assert [event["at_text"] for event in document["events"]] == ["00:00:00"]
 
 
 def test_the_plan_in_words() -> None:
@@ -311,16 +266,7 @@ def test_what_the_controller_fills_to_and_how_far_it_trusts(trust: float, rest: 
     assert "fill" not in tile_of(one, "controller")["sentence"]
 
 
-def test_a_controller_with_an_error() -> None:
-    one = watched()
-    one.add_statuses(100.0, node(
-        "/mpc", "controller", ("inputs", ERROR, "/roof/level is frozen")
-    ))
-    tile = tile_of(one, "controller")
-    assert (tile["state"], tile["sentence"]) == ("alarm", "/roof/level is frozen")
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1.0, -1e300])
+@pytest.mark.parametrize("value", [math.nan, 1e300, -1.0])
 def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     """And the next good value ends it."""
     one = watched()
@@ -343,24 +289,18 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert tile_of(one, "roof")["state"] == "good"
 
 
-@pytest.mark.parametrize("at", [0, -5, 2**62, 2**63 - 1])
-def test_what_has_no_time_was_not_heard(at: int) -> None:
-    one = Store()
-    one.add("/roof/level", np.array([at]), np.array([0.04]))
-    document = shown(one)
-    assert document["time"]["now"] is None
-    assert document["tiles"]["roof"]["value"] == "unknown"
-
-
 def test_hostile_forecasts_and_plans() -> None:
-    one = watched()
-    for values in (
-        np.empty(0), np.empty((0, 0)), np.full((3, 3, 3), 1e-7), np.full(32, np.nan),
-        np.full(32, 1e300), np.full(32, -1e-9), np.full(100_000, 1e-7), np.full((5000, 32), 1e-7),
+    """Nor is a forecast shown that does not say when its steps end."""
+    one, ten = watched(), np.full(10, 1e-7)
+    for values, ends in (
+        (np.empty((0, 0)), []), (np.full((3, 3, 3), 1e-7), [1, 2, 3]),
+        (np.full(32, np.nan), range(1, 33)), (np.full(32, -1e-9), range(1, 33)),
+        (np.full(100_000, 1e-7), range(1, 100_001)), (np.full((5000, 32), 1e-7), range(1, 33)),
+        (ten, [*range(1, 11), 12]), (ten, range(10)), (ten, [*range(1, 10), math.inf]),
     ):
-        steps = np.arange(1.0, 1 + (values.shape[-1] if values.ndim else 0))
-        one.add_forecast(RAIN, MINUTE, values, np.array([MINUTE, *steps]))
+        one.add_forecast(RAIN, MINUTE, values, np.array([math.nan, *ends]))
         assert tile_of(one, "rain")["sentence"] == "no forecast is known"
+        assert read_series(one, 3)["forecast"] == []
     for later, rows in enumerate((
         np.ones(3), np.ones((2, 2)), np.ones((2, 3, 1)), np.full((2, 3), 1e300), np.ones((2, 3)),
         np.array([[-1.0, 0, 0]]), np.array([[0.0, 0, 0]]), np.full((10_000, 3), 1.0),
@@ -368,7 +308,8 @@ def test_hostile_forecasts_and_plans() -> None:
         one.add_plan(MINUTE + later * SECOND, rows)
         assert read_series(one, 3)["plan"] == []
     one.add_plan(2**63, np.array([[1.0, 0, 0]]))
-    one.add("/roof/level", np.array([2**63 - 1, MINUTE + 5 * SECOND]), np.array([0.1, 0.02]))
+    times = np.array([-5, 0, 2**62, 2**63 - 1, MINUTE + 5 * SECOND])
+    one.add("/roof/level", times, np.array([0.1, 0.1, 0.1, 0.1, 0.02]))
     for topic in ("/no/such/topic", "/pump/state"):
         one.add(topic, np.array([MINUTE]), np.array([1.0]))
     document = shown(one)
@@ -391,24 +332,19 @@ def test_what_is_not_newer_is_left_out() -> None:
     assert max(high for _, _, high, _ in rows) == 0.04
 
 
-@pytest.mark.parametrize("looks", [True, False])
-def test_a_value_that_does_not_come_any_more_is_stale(looks: bool) -> None:
-    """Each topic by its own interval: every second here, so that 5 s are too long.
-
-    Whether a page is open or not: the feed looks all the same.
-    """
+def test_a_value_that_does_not_come_any_more_is_stale() -> None:
+    """Each topic by its own interval: every second here, so that 5 s are too long."""
     one = watched(roof_level=0.0453)
     stale = []
     for second in range(17):
         values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
         hear(one, 61 + second, 62 + second, values)
-        one.look(100.0 + second, 0.0)
-        if looks:
-            stale.append(tile_of(one, "roof", 100.0 + second)["stale"])
-    assert not any(stale[:14])
+        one.look(100.0 + second, 0.0)  # the feed's, whether a page is open or not
+        if second == 13:
+            stale.append(tile_of(one, "roof", 113.0)["stale"])
     document = shown(one, 116.0)
     tile = document["tiles"]["roof"]
-    assert tile["stale"]
+    assert [*stale, tile["stale"]] == [False, True]
     assert (tile["value"], tile["state"]) == ("unknown", "unknown")
     assert tile["sentence"] == "45.3 mm when last heard at 00:01:10"
     assert not document["tiles"]["cistern"]["stale"]
@@ -470,11 +406,9 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
 @pytest.mark.parametrize(("mode", "factor", "heading"), [
     ("none", None, "Nothing is heard yet"),
     ("simulated", 30.0, "Simulated run, 30 times real time"),
-    ("simulated", 2.04, "Simulated run, 2 times real time"),
     ("simulated", 1.01, "Simulated run, at real time"),
     ("simulated", math.nan, "Simulated run"),
     ("loop", 1.5, "Simulated site with a drive, 1.5 times real time"),
-    ("live", None, "Live site"),
 ])
 def test_headings(mode: str, factor: float | None, heading: str) -> None:
     one = Store()
@@ -483,8 +417,7 @@ def test_headings(mode: str, factor: float | None, heading: str) -> None:
 
 
 def test_a_watcher_that_knows_nothing() -> None:
-    one = Store("/site1")
-    document = shown(one, 5.0)
+    document = shown(Store("/site1"), 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
         "now": None, "utc_offset": -5.0, "text": "unknown",  # of the paper's site
@@ -493,9 +426,7 @@ def test_a_watcher_that_knows_nothing() -> None:
         "unknown"
     }
     assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
-    series = read_series(one, 12)
-    assert series["now"] is None
-    assert not any(series["lines"].values())
+    assert not any(read_series(Store(), 12)["lines"].values())
 
 
 def test_another_run_begins() -> None:
@@ -516,34 +447,22 @@ def test_another_run_begins() -> None:
 # --- account, notes, stop, events -------------------------------------------------------------
 
 
-def test_the_account_of_a_run_in_words() -> None:
-    """Each row is that of the run's summary; see test_account.py for its rules."""
-    run = paper_run("--hours", "0.2", "--controller", "onoff")
-    metrics = Metrics()
-    happened = record(run, closed_loop(run, run.make_controller(), metrics))
-    one = store(site=run.site)
-    times = START + SECOND * np.arange(len(happened.time))
-    for topic, column in {
-        "/roof/level": happened.roof / run.site.a2, "/cistern/level": happened.cistern / 25,
-        "/weather/precipitation": happened.precipitation, "/pump/flow": happened.pump_flow,
-        "/weather/evapotranspiration": happened.evapotranspiration,
-        "/cistern/outflow": happened.outflow, "/roof/drainage": happened.drainage,
-    }.items():
-        one.add(topic, times, column)
-    assert shown(one)["account"]["sentence"] == "0.000 m3 not accounted for"
-    rows, results = account_of(one), metrics.results()
+def test_the_account_in_words() -> None:
+    """Of a minute in which 1 L/s were pumped; see test_account.py for its rules."""
+    one = watched(pump_flow=1e-3)
+    rows = account_of(one)
     assert [*rows] == [
         "stress", "evapotranspiration_ratio", "deviation", "rain", "pumped", "drained",
         "evapotranspired", "stored", "unexplained", "inflow", "overflow", "saved", "energy",
     ]
-    assert rows["pumped"]["number"] == pytest.approx(results["pumped_m3"], rel=0, abs=1e-9)
-    assert rows["saved"]["number"] == rows["pumped"]["number"] > 0.1
+    assert rows["pumped"]["number"] == rows["saved"]["number"] == pytest.approx(0.06)
     words_of = {key: row["value"] for key, row in rows.items()}
-    assert words_of["pumped"] == f"{results['pumped_m3']:.3f} m3"
-    assert words_of["energy"] == f"{results['electric_energy_kwh']:.3f} kWh"
-    assert words_of["unexplained"] == "0.000 m3"
+    assert words_of["pumped"] == "0.060 m3"
+    assert words_of["unexplained"] == "-0.060 m3"  # the level stood still
     assert words_of["stress"] == "0.0 h"
-    assert words_of["evapotranspiration_ratio"] == "100 %"
+    assert words_of["deviation"] == "0.0 mm"
+    assert words_of["energy"].endswith(" kWh")
+    assert shown(one)["account"]["sentence"] == "0.060 m3 not accounted for"
 
 
 def test_gaps_and_water_of_the_mains_in_the_account() -> None:
@@ -576,11 +495,11 @@ def test_notes() -> None:
     assert shown(one)["notes"] == []
     one.set_site(SITE, "Levels are judged by the paper's site, a.yaml.")
     one.set_present(mode="live", factor=None, note="Shows samples: no bag.")
+    one.add_statuses(100.0, node("/weather", "weather", forecast_by="forecasts by somebody"), 0)
     assert shown(one)["notes"] == [
         "Levels are judged by the paper's site, a.yaml.", "Shows samples: no bag.",
+        "Forecasts by somebody.",
     ]
-    one.add_statuses(100.0, node("/weather", "weather", forecast_by="forecasts by somebody"), 0)
-    assert shown(one)["notes"][-1] == "Forecasts by somebody."
 
 
 CALL = 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: %s}"'
@@ -611,12 +530,10 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
     ("held: an operator stopped it; there is frost", True, STOPPED, "The pump is held off",
      ("", RELEASE)),
     ("off: the command is 0", True, "", "Keep the pump off", (STOP, "")),
-    ("held: there is frost", True, "", "Keep the pump off", (STOP, "")),
     ("fault: leak", True, "", "Keep the pump off", (STOP, "")),
     # Accepted only: the pump may turn for all that, and so the button stays, and what to do.
     ("held: an operator stopped it; the pump still turns", False, STOPPED, "Stop the pump",
      (STOP, RELEASE)),
-    ("fault: a leak; the pump still turns", False, STOPPED, "Stop the pump", (STOP, RELEASE)),
 ])
 def test_what_stop_does_as_the_pump_is(
     state: str, stands: bool, stop: str, label: str, commands: tuple[str, str]
@@ -708,10 +625,13 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
 ])
 def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool) -> None:
     state = f"{'off' if value == 'unknown' else value}: why"
-    tile = with_pump(watched(pump_flow=1e-3), state, **said)["tiles"]["pump"]
+    one = watched("live", pump_flow=1e-3)
+    tile = with_pump(one, state, **said)["tiles"]["pump"]
     assert (tile["value"], tile["alarm"]) == (value, alarm)
     assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
     assert ("flow is not known" in tile["sentence"]) == (said["flow"] is None)
+    tile = tile_of(one, "pump", 103.0)  # its node is gone: it ran
+    assert (tile["value"], tile["alarm"]) == ("unknown", True)
 
 
 def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
@@ -721,17 +641,7 @@ def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
         flow=0.0,
     )["tiles"]["pump"]
     assert (tile["value"], tile["number"], tile["alarm"]) == ("off", None, False)
-    assert tile["sentence"] == (
-        "its drive is not heard: it stood then, or its own timeout has stopped it; commanded 50 % "
-        "of its greatest flow"
-    )
-
-
-def test_a_node_that_is_gone_leaves_a_running_pump_unknown() -> None:
-    one = watched("live")
-    with_pump(one, "running: as commanded", stands=False, speed=1.0, flow=1e-3)
-    tile = tile_of(one, "pump", 103.0)
-    assert (tile["value"], tile["alarm"]) == ("unknown", True)
+    assert tile["sentence"].startswith("its drive is not heard: it stood then, or its own timeout")
 
 
 def test_a_flow_that_is_not_known_is_a_gap() -> None:
@@ -828,22 +738,20 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
 # --- recordings -------------------------------------------------------------------------------
 
 
-def incident(**changes: Any) -> Dated:
-    at, why = START / 1e9, "no connection to the drive"
-    given = Dated("pump", "drive", why, "drive_lost", at + 10, at + 30)
-    return replace(given, **changes)
-
-
 @pytest.mark.parametrize(("second", "level", "word", "value"), [
     (5, "stale", "Alarms are not known.", "off"),
-    (20, "error", "1 alarm.", "unknown"),
-    (60, "warn", "1 incident, over.", "off"),
+    (20, "error", "1 alarm, 1 incident, over.", "unknown"),
+    (60, "warn", "2 incidents, all over.", "off"),
 ])
 def test_an_incident_of_a_recording_stands_while_it_did(
     second: int, level: str, word: str, value: str
 ) -> None:
-    one = store("ended", SITE)
-    one.recorded_incidents = [incident()]
+    """Why the pump stood is not guessed then."""
+    one, at = store("ended", SITE), START / 1e9
+    one.recorded_incidents = [
+        Dated("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
+        Dated("mpc", "", "ended", "node_failed", at + 10, at + 12),
+    ]
     hear(one, 0, second + 1, QUIET)
     document = shown(one)
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
@@ -852,46 +760,28 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     if second == 5:
         assert document["alarms"] == []
         return
-    (row,) = document["alarms"]
+    row, other = document["alarms"]
     assert (row["id"], row["what"]) == ("pump: drive", "no connection to the drive")
     assert row["since_text"] == "00:00:10" and "The drive is not heard" in row["do"]
     assert row["over_text"] == ("00:00:30" if second == 60 else "")
-    assert "0.0 L/min" in tile["sentence"] or value == "unknown"
+    assert (other["id"], other["over_text"]) == ("mpc", "00:00:12")
+    assert ("0.0 L/min" in tile["sentence"]) == bool(tile["why"]) == (value == "off")
     flow = read_series(one, 1)["lines"]["flow"]
     assert not any(10 < row[0] - START / 1e9 < 30 for row in flow if row[1] is not None)
 
 
-def test_an_incident_that_lasted_to_the_end_stands() -> None:
-    """Why the pump stood is not guessed then, although flow and command look as if it rested."""
-    one = watched("ended", pump_command=0.5, roof_level=0.04)
-    assert tile_of(one, "pump")["why"] == "it rests between two runs"
-    one.recorded_incidents = [
-        incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12),
-    ]
-    document = shown(one)
-    assert document["tiles"]["summary"]["word"] == "1 alarm, 1 incident, over."
-    assert [row["id"] for row in document["alarms"]] == ["pump: drive", "mpc"]
-    tile = document["tiles"]["pump"]
-    assert (tile["value"], tile["why"]) == ("unknown", "")
-
-
 def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; what stands there, and what came since, the nodes say themselves."""
-    one = store("live", SITE)
-    before = time.time()
-    one.recorded_incidents = [
-        incident(began=before - 60, ended=before - 30), incident(began=before - 20, ended=None),
-        incident(began=before - 20, ended=before + 60),
-    ]
+    one, before = store("live", SITE), time.time()
+    over = Dated("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
+    one.recorded_incidents = [over, replace(over, ended=None), replace(over, ended=before + 60)]
     assert shown(one)["alarms"] == []
     one.add_statuses(time.monotonic(), [])
-    assert [row["since"] for row in shown(one)["alarms"]] == [before - 60]
+    assert [row["over"] for row in shown(one)["alarms"]] == [before - 30]
 
 
 @pytest.mark.parametrize(("said", "state", "level"), [
-    ("held: an operator stopped it", "held", "warn"),
-    ("fault: the drive reports: brake check", "fault", "warn"),
-    ("off: nothing is commanded", "off", "stale"),
+    ("held: an operator stopped it", "held", "warn"), ("off: nothing is commanded", "off", "stale"),
 ])
 def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     said: str, state: str, level: str
@@ -900,10 +790,9 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     one = watched("ended")
     one.add_pump_state(START, said)
     document = shown(one)
-    tiles, stop = document["tiles"], document["stop"]
+    tiles, stop, summary = document["tiles"], document["stop"], document["tiles"]["summary"]
     assert (tiles["pump"]["state"], tiles["controller"]["value"]) == (state, "not recorded")
     assert (stop["possible"], stop["stopped"]) == (False, False)
-    summary = tiles["summary"]
     assert (summary["word"], summary["level"]) == ("Alarms are not known.", level)
     assert document["notes"] == ["A recording does not tell which alarms there were."]
     assert (document["alarms_known"], shown(watched())["alarms_known"]) == (False, True)
@@ -975,19 +864,12 @@ def test_a_flood_of_statuses_leaves_a_short_document() -> None:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def test_the_charts_have_the_values_of_the_ticks() -> None:
-    one = store(site=SITE)
-    values = np.random.default_rng(1).uniform(0.01, 0.05, 3600)
-    one.add("/roof/level", START + SECOND * np.arange(3600), values)
-    series = read_series(one, 12)
-    rows = series["lines"]["roof"]
-    assert len(rows) <= 401
-    for at, low, high, last in rows:
-        assert last == values[round(at - START / 1e9)]
-        assert low <= last <= high
-    assert min(row[1] for row in rows) == values.min()
-    assert max(row[2] for row in rows) == values.max()
-    assert (series["now"], series["to"]) == (START / 1e9 + 3599, START / 1e9 + 3599 + 43_200)
+def test_what_the_charts_are_told() -> None:
+    """Rows, whose rules test_history.py has, times, and what is drawn besides."""
+    series = read_series(watched(), 12)
+    at = START / 1e9
+    assert series["lines"]["roof"][-1] == [at + 60, 0.0457, 0.0457, 0.0457]
+    assert (series["from"], series["now"], series["to"]) == (at - 43_140, at + 60, at + 43_260)
     assert series["marks"] == {
         "target": 0.0457, "band": pytest.approx([0.043415, 0.047985]), "suction": 0.75,
         "low_outlet": None, "outlet": 3.0,
@@ -1022,31 +904,6 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     assert rows[-1] == [at + 7920, *[pytest.approx(0.03, abs=1e-12)] * 3]
     # A point in 5 min at least, though the plans' steps are of an hour: there are no gaps.
     assert np.diff([row[0] for row in rows]).max() <= 300
-
-
-def expected_of(look: bool) -> list[list[float]]:
-    """Return what was expected by a plan for each of 7 h, whose numbers came first, 3 h a batch."""
-    one = watched()
-    for begin in (0, 3, 6):
-        hear(one, begin * 3600 + 61, (begin + 3) * 3600, {"/roof/level": 0.04}, every=10)
-        if look:
-            read_series(one, 12)
-        for hour in range(begin, begin + 3):
-            rows = [[step * 3600.0, 0.0, 0.001 * hour] for step in range(1, 13)]
-            one.add_plan(START + hour * 3600 * SECOND, np.array(rows))
-    return read_series(one, 12)["lines"]["roof_expected"]
-
-
-def test_a_look_changes_nothing_of_what_was_expected() -> None:
-    """Numbers may be there before the plans of their time: what is shown then is not kept."""
-    found = expected_of(look=True)
-    assert found == expected_of(look=False)
-    hours = [(at - START / 1e9) / 3600 for at, *_ in found]
-    # Between 3 h and 4 h it is the level of the plan of 2 h, up to its end.
-    assert [row[3] for row in found] == pytest.approx(
-        [0.001 * (math.ceil(hour - 1e-9) - 2) for hour in hours], abs=1e-12
-    )
-    assert max(hours) > 8
 
 
 def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
@@ -1120,64 +977,18 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
     assert series["gaps"].keys() == series["lines"].keys()
 
 
-# --- threads and time ---------------------------------------------------------------------------
-
-
-def test_one_thread_writes_while_another_reads() -> None:
-    one = watched()
-    errors: list[BaseException] = []
-    done = threading.Event()
-
-    def read() -> None:
-        try:
-            while not done.is_set():
-                json.dumps(read_document(one, time.monotonic()), allow_nan=False)
-                json.dumps(read_series(one, 1.0), allow_nan=False)
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=read)
-    thread.start()
-    for block in range(100):
-        hear(one, 61 + 100 * block, 161 + 100 * block, QUIET)
-        pump_says(one, time.monotonic(), f"off: {block}")
-        one.add_plan(START + block * SECOND, np.array([[600.0, 0, 0.01]]))
-        if block == 50:
-            one.start_over()
-    done.set()
-    thread.join()
-    assert not errors
-
-
 # --- words --------------------------------------------------------------------------------------
-
-
-@given(st.floats())
-def test_numbers_never_stand_as_minus_nothing_or_endless(value: float) -> None:
-    for text in (
-        *(words.value_of(topic, value) for topic in LINES.values()), words.volume(value),
-        words.command(value), words.rain(value), words.length_of_time(value),
-    ):
-        assert len(text) < 30
-        assert not text.startswith(("-0 ", "-0.0 ", "-0.000 "))
-        assert "nan" not in text
-        assert "inf" not in text
 
 
 @pytest.mark.parametrize(("text", "expected"), [
     (words.value_of("/roof/level", 0.0453), "45.3 mm"),
     (words.value_of("/roof/level", -0.00001), "0.0 mm"),
     (words.value_of("/cistern/level", 2.3456), "2346 mm"),
-    (words.value_of("/weather/precipitation", 1 / 3.6e6), "1.0 mm/h"),
-    (words.value_of("/pump/flow", 2.05e-4), "12.3 L/min"),
-    (words.volume(1.2344), "1.234 m3"),
-    (words.command(0.4), "40 %"),
     (words.command(0.001), "less than 1 %"),
     (words.rain(0.00994), "9.9 mm"),
     (words.rain(0.00996), "10 mm"),
     (words.length_of_time(89), "89 s"),
     (words.length_of_time(720), "12 min"),
-    (words.length_of_time(43_200), "12 h"),
     (words.length_of_time(45_000), "12.5 h"),
     (words.length_of_time(259_200), "3 days"),
     (words.time_of_day(1_626_757_200, -5, 1_626_757_300), "00:00:00"),

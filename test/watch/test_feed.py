@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import pickle
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections import defaultdict
@@ -20,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_topics import MPC_TOPICS
-from graphs import Process, bag_file, bring_up, environment, wait_for
+from graphs import Process, bag_file, bring_up, wait_for
 from lookers import Peer, in_domain
 from mcap.reader import make_reader
 from numpy.typing import NDArray
@@ -168,53 +164,19 @@ def node(role: str, state: str = "ready", name: str = "", **values: Any) -> Diag
 
 
 BEGIN_S = 1_626_757_200
-_STOPPED_TWICE = """
-import pickle, sys
-from test_feed import fed, ended, Path, wait_for
-with fed(int(sys.argv[1])) as (watched, _):
-    for least in (100, 200, 300):
-        heard = lambda: len(watched.of('graph').get('/roof/level', ()))
-        wait_for(lambda: heard() > least, 400, 'levels')
-        print('hears', flush=True)
-    sys.stdin.readline()
-    ended(watched, Path(sys.argv[2]))
-with open(sys.argv[3], 'wb') as stream:
-    pickle.dump((dict(watched.values), watched.runs), stream)
-"""
-
-
 def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
-    """At 30 times real time: each value at its tick, those before the watcher came too.
-
-    What it missed while its process was stopped comes from the bag.
-    """
+    """At 30 times real time: each value at its tick, those before the watcher came too."""
     run = Process(
         domain, "bringup", "--speed", "30", "--hours", "4", "--output", "run", cwd=tmp_path
     )
     wait_for(lambda: bag_file(tmp_path / "run").exists(), 60, "a bag")
-    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
-    arguments = (str(domain), str(tmp_path / "run"), str(tmp_path / "kept"))
-    process = subprocess.Popen(
-        [sys.executable, "-c", _STOPPED_TWICE, *arguments],
-        env={**environment(domain), "PYTHONPATH": path}, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "hears\n"
-    for _ in range(2):
-        process.send_signal(signal.SIGSTOP)
-        time.sleep(4)
-        process.send_signal(signal.SIGCONT)
-        assert process.stdout.readline() == "hears\n"
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
-    process.communicate("the run has ended\n", timeout=400)
-    assert process.returncode == 0
-    kept = Kept()
-    values, runs = pickle.loads((tmp_path / "kept").read_bytes())
-    kept.values.update(values)
-    assert runs == 0
-    bag, heard, read = recorded(tmp_path / "run"), kept.of(HEARD), kept.of(READ)
+    with fed(domain) as (watched, _):
+        wait_for(lambda: len(watched.of(HEARD).get(LEVEL, ())) > 200, 400, "levels")
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
+        ended(watched, tmp_path / "run")
+    assert watched.runs == 0
+    bag, heard, read = recorded(tmp_path / "run"), watched.of(HEARD), watched.of(READ)
     assert set(bag) == set(heard) == MPC_TOPICS - {"/clock"}
     for topic, values in heard.items():
         # None at another tick; at the end it may have said a tick more than it recorded.
@@ -224,58 +186,45 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
         assert len(heard[topic]) > 100, topic
 
 
-def test_at_full_speed_the_bag_is_read(
+def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """/diagnostics alone is heard; the water account is that of the run's own summary."""
+    """Of it /diagnostics alone is heard; the water account is that of the run's own summary."""
     monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine is slower than 66 at moments
+    options = ("--controller", "onoff", "--hours", "0.25", *STORM)
     with fed(domain) as (watched, _):
-        first = bring_up(domain, tmp_path, "--hours", "0.25", *STORM, output="first")
-        ended(watched, tmp_path / "first")
-        bag, heard = recorded(tmp_path / "first"), watched.of(HEARD)
+        run = Process(
+            domain, "bringup", *options, "--speed", "100", "--no-record", "--output", "first",
+            cwd=tmp_path,
+        )
+        assert run.wait(300) == 0, run.stderr()
+        wait_for(lambda: watched.mode == "ended", 60, "the end of the run")
+        assert any(note.startswith("Shows samples: ") for _, note in watched.present)
+        samples = watched.of(HEARD)
+        assert set(samples) == {LEVEL, "/cistern/level", "/pump/command"}
+        assert len(samples[LEVEL]) > 3
+        assert watched.runs == 0
+        # The same again, which is recorded, is another run.
+        summary = bring_up(domain, tmp_path, *options, output="second")
+        ended(watched, tmp_path / "second")
+        assert watched.runs >= 1
+        bag, heard = recorded(tmp_path / "second"), watched.of(HEARD)
+        for topic in (LEVEL, "/cistern/level"):
+            assert samples[topic].items() <= bag[topic].items()
         # Until the recorder has said where its bag is, samples that came with /diagnostics.
-        assert set(heard) <= {LEVEL, "/cistern/level", "/pump/command"}
+        assert set(heard) <= set(samples)
         assert all(values.items() <= bag[topic].items() for topic, values in heard.items())
         assert watched.of(READ)[LEVEL] == bag[LEVEL]
         account = _shown(watched)["account"]
         totals = {row["key"]: row["number"] for row in account["rows"]}
-        assert_equal(totals, first)
+        assert_equal(totals, summary)
         assert totals["overflow"] > 0.1 and totals["drained"] > 1e-3
         assert "gaps" not in account["sentence"]
-        assert watched.runs == 0
-        # Another run is picked up.
-        bring_up(domain, tmp_path, "--hours", "0.15", "--start", "2021-07-08T02:00",
-                 output="second")
-        ended(watched, tmp_path / "second")
-        assert watched.runs >= 1
-        assert watched.of(READ)[LEVEL] == recorded(tmp_path / "second")[LEVEL]
     # An ended run is shown from its bag, where no graph is.
-    with fed(domain, tmp_path / "first" / "bag") as (watched, _):
-        ended(watched, tmp_path / "first")
-        assert watched.of(READ)[LEVEL] == recorded(tmp_path / "first")[LEVEL]
-        assert _shown(watched)["tiles"]["controller"]["value"] == "mpc"
-
-
-def test_samples_where_there_is_no_bag(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They are said to be such, and each is that of its tick."""
-    monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine is slower than 66 at moments
-    bring_up(domain, tmp_path, "--hours", "0.3", output="recorded")
-    with fed(domain) as (watched, _):
-        run = Process(
-            domain, "bringup", "--hours", "0.3", "--speed", "100", "--no-record",
-            "--output", "run", cwd=tmp_path,
-        )
-        assert run.wait(300) == 0, run.stderr()
-        wait_for(lambda: watched.mode == "ended", 60, "the end of the run")
-        heard = watched.of(HEARD)
-        assert any(note.startswith("Shows samples: ") for _, note in watched.present)
-    bag = recorded(tmp_path / "recorded")
-    assert set(heard) == {LEVEL, "/cistern/level", "/pump/command"}
-    for topic in (LEVEL, "/cistern/level"):
-        assert heard[topic].items() <= bag[topic].items()
-    assert len(heard[LEVEL]) > 3
+    with fed(domain, tmp_path / "second" / "bag") as (watched, _):
+        ended(watched, tmp_path / "second")
+        assert watched.of(READ)[LEVEL] == bag[LEVEL]
+        assert _shown(watched)["tiles"]["controller"]["value"] == "onoff"
 
 
 def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import json
-import resource
 import socket
-import threading
 import time
 import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from greenroof_ros.watch import server
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.server import GZIP_HEAD, Message
+from greenroof_ros.watch.server import GZIP_HEAD, Message, News
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
@@ -47,6 +46,13 @@ def watched() -> Store:
 def port(watched: Store) -> Iterator[int]:
     with served(watched) as number:
         yield number
+
+
+@pytest.fixture
+def look(port: int) -> Iterator[Callable[..., Stream]]:
+    """Open streams of events, which are closed at last."""
+    with ExitStack() as stack:
+        yield lambda *given, **more: stack.enter_context(closing(Stream(port, *given, **more)))
 
 
 def shown(watched: Store) -> dict[str, Any]:
@@ -93,46 +99,41 @@ def test_the_page_and_its_files_come_as_they_are_and_may_do_nothing_else(port: i
 # ------------------------------------------------------------------------------------- refusals
 
 
-@pytest.mark.parametrize("target", [
-    "/../server.py", "/page/../../server.py", "/%2e%2e/server.py", "/..%2fserver.py",
-    "/..%5cserver.py", "/..\\server.py", "//etc/passwd", "/etc/passwd", "/%2fetc%2fpasswd",
-    "/page.js/../../server.py", "/page.js/", "/page.js%00.html", "/./server.py", "/server.py",
-    "/.", "/..", "/__init__.py", "/page", "/index.html", "*", "/PAGE.JS", "/page.js;/../server.py",
-    "/stop", "/acknowledge", "/" + "a" * 5000,
-], ids=lambda target: target[:30])
-def test_no_path_leads_anywhere_else(target: str, port: int) -> None:
-    answer = request(port, "GET", target)
-    assert answer.status in (400, 404, 405)
-    assert b"import" not in answer.body and b"root:" not in answer.body
+def test_no_path_leads_anywhere_else(port: int) -> None:
+    for target in (
+        "/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "/..\\server.py", "//etc/passwd",
+        "/%2fetc%2fpasswd", "/page.js/../../server.py", "/page.js%00.html", "/server.py",
+        "/index.html", "*", "/stop", "/" + "a" * 5000,
+    ):
+        answer = request(port, "GET", target)
+        assert answer.status in (400, 404, 405), target
+        assert b"import" not in answer.body and b"root:" not in answer.body
     assert_goes_on(port)
 
 
-@pytest.mark.parametrize(("host", "status"), [
-    ("localhost", 200), ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
-    ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("localhost.evil.example:80", 403),
-    ("evil.example@localhost.evil", 403), ("192.168.0.1", 403), ("", 403), ("[", 403),
-    ("0.0.0.0", 403), (None, 400), ("localhost\r\nHost: evil.example", 400),
-])
-def test_a_request_names_this_host(host: str | None, status: int, port: int) -> None:
+def test_a_request_names_this_host(port: int) -> None:
     """A name of somebody's that leads here would make his page one of this server's."""
-    for target in ("/", "/page.js"):
-        assert request(port, "GET", target, host=host).status == status
+    for host, status in (
+        ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
+        ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("192.168.0.1", 403), ("", 403),
+        ("[", 403), (None, 400), ("localhost\r\nHost: evil.example", 400),
+    ):
+        for target in ("/", "/page.js"):
+            assert request(port, "GET", target, host=host).status == status, host
 
 
 @pytest.mark.parametrize(("token", "headers", "status"), [
     *((None, headers, 200) for headers in (
-        ACT, {**ACT, "Origin": "http://localhost"}, {**ACT, "Sec_Fetch_Site": "same-origin"},
+        {**ACT, "Origin": "http://localhost"}, {**ACT, "Sec_Fetch_Site": "same-origin"},
     )),
     *((None, headers, 403) for headers in (
-        {}, {"X_Greenroof": "0"}, {"Content_Type": "application/json"},
-        {**ACT, "Origin": "http://evil.example"}, {**ACT, "Origin": "null"},
-        {**ACT, "Origin": "http://localhost:1"}, {**ACT, "Sec_Fetch_Site": "cross-site"},
+        {}, {"X_Greenroof": "0"}, {**ACT, "Origin": "http://evil.example"},
+        {**ACT, "Origin": "null"}, {**ACT, "Origin": "http://localhost:1"},
         {**ACT, "Sec_Fetch_Site": "same-site", "Origin": "http://localhost"},
     )),
     ("secret", RIGHT, 200), ("secret", ACT, 401),
     *(("secret", {**ACT, "Authorization": given}, 401) for given in (
-        "", "Bearer", "Bearer ", "Bearer secrex", "Bearer  secret", "bearer secret", "secret",
-        "Basic secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
+        "Bearer ", "Bearer secrex", "secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
     )),
 ], ids=lambda value: str(value)[:60])
 def test_only_the_page_itself_acts(
@@ -145,9 +146,8 @@ def test_only_the_page_itself_acts(
         if status != 200:
             assert request(port, "POST", "/stop", body, **headers).status == status
         if token:
-            stream = Stream(port, **headers)
-            assert f" {status} " in stream.head()
-            stream.close()
+            with closing(Stream(port, **headers)) as stream:
+                assert f" {status} " in stream.head()
             assert request(port, "GET", "/").status == 200
         for said, ok in ((body, status == 200), (b'{"id": "/nobody"}', False)):
             answer = request(port, "POST", "/acknowledge", said, **headers)
@@ -155,15 +155,10 @@ def test_only_the_page_itself_acts(
         assert shown(watched)["alarms"][0]["acknowledged"] == (status == 200)
 
 
-@pytest.mark.parametrize(("site", "status"), [
-    (None, 200), ("same-origin", 200), ("cross-site", 403), ("same-site", 403), ("none", 403),
-])
-def test_another_page_does_not_read_the_stream(
-    site: str | None, status: int, port: int
-) -> None:
-    stream = Stream(port, **({} if site is None else {"Sec_Fetch_Site": site}))
-    assert f" {status} " in stream.head()
-    stream.close()
+def test_another_page_does_not_read_the_stream(look: Callable[..., Stream]) -> None:
+    assert " 200 " in look().head()
+    assert " 200 " in look(Sec_Fetch_Site="same-origin").head()
+    assert " 403 " in look(Sec_Fetch_Site="same-site").head()
 
 
 def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
@@ -192,7 +187,7 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(
 ) -> None:
     """Behind a proxy each request is one of this machine."""
     for allowed, token, status in (
-        (False, None, 403), (False, "secret", 403), (True, None, 403), (True, "secret", 200),
+        (False, "secret", 403), (True, None, 403), (True, "secret", 200),
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
@@ -205,27 +200,20 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(
     assert said == [action.capitalize()]
 
 
-@pytest.mark.parametrize(
-    "method", ["PUT", "DELETE", "OPTIONS", "HEAD", "TRACE", "PATCH", "CONNECT", "BREW"]
-)
+@pytest.mark.parametrize("method", ["PUT", "OPTIONS", "HEAD", "BREW"])
 def test_other_methods_are_refused(method: str, port: int) -> None:
     answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
     assert answer.status in (400, 404, 405)
     assert not any(name.startswith("access-control") for name in answer.headers)
 
 
-@pytest.mark.parametrize("body", [
-    b"", b"{", b"[]", b"null", b'"x"', b"{}", b'{"id": 1}', b'{"id": null}', b'{"id": {}}',
-    b"\xff\xfe", b"[" * 9000, b'{"id":' * 1500, b"1" * 9000,
-], ids=lambda body: repr(body[:20]))
-def test_a_body_that_says_nothing_is_refused(body: bytes, port: int) -> None:
-    assert request(port, "POST", "/acknowledge", body, **ACT).status == 400
+def test_what_says_nothing_is_refused(port: int) -> None:
+    """A body that is no object with a text, and hours that cannot be."""
+    for body in (b"", b"{", b"[]", b'{"id": 1}', b"\xff\xfe", b"[" * 9000, b"1" * 9000):
+        assert request(port, "POST", "/acknowledge", body, **ACT).status == 400, body[:20]
+    for hours in ("-1", "nan", "1e9", "x", ""):
+        assert request(port, "GET", f"/events?hours={hours}").status == 400, hours
     assert_goes_on(port)
-
-
-@pytest.mark.parametrize("hours", ["-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
-def test_hours_that_cannot_be_are_refused(hours: str, port: int) -> None:
-    assert request(port, "GET", f"/events?hours={hours}").status == 400
 
 
 # ------------------------------------------------------------------------------- too much of it
@@ -243,17 +231,15 @@ def _flood(port: int, head: bytes, part: bytes) -> None:
                 pass
 
 
-@pytest.mark.parametrize("target", [b"/acknowledge", b"/stop"])
-def test_a_body_of_100_megabytes_is_refused_unread(target: bytes, port: int) -> None:
-    head = POST.replace(b"/stop", target)
+def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
     length = b"Content-Length: 100000000\r\n\r\n"
     # It is told at once, without a byte of it.
-    assert Answer(send(port, head + b"Connection: close\r\n" + length)).status == 413
+    assert Answer(send(port, POST + b"Connection: close\r\n" + length)).status == 413
     before = _memory()
     megabyte = bytes(1_000_000)
-    _flood(port, head + length, megabyte)
+    _flood(port, POST + length, megabyte)
     chunked = b"Transfer-Encoding: chunked\r\n\r\n"
-    _flood(port, head + chunked, b"f4240\r\n" + megabyte + b"\r\n")
+    _flood(port, POST + chunked, b"f4240\r\n" + megabyte + b"\r\n")
     assert _memory() - before < 20e6
     assert_goes_on(port)
 
@@ -276,92 +262,78 @@ def test_a_body_that_does_not_come_is_waited_for_only_so_long(
     assert time.monotonic() - begun < 5
 
 
-@pytest.mark.parametrize("data", [
-    b"\r\n" * 5000, b"\0" * 5000, b"GARBAGE\r\n\r\n", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n",
-    b"GET / HTTP/1.1\r\nHost localhost\r\n\r\n", b"GET / HTTP/1.1\r\nHost: local\0host\r\n\r\n",
+BROKEN = [
+    b"\0" * 5000, b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: local\0host\r\n\r\n",
     b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",  # TLS
-    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
     b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
-    b"GET / HTTP/1.1\r\na: " + b"b" * 1_000_000 + b"\r\n\r\n",
     b"GET /" + b"a" * 1_000_000 + b" HTTP/1.1\r\n\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
-    POST + b"Content-Length: x\r\n\r\n",
     POST + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n{}",
     POST + b"Transfer-Encoding: chunked\r\n\r\nzzzz\r\n",
     GET + b"Upgrade: websocket\r\nConnection: Upgrade\r\n\r\n\x81\xfe\xff\xff\xff\xff",
-], ids=lambda data: repr(data[:90]) if len(data) < 200 else f"{data[:20]!r}, {len(data)}")
+]
+
+
 def test_broken_requests_stop_nothing(
-    data: bytes, port: int, watched: Store, capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    port: int, watched: Store, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nor do they keep anybody away, all at the same time."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
-    with socket.create_connection((LOOPBACK, port), timeout=10) as connection:
-        with suppress(ConnectionError, TimeoutError):
-            connection.sendall(data)
-            connection.recv(1 << 16)
+    with ExitStack() as stack:
+        connections = []
+        for data in BROKEN:
+            connection = socket.create_connection((LOOPBACK, port), timeout=10)
+            connections.append(stack.enter_context(connection))
+            with suppress(ConnectionError):
+                connection.sendall(data)
         assert_goes_on(port)
+        for connection in connections:
+            with suppress(ConnectionError):
+                connection.recv(1 << 16)
     assert shown(watched)["events"] == []  # nothing was stopped
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_a_thousand_silent_connections_keep_nobody_away(
-    watched: Store, monkeypatch: pytest.MonkeyPatch
+def test_silent_connections_keep_nobody_away(
+    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Three times as many as there may be."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    with served(watched) as port:
-        stream = Stream(port)
-        stream.head()
-        events = stream.events()
-        next(events)
-        silent: list[socket.socket] = []
-        before = _open_files()
-        try:
-            for number in range(1000):
-                connection = socket.create_connection((LOOPBACK, port), timeout=10)
-                if number % 3 == 0:
-                    connection.sendall(b"GET / HT")
-                silent.append(connection)
-                if number % 100 == 0:
-                    assert_goes_on(port)
-            assert_goes_on(port)
-            taken = _open_files() - before - len(silent)
-            assert taken <= server._MOST_CONNECTIONS + 10
-            set_level(watched, 0.03, 1)
-            for _, content in events:  # a page that was there goes on
-                if level_in(content) == 0.03:
-                    break
-            for connection in silent:  # those that still were there are ended, too
-                connection.settimeout(5)
-                with suppress(ConnectionResetError):
-                    assert connection.recv(1) == b""
-        finally:
-            for connection in silent:
-                connection.close()
-        stream.close()
-
-
-def test_there_is_a_most_of_streams(watched: Store) -> None:
-    with served(watched) as port:
-        streams = [Stream(port) for _ in range(server._MOST_STREAMS)]
-        for stream in streams:
-            assert "200 OK" in stream.head()
-        answer = request(port, "GET", "/events")
-        assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
+    events = look().events()
+    next(events)
+    before = _open_files()
+    with ExitStack() as stack:
+        silent = []
+        for number in range(3 * server._MOST_CONNECTIONS):
+            connection = socket.create_connection((LOOPBACK, port), timeout=10)
+            silent.append(stack.enter_context(connection))
+            if number % 3 == 0:
+                connection.sendall(b"GET / HT")
+            if number % 100 == 0:
+                assert_goes_on(port)
         assert_goes_on(port)
-        streams.pop().close()
+        taken = _open_files() - before - len(silent)
+        assert taken <= server._MOST_CONNECTIONS + 10
+        set_level(watched, 0.03, 1)
+        for _, content in events:  # a page that was there goes on
+            if level_in(content) == 0.03:
+                break
+        for connection in silent:  # those that still were there are ended, too
+            connection.settimeout(5)
+            with suppress(ConnectionResetError):
+                assert connection.recv(1) == b""
 
-        def there_is_room() -> bool:
-            stream = Stream(port)
-            try:
-                return "200 OK" in stream.head()
-            finally:
-                stream.close()
 
-        wait_for(there_is_room, 60, "room for another page")
-        for stream in streams:
-            stream.close()
+def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> None:
+    streams = [look() for _ in range(server._MOST_STREAMS)]
+    for stream in streams:
+        assert "200 OK" in stream.head()
+    answer = request(port, "GET", "/events")
+    assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
+    assert_goes_on(port)
+    streams.pop().close()
+    wait_for(lambda: "200 OK" in look().head(), 60, "room for another page")
 
 
 # ------------------------------------------------------------------------------------- the stream
@@ -385,77 +357,58 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[float | None]:
     return found
 
 
-def _week(watched: Store) -> None:
-    """Have so much of the past that a series is large."""
-    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
-    noise = np.random.default_rng(0).random(len(times))
-    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
-        watched.add(topic, times, noise * scale)
-
-
 def test_what_is_pushed_is_made_once_for_all_pages(
     made: list[float | None], watched: Store
 ) -> None:
-    set_level(watched, 0.01, 1)
-    with served(watched) as port:
+    async def follow(news: News, hours: float) -> list[bytes]:
+        names = []
+        async for message in news.messages(hours):
+            names.append(message.plain.partition(b"\n")[0])
+            if b'"number":0.05,' in message.plain:
+                break
+        return names
+
+    async def eight() -> list[list[bytes]]:
+        news = News(watched)
+        await asyncio.sleep(1.0)
         assert made == []  # nobody looks
-        streams = [Stream(port, hours) for hours in ["3"] * 6 + ["12"] * 6]
-        seen: list[list[str]] = [[] for _ in streams]
-
-        def follow(number: int) -> None:
-            streams[number].head()
-            for name, content in streams[number].events():
-                seen[number].append(name)
-                if level_in(content) == 0.05:
-                    return
-
-        begun = time.monotonic()
-        threads = [threading.Thread(target=follow, args=(n,)) for n in range(len(streams))]
-        for thread in threads:
-            thread.start()
+        readers = [asyncio.create_task(follow(news, hours)) for hours in [3.0] * 4 + [12.0] * 4]
         for step in range(12):
-            time.sleep(0.25)
+            await asyncio.sleep(0.25)
             set_level(watched, 0.02 + step / 1000, 2 + step)
         set_level(watched, 0.05, 100)
-        for thread in threads:
-            thread.join(20)
-            assert not thread.is_alive()
-        ticks = (time.monotonic() - begun) / 0.5 + 2
-        assert made.count(None) <= ticks
-        assert all(made.count(hours) <= ticks / 4 + 2 for hours in (3.0, 12.0))
-        assert {*made} == {None, 3.0, 12.0}
-        for names in seen:
-            assert 5 <= names.count("state") <= ticks and names.count("series") >= 2
-        for stream in streams:
-            stream.close()
+        return await asyncio.wait_for(asyncio.gather(*readers), 20)
 
-
-def test_a_change_comes_soon_and_nothing_new_every_few_seconds(watched: Store) -> None:
     set_level(watched, 0.01, 1)
-    with served(watched) as port:
-        stream = Stream(port)
-        head = stream.head()
-        assert "text/event-stream" in head and "no-store" in head
-        arrived: list[float] = []
-        changed_at = 0.0
-        for name, content in stream.events():
-            if name != "state":
-                continue
-            now = time.monotonic()
-            arrived.append(now)
+    begun = time.monotonic()
+    seen = asyncio.run(eight())
+    ticks = (time.monotonic() - begun) / 0.5 + 2
+    assert made.count(None) <= ticks
+    assert all(made.count(hours) <= ticks / 4 + 2 for hours in (3.0, 12.0))
+    assert {*made} == {None, 3.0, 12.0}
+    for names in seen:
+        assert 5 <= names.count(b"event: state") <= ticks and names.count(b"event: series") >= 2
+
+
+def test_a_change_comes_soon_and_nothing_new_every_few_seconds(
+    look: Callable[..., Stream], watched: Store
+) -> None:
+    set_level(watched, 0.01, 1)
+    stream = look()
+    assert "text/event-stream" in stream.head() and "no-store" in stream.head()
+    arrived: list[float] = []
+    for name, content in stream.events():
+        if name == "state":
+            arrived.append(time.monotonic())
             if level_in(content) == 0.04:
-                assert now - changed_at < 2
                 break
-            if len(arrived) == 3:
+            if len(arrived) == 2:
                 set_level(watched, 0.04, 2)
-                changed_at = now
-        gaps = np.diff(arrived)
-        # The change may come right after what came late, on a busy machine.
-        assert len(gaps) and gaps.max() < 7 and gaps[:-1].min() > 0.3
-        stream.close()
+    nothing_new, change = np.diff(arrived)
+    assert 0.3 < nothing_new < 7 and change < 2
 
 
-def test_each_message_is_compressed_for_all_and_read_by_any(watched: Store) -> None:
+def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
     """As a browser reads gzip: one stream, from whichever message it began."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
     messages = [Message("state", {"n": n, "text": hostile * 10}) for n in range(20)]
@@ -467,59 +420,51 @@ def test_each_message_is_compressed_for_all_and_read_by_any(watched: Store) -> N
         for message in messages[first::2]:
             assert unpacking.decompress(message.compressed) == message.plain
     assert len(messages[0].compressed) < len(messages[0].plain) / 3
-    with served(watched) as port:
-        stream = Stream(port, Accept_Encoding="gzip, deflate, br")
-        assert "Content-Encoding: gzip" in stream.head()
-        unpacking = zlib.decompressobj(wbits=31)
-        text = b""
-        for chunk in stream.chunks():
-            text += unpacking.decompress(chunk)
-            if text.count(b"event: state\n") == 2:
-                break
-        assert text.startswith(b"event: state\ndata: {")
-        stream.close()
+    stream = look(Accept_Encoding="gzip, deflate, br")
+    assert "Content-Encoding: gzip" in stream.head()
+    unpacking, text = zlib.decompressobj(wbits=31), b""
+    for chunk in stream.chunks():
+        text += unpacking.decompress(chunk)
+        if text.count(b"event: state\n") == 2:
+            break
+    assert text.startswith(b"event: state\ndata: {")
 
 
 def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
-    monkeypatch: pytest.MonkeyPatch,
+    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It gets no queue; when it reads again, it soon has what is new."""
     monkeypatch.setattr(server, "_UNREAD_S", 8.0)
-    watched = Store()
-    _week(watched)
-    with served(watched) as port:
-        size = len(json.dumps(read_series(watched, 168.0)))
-        assert size > 60_000
-        deaf = [Stream(port, "168", receiving=4096) for _ in range(8)]
-        reader = Stream(port, "168")
-        reader.head()
-        events = reader.events()
-        before = _memory()
-        gaps = [time.monotonic()]
-        for step in range(8):
-            set_level(watched, 0.02 + step / 1000, 700_000 + step)
-            while level_in(next(events)[1]) != 0.02 + step / 1000:
-                pass
-            gaps.append(time.monotonic())
-            assert_goes_on(port)
-        assert np.diff(gaps).max() < 3
-        assert _memory() - before < 30e6
-        # One that reads again has first what was on its way, then what is newest.
-        deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        deaf[0].head()
-        states = []
-        for name, content in deaf[0].events():
-            if name == "state":
-                states.append(level_in(content))
-                if states[-1] == 0.027:
-                    break
-        assert len(states) < 8  # those between were never kept
-        # The others are ended after a while, and make room.
-        for stream in deaf[1:]:
-            wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
-        reader.close()
-        for stream in deaf:
-            stream.close()
+    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
+    noise = np.random.default_rng(0).random(len(times))
+    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
+        watched.add(topic, times, noise * scale)
+    assert len(json.dumps(read_series(watched, 168.0))) > 60_000
+    deaf = [look("168", receiving=4096) for _ in range(3)]
+    events = look("168").events()
+    next(events)
+    before = _memory()
+    gaps = [time.monotonic()]
+    for step in range(8):
+        set_level(watched, 0.02 + step / 1000, 700_000 + step)
+        while level_in(next(events)[1]) != 0.02 + step / 1000:
+            pass
+        gaps.append(time.monotonic())
+        assert_goes_on(port)
+    assert np.diff(gaps).max() < 3
+    assert _memory() - before < 30e6
+    # One that reads again has first what was on its way, then what is newest.
+    deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    states = []
+    for name, content in deaf[0].events():
+        if name == "state":
+            states.append(level_in(content))
+            if states[-1] == 0.027:
+                break
+    assert len(states) < 8  # those between were never kept
+    # The others are ended after a while, and make room.
+    for stream in deaf[1:]:
+        wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
 
 
 def _is_ended(connection: socket.socket) -> bool:
@@ -530,50 +475,42 @@ def _is_ended(connection: socket.socket) -> bool:
 
 
 def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
-    watched: Store, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    port: int, look: Callable[..., Stream], capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A page then says that it is not connected: nothing old is shown as if it were now."""
 
     def fail(store: Store, wall: float) -> None:
         raise RuntimeError("this document cannot be made")
 
-    with served(watched) as port:
-        stream = Stream(port)
-        stream.head()
-        events = stream.events()
-        assert next(events)[0] == "state"
-        with monkeypatch.context() as broken:
-            broken.setattr(server, "document", fail)
-            assert {name for name, _ in events} <= {"series", "state"}  # to their end
-            stream.close()
-            assert "this document cannot be made" in capfd.readouterr().err
-            assert_goes_on(port)
-        again = Stream(port)
-        again.head()
-        assert next(again.events())[0] == "state"
-        again.close()
+    events = look().events()
+    assert next(events)[0] == "state"
+    with monkeypatch.context() as broken:
+        broken.setattr(server, "document", fail)
+        assert {name for name, _ in events} <= {"series", "state"}  # to their end
+        assert "this document cannot be made" in capfd.readouterr().err
+        assert_goes_on(port)
+    assert next(look().events())[0] == "state"
 
 
-def test_a_page_that_nobody_sees_gets_the_summary_alone(watched: Store) -> None:
+def test_a_page_that_nobody_sees_gets_the_summary_alone(
+    look: Callable[..., Stream], watched: Store
+) -> None:
     """For its title: when it changes, and now and then to hear that it is connected."""
     set_level(watched, 0.01, 1)
     watched.set_present(mode="live", factor=None, note="")
-    with served(watched) as port:
-        stream = Stream(port, "0")
-        stream.head()
-        events = stream.events()
-        name, content = next(events)
-        assert (name, content["level"]) == ("summary", "warn")
-        begun = time.monotonic()
-        watched.add_statuses(time.monotonic(), [ALARM])
-        name, content = next(events)
-        assert (name, content["word"]) == ("summary", "1 warning.")
-        assert time.monotonic() - begun < 3
-        watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
-        begun = time.monotonic()
-        assert next(events)[1]["word"] == "1 warning."  # what did not change is not pushed
-        assert time.monotonic() - begun > 3
-        stream.close()
+    events = look("0").events()
+    name, content = next(events)
+    assert (name, content["level"]) == ("summary", "warn")
+    begun = time.monotonic()
+    watched.add_statuses(time.monotonic(), [ALARM])
+    name, content = next(events)
+    assert (name, content["word"]) == ("summary", "1 warning.")
+    assert time.monotonic() - begun < 3
+    watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
+    begun = time.monotonic()
+    assert next(events)[1]["word"] == "1 warning."  # what did not change is not pushed
+    assert time.monotonic() - begun > 3
 
 
 def _open_files() -> int:

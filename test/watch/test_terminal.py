@@ -55,8 +55,7 @@ def run_of(
 
 def with_storm() -> Store:
     one = run_of(6.0)
-    now = START + round(6 * 3.6e12)
-    ends = growing_steps(12)[1:]
+    now, ends = START + 6 * 3600 * SECOND, growing_steps(12)[1:]
     rain = np.outer(np.arange(1.0, 12.0), [1e-7] * 32)
     one.add_forecast("/forecast/precipitation", now, rain, np.array([now / 1e9, *ends]))
     levels = np.linspace(0.046, 0.050, 32)
@@ -112,35 +111,42 @@ def with_a_stop_of_the_page(wall: float = 99.5) -> Store:
 
 STATES = {
     "full speed": lambda: run_of(2.0), "storm": with_storm, "fault": with_a_fault,
-    "stale sensor": with_a_silent_sensor, "ended": lambda: run_of(30.0, "ended"),
-    "stop of the page": with_a_stop_of_the_page, "nothing": Store,
-    "many alarms": lambda: with_a_silent_sensor(90),
+    "stale sensor": with_a_silent_sensor, "stop of the page": with_a_stop_of_the_page,
+    "nothing": Store, "many alarms": lambda: with_a_silent_sensor(90),
 }
 
 
-def drawn(
+def all_drawn(
     one: Store, width: int = 80, height: int | None = 24, *, color: bool = False,
-    ascii_only: bool = False, number: int = 0,
-) -> list[str]:
-    """Return what stands on the terminal, line by line."""
+    ascii_only: bool = False,
+) -> list[list[str]]:
+    """Return what stands on each page of the terminal, line by line."""
     document, series = read_document(one, 100.0), read_series(one, 12.0)
     console = Console(
         width=width, height=height, force_terminal=True, highlight=False,
         color_system="truecolor" if color else None,
         file=TextIOWrapper(BytesIO(), "ascii" if ascii_only else "utf-8"),
     )
-    with console.capture() as captured:
-        console.print(pages(document, series, console, height)[number])
-    return captured.get().splitlines()
+    found = []
+    for page in pages(document, series, console, height):
+        with console.capture() as captured:
+            console.print(page)
+        found.append(captured.get().splitlines())
+    return found
 
 
-@pytest.mark.parametrize("size", [(80, 24), (120, 50), (200, 12), (50, 24), (40, 10), (10, 3)])
-@pytest.mark.parametrize("state", STATES)
+def drawn(one: Store, width: int = 80, height: int | None = 24, **more: bool) -> list[str]:
+    """Return the first page."""
+    return all_drawn(one, width, height, **more)[0]
+
+
+@pytest.mark.parametrize("size", [(80, 24), (200, 12), (40, 10), (10, 3)])
+@pytest.mark.parametrize("state", ["storm", "fault", "nothing", "many alarms"])
 def test_it_fits(state: str, size: tuple[int, int]) -> None:
     width, height = size
-    lines = drawn(STATES[state](), width, height)
-    assert len(lines) == height
-    assert max(map(cell_len, lines)) <= max(width, 40)
+    for lines in all_drawn(STATES[state](), width, height):
+        assert len(lines) == height
+        assert max(map(cell_len, lines)) <= max(width, 40)
 
 
 @pytest.mark.parametrize(("state", "words"), [
@@ -154,7 +160,6 @@ def test_it_fits(state: str, size: tuple[int, int]) -> None:
     ("stale sensor", ["The level sensor does not answer.", "Alarms: 5 now, 0 over",
                       "Alarm  /cistern_sensor: sensor", "no valid answer", "Live site", "held",
                       "follows from /cistern_sensor: sensor"]),
-    ("ended", ["Ended run", "Last 12 h"]),
     ("stop of the page", ["r releases the pump; c clears its fault"]),
     ("nothing", ["Nothing is heard yet"]),
     ("many alarms", ["/cistern_sensor: sensor", "The level sensor does not answer.", " more"]),
@@ -168,17 +173,17 @@ def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
         assert any(line.startswith(tile) for line in lines), tile
 
 
-@pytest.mark.parametrize("width", [40, 64, 80, 120])
 @pytest.mark.parametrize("name", ["/pump", "/the_pump_of_the_cistern_below_the_house"])
-def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: int) -> None:
+def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str) -> None:
     """The first part of that command releases the pump."""
     one = run_of(1.0, pump=name)
-    lines = drawn(one, width, 24)
     call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
-    assert any(call in line for line in lines) == (len(call) <= width)
-    assert any("ros2 service" in line for line in lines) == (len(call) <= width)
-    if len(call) > width:
-        assert any(line.startswith("stop the pump: see the page") for line in lines)
+    for width in (40, len(call) - 1, len(call), 120):
+        lines = drawn(one, width, 24)
+        assert any(call in line for line in lines) == (len(call) <= width)
+        assert any("ros2 service" in line for line in lines) == (len(call) <= width)
+        if len(call) > width:
+            assert any(line.startswith("stop the pump: see the page") for line in lines)
     assert "SetBool" not in " ".join(drawn(Store(), 120, 24))
 
 
@@ -188,11 +193,9 @@ def test_all_of_it_by_turning_pages() -> None:
     for number in range(30):
         one.add_event(99.5, f"event {number}")
     document = read_document(one, 100.0)
-    (last,) = (line for line in drawn(one) if line.startswith("page 1 of "))
-    count = int(last.split()[3].rstrip(";"))
-    told = [drawn(one, number=number) for number in range(count)]
+    told = all_drawn(one)
     assert all(len(page) == 24 for page in told)
-    assert told[-1][-1].startswith(f"page {count} of {count};")
+    assert told[-1][-1].startswith(f"page {len(told)} of {len(told)};")
     text = " ".join(" ".join(line for page in told for line in page[:-1]).split())
     sentences = [
         *(text for row in document["alarms"] for text in (row["id"], row["what"])),
@@ -208,48 +211,43 @@ def test_all_of_it_by_turning_pages() -> None:
     assert "space turns it" not in whole
 
 
+def chart(lines: list[str], label: str) -> str:
+    """Return the line of a chart: its label, range and bars."""
+    (found,) = (line for line in lines if line.startswith(f"{label:9}") and "|" in line)
+    return found
+
+
 def test_bars_by_hand() -> None:
     """Twelve hours in 26 columns, of which the greatest value counts: the first ends at 40.46 mm.
 
     The range is from 40.0 mm, so that the bar of column c is round(7 (c + 1) / 26), in the
-    middle rounded down.
+    middle rounded down. What is constant is half as high as it may be; of nothing the lowest.
     """
-    lines = drawn(run_of(12.0), 80, 30)
-    (roof,) = (line for line in lines if line.startswith("Roof     "))
+    one = run_of(12.0)
+    lines = drawn(one, 80, 30)
+    roof = chart(lines, "Roof")
     assert roof[9:27].strip() == "40.0-52.0 mm"
     assert roof[27:53] == "▁▂▂▂▂▃▃▃▃▄▄▄▄▅▅▅▆▆▆▆▇▇▇▇██"
-    (rain,) = (line for line in lines if line.startswith("Rain     ") and "|" in line)
-    assert rain[27:53] == "▁" * 13 + "█" * 13
-    (plain,) = (
-        line for line in drawn(run_of(12.0), 80, 30, ascii_only=True)
-        if line.startswith("Roof     ")
-    )
+    assert chart(lines, "Rain")[27:53] == "▁" * 13 + "█" * 13
+    assert chart(lines, "Pump")[27:53] == "▅" * 26
+    plain = chart(drawn(one, 80, 30, ascii_only=True), "Roof")
     assert plain[27:53] == "_....::::----===++++****##"
-
-
-def test_what_is_constant_is_seen() -> None:
-    """Half as high as it may be; of nothing the lowest."""
     one = store()
-    hear(one, 0, 43_210, {"/cistern/level": 2.5, "/pump/flow": 0.0}, every=10)
-    lines = drawn(one, 80, 30)
-    (cistern,) = (line for line in lines if line.startswith("Cistern  "))
-    assert cistern[27:53] == "▅" * 26
-    (pump,) = (line for line in lines if line.startswith("Pump     ") and "|" in line)
-    assert pump[27:53] == "▁" * 26
+    hear(one, 0, 43_210, {"/pump/flow": 0.0}, every=10)
+    assert chart(drawn(one, 80, 30), "Pump")[27:53] == "▁" * 26
 
 
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
     """A gust of rain between two columns' last values is seen, and so is the least level."""
     one = run_of(12.0)
     times = START + 12 * 3600 * SECOND + SECOND * np.arange(1, 41)
-    rain = np.where(np.arange(40) == 5, 1e-5, 0.0)
-    one.add("/weather/precipitation", times, rain)
+    one.add("/weather/precipitation", times, np.where(np.arange(40) == 5, 1e-5, 0.0))
     one.add("/cistern/level", times, np.where(np.arange(40) == 5, 1.0, 2.38))
     lines = drawn(one, 80, 30)
-    (shown,) = (line for line in lines if line.startswith("Rain     ") and "|" in line)
-    assert "0.0-36.0 mm/h" in shown
-    assert shown[52] == "█"
-    assert any("1000-2500 mm" in line for line in lines)
+    rain = chart(lines, "Rain")
+    assert "0.0-36.0 mm/h" in rain
+    assert rain[52] == "█"
+    assert "1000-2500 mm" in chart(lines, "Cistern")
 
 
 def test_without_colour_nothing_but_text() -> None:
@@ -375,6 +373,7 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
     with on_terminal() as terminal:
         terminal.read_until("SetBool")
         assert "\x1b[?1049h" in terminal.text  # a screen of its own
+        assert re.search(r"\x1b\[[0-9;]*m", terminal.text)  # colours
         terminal.press(b"xrycy ")
         terminal.read_until("page 2 of ")
         assert "asked" not in terminal.text
@@ -389,9 +388,14 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
 
 
 def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
-    """Each after a question, which y confirms and any other key does not; y alone does nothing."""
-    with on_terminal("with_a_stop_of_the_page") as terminal:
+    """Each after a question, which y confirms and any other key does not; y alone does nothing.
+
+    Here without colours.
+    """
+    with on_terminal("with_a_stop_of_the_page", NO_COLOR="1") as terminal:
         terminal.read_until("r releases the pump; c clears its fault")
+        assert "\x1b[?1049h" in terminal.text
+        assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
         for number, (key, question, action) in enumerate((
             (b"r", "Release the pump? The pump then starts by itself", "release"),
             (b"c", "Clear the pump? The fault is cleared: a slow start.", "clear"),
@@ -402,41 +406,24 @@ def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
             terminal.read_until(question)
             terminal.press(b"y")
             terminal.read_until(f"asked {number} times, now for: {action}")
-        terminal.press(b"q")
+        terminal.process.send_signal(signal.SIGTERM)
         assert terminal.ends() == 0
 
 
-@pytest.mark.parametrize(("environment", "end", "screen", "colours"), [
-    ({}, signal.SIGINT, True, True),
-    ({"NO_COLOR": "1"}, signal.SIGTERM, True, False),
-    ({"TERM": "dumb"}, b"Q", False, False),  # it gets lines
-], ids=["colours", "no colours", "dumb"])
-def test_what_a_terminal_can_and_how_it_ends(
-    environment: dict[str, str], end: signal.Signals | bytes, screen: bool, colours: bool
-) -> None:
-    with on_terminal(**environment) as terminal:
-        terminal.read_until("SetBool")
-        assert ("\x1b" in terminal.text) == ("\x1b[?1049h" in terminal.text) == screen
-        assert bool(re.search(r"\x1b\[[0-9;]*m", terminal.text)) == colours
-        if isinstance(end, bytes):
-            terminal.press(end)
-        else:
-            terminal.process.send_signal(end)
-        assert terminal.ends() == 0
-        assert ("\x1b[?1049l" in terminal.text) == screen
-
-
-def test_into_a_file() -> None:
-    """It is printed, and ends with the reader."""
+def test_what_cannot_be_drawn_over_is_printed() -> None:
+    """Into a file, where it ends with the reader, and on a dumb terminal."""
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM.format(state="with_a_silent_sensor")],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         cwd=CHECKOUT, env={**os.environ, "PYTHONUTF8": "1"},
-    ) as process:
+    ) as process, on_terminal(TERM="dumb") as terminal:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(10)]
         assert lines[0].startswith("Live site")
         process.terminate()
         rest, errors = process.communicate(timeout=120)
-    assert "\x1b" not in rest
+        terminal.read_until("SetBool")
+        terminal.press(b"Q")
+        assert terminal.ends() == 0
+    assert "\x1b" not in rest + terminal.text
     assert (process.returncode, errors) == (0, "")
