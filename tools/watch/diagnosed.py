@@ -1,0 +1,144 @@
+"""What nodes say is wrong on /diagnostics, by rules of its own: the page is compared with it.
+
+Of a node's part that is what it says itself. Of a node it is that it ended with a failure, is not
+heard for as long as bringup's own limit, is there twice, waits for others, or refuses values.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.graph.supervision import ENDED, STARTING, STATES
+from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+
+# A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.
+SILENT_S = 2.0
+# A node that waits for another one for longer says so as an alarm (s).
+_WAITS_S = 5.0
+_LOOK_S = 0.1
+_LEVELS = ("", "warn", "error", "stale")
+_LATCHED = {code for code, each in INTERLOCKS.items() if each.kind == LATCHED}
+
+
+@dataclass
+class _Node:
+    process: str
+    state: str
+    since: float  # in this state
+    heard: float
+    values: dict[str, Any]
+    before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
+    twice: float = -math.inf  # when two processes last reported in turn
+    refuses: float = -math.inf  # when it last refused more values than before
+    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
+
+
+class Diagnosed:
+    """Hears /diagnostics in a node that somebody spins. Times are of `time.monotonic` (s).
+
+    Attributes:
+        said: by the name of a status its changes: when, and what is wrong since, as its level and
+            its code; empty for nothing.
+        sentences: by the name of a status, its level and code, what was said then.
+        restarts: when another process came under the name of a node, and the name.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.said: dict[str, list[tuple[float, str]]] = {}
+        self.sentences: defaultdict[tuple[str, str], set[str]] = defaultdict(set)
+        self.restarts: list[tuple[float, str]] = []
+        self._nodes: dict[str, _Node] = {}
+        profile = qos_profile(read_topics()["/diagnostics"].qos)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, profile)
+        node.create_timer(_LOOK_S, self._look)
+
+    @property
+    def stands(self) -> dict[str, str]:
+        """What is wrong now, by the name of its status."""
+        said = list(self.said.items())  # it grows in another thread
+        return {name: changes[-1][1] for name, changes in said if changes[-1][1]}
+
+    def _hear(self, message: Any) -> None:
+        at = time.monotonic()
+        for status in message.status:
+            name, _, part = status.name.partition(": ")
+            level = _LEVELS[status.level[0]]
+            if part and name in self._nodes:
+                code = next((each.value for each in status.values if each.key == "code"), "")
+                values = self._nodes[name].values
+                if part == "pump" and level and not values["stands"]:
+                    if values["speed"] is None:  # nobody knows whether it turns
+                        level, code = "error", code if code in _LATCHED else "stands_unknown"
+                    elif values["stop"] and code not in _LATCHED:
+                        code = "stop_not_followed"
+                wrong = f"{level} {code}" if level else ""
+                self.sentences[status.name, wrong].add(status.message)
+                self._nodes[name].parts[part] = at, wrong
+            elif not part and status.message in STATES:
+                values = {each.key: json.loads(each.value) for each in status.values}
+                self._hear_node(at, name, status.message, values)
+        self._look()
+
+    def _hear_node(self, at: float, name: str, state: str, values: dict[str, Any]) -> None:
+        process = values["process"]
+        node = self._nodes.get(name)
+        if node is None:
+            self._nodes[name] = _Node(process, state, at, at, values)
+            return
+        if process != node.process:
+            node.before[node.process] = node.heard
+            if at - node.before.get(process, -math.inf) <= SILENT_S:
+                node.twice = at
+            else:
+                self.restarts.append((at, name))
+                node.parts.clear()
+                node.values = {}
+        counts = node.values.get("refused") or {}
+        more = any(
+            count > counts.get(topic, 0) for topic, count in (values.get("refused") or {}).items()
+        )
+        if more and node.values:
+            node.refuses = at
+        if state != node.state:
+            node.since = at
+        node.process, node.state, node.heard, node.values = process, state, at, values
+
+    def _look(self) -> None:
+        at = time.monotonic()
+        wrong = {}
+        for name, node in self._nodes.items():
+            wrong.update(_wrong(at, name, node))
+        for name in self.said.keys() | wrong.keys():
+            changes, now = self.said.get(name, [(at, "")]), wrong.get(name, "")
+            if now != changes[-1][1]:
+                self.said[name] = [*changes, (at, now)]
+
+
+def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
+    """Return what is wrong with a node, by the name of the status that the page gives it."""
+    if node.state == ENDED:
+        return {name: "error node_failed"} if node.values.get("failure") else {}
+    silent = "stale not_heard"
+    wrong = {
+        f"{name}: {part}": what if at - heard <= SILENT_S or at - node.heard > SILENT_S else silent
+        for part, (heard, what) in node.parts.items()
+    }
+    if at - node.heard > SILENT_S:
+        wrong[name] = silent
+    elif at - node.twice <= SILENT_S:
+        wrong[name] = "error two_processes"
+    elif node.state == STARTING and at - node.since > _WAITS_S and node.values.get("waiting"):
+        wrong[name] = "warn waits"
+    if at - node.refuses <= SILENT_S:
+        wrong[f"{name}: refused"] = "warn values_refused"
+    return {each: what for each, what in wrong.items() if what}

@@ -1,0 +1,181 @@
+"""The page and the terminal in five states: ``python tools/watch/pictures.py DIRECTORY``.
+
+Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
+coming, a live site whose drive has a fault, one whose roof sensor is silent, and a run that has
+ended. The page is taken in Chromium, at three widths, light and dark; the terminal as text.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(CHECKOUT / "test" / "faults"), str(CHECKOUT / "test"), str(CHECKOUT)]
+
+from graphs import Process, bring_up, free_ports, own_domain, wait_for  # noqa: E402
+from places import DATA  # noqa: E402
+from playwright.sync_api import sync_playwright  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rig import SiteRig  # noqa: E402
+
+from greenroof_ros.watch.terminal import pages  # noqa: E402
+
+WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
+# A storm of 23 mm begins some hours later.
+_BEFORE_STORM = "2021-07-08T04:00"
+_DRAWN = "html[data-drawn=yes]"
+
+
+@contextmanager
+def watcher(domain: int, cwd: Path, *options: str) -> Iterator[str]:
+    """Start one and yield its page's address; end it."""
+    process = Process(domain, "watch", "--port", str(free_ports(1)[0]), *options, cwd=cwd)
+    try:
+        yield wait_for(lambda: _address(process), 60, "an address")
+    finally:
+        process.process.terminate()
+        process.wait(30)
+
+
+def _address(process: Process) -> str:
+    words = process.stdout().split()
+    return next((word for word in words if word.startswith("http://")), "")
+
+
+@contextmanager
+def full_speed(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
+    """A simulation at full speed, some hours after its begin."""
+    run = Process(
+        domain, "bringup", "--controller", "mpc", "--weather",
+        str(DATA / "en_climate_hourly_07-2021.csv"), "--evapotranspiration", "fao56",
+        "--start", "2021-07-01", "--hours", "700", "--output", "run", cwd=place,
+    )
+    run.wait_for_ticks(1_000_000)
+    yield ()
+    run.process.terminate()
+    run.wait(300)
+
+
+@contextmanager
+def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
+    """A storm that an ensemble of forecasts sees coming."""
+    run = Process(
+        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
+        "--start", _BEFORE_STORM, "--forecast", "ensemble", "--speed", "60", "--initial", "low-low",
+        "--output", "run", cwd=place,
+    )
+    run.wait_for_ticks()
+    time.sleep(150)  # some hours
+    yield ()
+    run.process.terminate()
+    run.wait(300)
+
+
+@contextmanager
+def site_with(domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None]) -> (
+    Iterator[tuple[str, ...]]
+):
+    """A live site whose pump ran, and which has this trouble since some seconds."""
+    with SiteRig(place, domain, drive) as rig:
+        rig.until_running(seconds=120, steady_s=10.0)
+        trouble(rig)
+        yield ()
+
+
+def fault(domain: int, place: Path) -> Any:
+    """Its drive reports a fault."""
+
+    def trouble(rig: SiteRig) -> None:
+        rig.truth.inject_drive("drive_fault")
+        time.sleep(5)
+        rig.truth.inject_drive("none")
+
+    return site_with(domain, place, "danfoss_fc202", trouble)
+
+
+def stale(domain: int, place: Path) -> Any:
+    """Its roof sensor is silent."""
+
+    def trouble(rig: SiteRig) -> None:
+        rig.truth.inject_site("roof_silent")
+        time.sleep(12)
+
+    return site_with(domain, place, "grundfos_cim500", trouble)
+
+
+@contextmanager
+def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
+    """A run that has ended."""
+    bring_up(domain, place, "--controller", "lookahead", "--horizon", "12", "--hours", "24",
+             "--start", "2021-07-08")
+    yield ("--bag", "run/bag")
+
+
+STATES: dict[str, Callable[[int, Path], Any]] = {
+    each.__name__: each for each in (full_speed, storm, fault, stale, ended)
+}
+
+
+def _told(address: str, name: str) -> dict[str, Any]:
+    """Return what the page is told, from its stream."""
+    with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:  # noqa: S310
+        for line in stream:
+            if line.strip() == f"event: {name}".encode():
+                told: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
+                return told
+    raise AssertionError(f"no {name}")
+
+
+def take(state: str, address: str, directory: Path) -> None:
+    """Take the pictures of a state."""
+    with (directory / f"{state}.txt").open("w") as file:
+        console = Console(width=80, height=24, no_color=True, file=file)
+        console.print(pages(_told(address, "state"), _told(address, "series"), console, 24)[0])
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        for scheme in SCHEMES:
+            for width in WIDTHS:
+                page = browser.new_page(
+                    viewport={"width": width, "height": HEIGHT}, color_scheme=scheme
+                )
+                page.goto(address)
+                page.wait_for_selector(_DRAWN, timeout=120_000, state="attached")
+                time.sleep(1)
+                page.screenshot(path=directory / f"{state}-{width}-{scheme}.png", full_page=True)
+                page.close()
+        browser.close()
+
+
+def main() -> None:
+    """Take those that are asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("--only", nargs="+", choices=list(STATES), default=list(STATES))
+    arguments = parser.parse_args()
+    arguments.directory.mkdir(parents=True, exist_ok=True)
+    for state in arguments.only:
+        with ExitStack() as stack:
+            domain = stack.enter_context(own_domain())
+            place = Path(stack.enter_context(tempfile.TemporaryDirectory(
+                ignore_cleanup_errors=True)))
+            options = stack.enter_context(STATES[state](domain, place))
+            address = stack.enter_context(watcher(domain, place, *options))
+            time.sleep(8)
+            take(state, address, arguments.directory)
+            print(state, flush=True)
+
+
+if __name__ == "__main__":
+    main()
