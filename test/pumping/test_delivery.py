@@ -33,19 +33,19 @@ def steps_to_fault(
     site: Site, averaging: float, *, fall: float = 0.0, rise: float = 0.0, wobble: float = 0.0,
     pumped: float = 0.0,
 ) -> tuple[int, str]:
-    """Return after which of 600 steps of a second there is a fault, and which; 601 after none.
+    """Return after which of 300 steps of a second there is a fault, and which; 301 after none.
 
     Levels begin at 2 m and 1 cm; ``fall`` of the cistern, ``rise`` of the roof and what was pumped
     are of each step, ``wobble`` of the roof's reading of each second one.
     """
     check = DeliveryCheck(site, settings_for(site, averaging_time=averaging))
     check.step(1.0, 2.0, 0.01, 0.0, 0.0)
-    for k in range(1, 601):
+    for k in range(1, 301):
         roof = 0.01 + rise * k + wobble * (k % 2)
         found = check.step(1.0, 2.0 - fall * k, roof, pumped, pumped)
         if found:
             return k, found
-    return 601, ""
+    return 301, ""
 
 
 def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
@@ -85,13 +85,13 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
          "an empty pipe or an empty cistern, or both sensors are stuck"),
         # A cistern alone is none where its inlet is as large as the roof: rain may fill it as fast
         # as it is emptied.
-        (site_with(a_in=68.8), 60.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 601, ""),
+        (site_with(a_in=68.8), 60.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 301, ""),
         # At 2 m, 2 cm more by a wrong sensor, a low outlet takes 0.005305 sqrt(1.02) = 0.005358
         # m3/s. Twice that may leave. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25
         # 2.7778e-7 t after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as what the outlet
         # takes is not seen.
         (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or somebody else takes water"),
-        (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 601, ""),
+        (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 301, ""),
     ],
 )
 def test_thresholds_by_hand(
@@ -143,9 +143,7 @@ WELL: list[Any] = [
       for inlet in (20.0, 500.0) for command in (1.0, 0.005) for rate in (2.0, 50.0)),
     # 20 mm/h on 50 m2 of catchment, while little is pumped; then that drains off the roof.
     (SLOW | {"x1": 30.0, "x2": 1.4, "site": site_with(a_in=50.0)}, {},
-     [(900, 0.05), (3600, 0.05, 20), (5400, 0.0, 0, 13.3)], {"x1": 45}),
-    # 8 cm leave a soil in six hours, and what is pumped then arrives.
-    (SLOW | {"x2": 6.5}, {}, [(6 * 3600, 0.0, 0, 13.3), (300, 1.0)], {"delivered": 1.5}),
+     [(900, 0.05), (3600, 0.05, 20), (5400, 0.0, 0, 13.3)], {"delivered": 1}),
     # A gap in the levels, four hours long, in which nothing but weather happened.
     (SLOW | {"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)],
      {"x2": 2.5}),
@@ -257,20 +255,6 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     rig.change, rig.stuck_speed = lost, 1.0
     assert time_to_fault(rig, 300, 0.0) <= 90
     assert "(a stuck contactor)" in rig.decisions[-1].why
-
-
-def test_a_repaired_pipe() -> None:
-    """The reset begins a new check; the same fault is found again if it is still there."""
-    rig = Rig(x2=0.5)
-    rig.run(100, 0.01)
-    rig.arriving = 0.0
-    assert time_to_fault(rig, 600, 1.0) < math.inf
-    rig.control.reset()
-    assert time_to_fault(rig, 600, 1.0) > 60
-    assert rig.decisions[-1].state == "fault"
-    rig.arriving = 1.0
-    rig.control.reset()
-    assert time_to_fault(rig, 150, 1.0) == math.inf
 
 
 @pytest.mark.parametrize(
@@ -407,6 +391,20 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
     assert rig.decisions[-1].state == "fault"
     assert drift or "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
     assert dry <= dry_for
+
+
+def test_a_soil_that_drains_is_no_burst_pipe() -> None:
+    """8 cm leave it in six hours; it dries at 0.9 mm/h, and 2 m3 that are pumped all arrive."""
+    check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
+    roof, found = 0.15, []
+    for change in [0.08 / 360] * 360 + [0.9e-3 / 60] * 45 * 60:
+        roof -= change
+        found.append(check.step(60.0, 2.0, roof, 0.0, 0.0))
+    for k in range(20):
+        roof += 0.1 / PAPER_SITE.a2
+        found.append(check.step(60.0, 2.0 - 0.1 * k / 25, roof, 0.1, 0.1))
+    assert not any(found)
+    assert 0.03 < roof < PAPER_SITE.z_veg + 0.02
 
 
 def test_the_first_readings_are_no_alarm() -> None:

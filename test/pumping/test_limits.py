@@ -8,15 +8,14 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, site_with, sites
+from paper import PAPER_SITE, site_with
 from pump_rig import Rig
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
-from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger
-from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings, pump_parameters, settings_for
+from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings, settings_for
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
 LEAST_PULSE = 0.0168441
@@ -49,14 +48,6 @@ def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
     found = settings_for(roof)
     assert found.greatest_volume_per_day == pytest.approx(94.256, abs=2e-3)
     assert found.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
-
-
-@given(site=sites())
-def test_defaults_of_any_site_are_in_range(site: Site) -> None:
-    """Which they follow from the site."""
-    for one in pump_parameters(site):
-        assert one.accepts(one.default), one
-        assert isinstance(one.default, float)
 
 
 def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:

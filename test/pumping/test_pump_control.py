@@ -6,11 +6,12 @@ import math
 import time
 
 import pytest
-from paper import PAPER_SITE
+from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
-from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.pumping.ledger import Ledger
 from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.pumping.pump_control import Observation, PumpControl
@@ -72,7 +73,9 @@ def test_commands_that_are_no_shares() -> None:
         assert rig.run(20, 1.0).state == "running"
         decision = rig.step(command)
         assert (decision.speed, decision.state) == (None, "stopping")
-        assert decision.why == f"the command {command:g} is refused: it must be a number from 0 to 1"
+        assert decision.why == (
+            f"the command {command:g} is refused: it must be a number from 0 to 1"
+        )
         assert rig.run(10, command).state == "off"
     decision, before = rig.run(30, 1e300), rig.delivered
     assert (decision.warning, decision.speed) == (
@@ -175,14 +178,6 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert 12 <= rig.now - begun <= 17
     rig.stuck_speed = None
     assert rig.run(100, command).state == "fault"
-
-
-@pytest.mark.parametrize(("speed", "stands"), [(0.02, True), (0.021, False)])
-def test_the_driver_and_the_control_agree_on_what_stands(speed: float, stands: bool) -> None:
-    status = DriveStatus(True, False, "", "", speed, None, remote=True)
-    rig = Rig()
-    rig.change = {"speed": speed}
-    assert (status.stands, rig.step(0.0).stands) == (stands, stands)
 
 
 LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
@@ -362,13 +357,24 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     assert "fault" not in {one.state for one in rig.decisions}
 
 
-def test_what_is_commanded_is_delivered() -> None:
-    """Ten minutes of commands up and down from 0 to the maximum flow: within a least pulse."""
-    rig, commanded = Rig(x2=0.0), 0.0
-    for second in range(600):
-        command = 0.5 - 0.5 * math.cos(second / 40)
-        rig.step(command)
-        commanded += pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
-    least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, rig.plant.x1)
-    assert rig.delivered == pytest.approx(commanded, abs=max(0.01 * commanded, least_pulse))
-    assert commanded > 2.0
+@pytest.mark.parametrize(
+    ("controller", "drive_ramp"),
+    [("lookahead --horizon 12", 0.2), ("onoff", 1.0)],
+)
+def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
+    """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
+    run = paper_run(
+        "--controller", *controller.split(), "--hours", str(1 / 6), "--initial", "low-low"
+    )
+    simulated = sum(
+        tick.flows.pump for tick in closed_loop(run, run.make_controller(), Metrics())
+    )
+    rig, decide = Rig(run.x1, run.x2, drive_ramp=drive_ramp), run.make_controller()
+    for k in range(run.steps + 1):
+        command = decide.command(
+            *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)
+        )
+        rig.step(command, run.series.precipitation[k], run.series.evapotranspiration[k])
+    least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, run.x1)
+    assert simulated > 0.04
+    assert rig.delivered == pytest.approx(simulated, abs=max(0.01 * simulated, least_pulse))

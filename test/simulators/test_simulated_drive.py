@@ -1,6 +1,6 @@
-"""The simulated drive by the manuals, on paper and as a program; and with the driver.
+"""The simulated drive: what it is set to, with a clock of our own; and as a program, by the driver.
 
-The words that start each make are the drive file's, which test_wire.py holds against the manuals.
+How each make obeys is what its driver finds in it, whose words are the manuals' by test_wire.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from graphs import free_ports
@@ -22,7 +21,7 @@ from simulators import DEFAULT, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
 from greenroof_ros.drives.drive import Drive, DriveStatus
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, State
 from greenroof_ros.drives.modbus_line import (
     Address,
@@ -31,92 +30,15 @@ from greenroof_ros.drives.modbus_line import (
     parse_drive_address,
 )
 from greenroof_ros.simulators.control_profiles import profile_of
-from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings
+from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings, SimulatedDrive
 
 FREE = ("--port", "0", "--workbench", "0")
 
 
-class Make(NamedTuple):
-    """What a manual says; registers as on the wire."""
-
-    half: int
-    """the reference for half of rated speed"""
-    keeps_alive: bool
-    """a reading starts the timeout again, too"""
-    lost: tuple[int, int]
-    """address of what shows that the timeout has passed, and what it holds then"""
-    timeout: dict[int, int]
-    """addresses of the timeout's parameters, and what they hold as delivered"""
-    off: tuple[int, int]
-    """address of one of them, and what it holds when the timeout is off"""
-
-
-MAKES = {
-    # 3AUA0000085967, p. 617 to 620: 20000 is 100 %. 58.14 = 0, 58.16 = 3.0 s; fault 0x6681 in
-    # 04.01.
-    "abb_acs880": Make(10000, False, (400, 0x6681), {5813: 0, 5815: 30}, (5813, 0)),
-    # MG20Z102, p. 175 to 177: 0x4000 is 100 %. 8-04 Off, 8-03 60.0 s; control word timeout is bit 4
-    # of alarm word 16-90.
-    "danfoss_fc202": Make(0x2000, False, (16900, 0x0010), {8039: 0, 8030: 600}, (8039, 0)),
-    # Functional profile, 9.4 and 9.5: 00104 in 0.01 %. The watchdog 00012, 0 as delivered, hands
-    # the pump back: 00201 has neither bit 8, remote, nor bit 9, on.
-    "grundfos_cim500": Make(5000, True, (200, 0x0000), {11: 0}, (11, 0)),
-    # EAV64332: LFRD in rpm, NSP 1500. SLL 7010 = 1 freewheel, TTO 6005 = 10.0 s, LFT 7121 = 5 on
-    # the serial port; on Ethernet ETHL 7021 = 1, TTOB 64415 = 10.0 s, LFT = 150.
-    "schneider_atv630": Make(
-        750, True, (7121, 5), {7010: 1, 6005: 100, 7021: 1, 64415: 100}, (7010, 0)
-    ),
-}
-
-
-@pytest.fixture(params=MAKES)
-def make(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-class OnPaper:
-    """A simulated drive with a clock of our own; the ramp takes 10 s unless said otherwise."""
-
-    def __init__(self, make: str, interface: str = "serial", **settings: float | None) -> None:
-        self.now = 0.0
-        self.its = MAKES[make]
-        self._file = read_drive_file(find_drive_file(make))
-        told = DriveSettings(**({"ramp_s": 10.0} | settings))  # type: ignore[arg-type]
-        self.drive = profile_of(self._file.make)(self._file, told, lambda: self.now, interface)
-
-    def write(self, address: int, word: int) -> None:
-        assert self.drive.write(address, [word]) is None
-
-    def read(self, address: int) -> int:
-        return self.drive.registers()[address]
-
-    def start(self) -> None:
-        """Order half of rated speed."""
-        sequences, registers = self._file.sequences, self._file.registers
-        for step in (*sequences.ready, *sequences.run):
-            word = step.value if isinstance(step.value, int) else self.its.half
-            self.write(registers[step.write].address, word)
-            if step.until is not None:
-                found = self.read(registers[step.until.register].address)
-                assert step.until.fulfilled_by(found), f"after 0x{word:04X}"
-
-    def order_again(self) -> None:
-        """Write the last word of the start again."""
-        step = self._file.sequences.run[-1]
-        assert isinstance(step.value, int)
-        self.write(self._file.registers[step.write].address, step.value)
-
-    def speed(self, now: float | None = None) -> float:
-        """Return the true speed (share of rated) at a time (s)."""
-        self.now = self.now if now is None else now
-        self.drive.advance()
-        return self.drive.speed
-
-    def run(self) -> None:
-        """Be at half of rated speed."""
-        self.start()
-        self.speed(self.now + 0.5 * self.drive.settings.ramp_s)
-        assert self.drive.speed == 0.5
+def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> SimulatedDrive:
+    """Return a drive that is not on any wire."""
+    file = read_drive_file(find_drive_file(name))
+    return profile_of(file.make)(file, DriveSettings(**settings), clock)  # type: ignore[arg-type]
 
 
 def place_of(drive: Simulator) -> str:
@@ -124,18 +46,17 @@ def place_of(drive: Simulator) -> str:
     return drive.ready.split()[2].rstrip(",")
 
 
-# --- running --------------------------------------------------------------------------------------
+# --- how it is set --------------------------------------------------------------------------------
 
 
-def test_a_factor_makes_ramps_faster_and_the_timeout_not() -> None:
-    """A ramp of 40 s at 100 times: half of it takes 0.2 s. The timeout of 0.6 s stays."""
-    drive = OnPaper("danfoss_fc202", ramp_s=40.0, speed=100.0, timeout_s=0.6)
-    drive.start()
-    assert drive.speed(0.1) == pytest.approx(0.25)
-    assert drive.speed(0.2) == drive.speed(0.59) == 0.5
-    assert drive.read(16900) == 0
-    assert drive.speed(0.61) < 0.5
-    assert drive.read(16900) == 0x0010
+def test_a_factor_makes_the_motor_faster() -> None:
+    """Coasting would take 40 s from rated speed: at 100 times it takes 0.25 of it in 0.1 s."""
+    now = [0.0]
+    drive = make_of("danfoss_fc202", lambda: now[0], coast_s=40.0, speed=100.0)
+    drive.speed = 0.5
+    now[0] = 0.1
+    drive.advance()
+    assert drive.speed == pytest.approx(0.25)
 
 
 def test_the_flow_of_a_drive_that_reports_it_is_that_of_the_sites_curve() -> None:
@@ -152,51 +73,43 @@ def test_the_flow_of_a_drive_that_reports_it_is_that_of_the_sites_curve() -> Non
     assert bench.drive.registers()[301] == 42
 
 
-# --- the drive's own timeout ----------------------------------------------------------------------
-
-
-def test_the_drives_timeout_stops_the_motor(make: str) -> None:
-    """5 s after the last message that counts; reading counts with some makes, not with others."""
-    drive = OnPaper(make, timeout_s=5.0, ramp_s=2.0)
-    drive.start()
-    for now in (4.0, 8.0, 12.0):  # kept alive
-        assert drive.speed(now) == 0.5
-        drive.order_again()
-    drive.now = 16.0
-    drive.drive.heard()
-    assert drive.speed(16.9) == 0.5
-    assert drive.speed(20.9) == (0.5 if drive.its.keeps_alive else 0.0)
-    assert drive.speed(23.0) == 0.0
-    assert drive.read(drive.its.lost[0]) == drive.its.lost[1]
-
-
-def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(make: str) -> None:
-    """On the serial port; the other interface's is as delivered in any case."""
-    drive = OnPaper(make, timeout_s=None)
-    assert {each: drive.read(each) for each in drive.its.timeout} == drive.its.timeout
-    if make == "schneider_atv630":
-        on_ethernet = OnPaper(make, "tcp", timeout_s=3.0)
-        assert [on_ethernet.read(each) for each in (6005, 64415)] == [100, 30]
-    drive = OnPaper(make, timeout_s=3.0, ramp_s=1.0)
-    address, off = drive.its.off
-    assert drive.read(address) != off
-    drive.drive.inject("timeout_off", 0)
-    assert drive.read(address) == off
-    drive.run()
-    assert drive.speed(60.0) == 0.5
+@pytest.mark.parametrize(
+    ("make", "delivered", "address", "off"),
+    [
+        # 3AUA0000085967: 58.14 = 0, no action; 58.16 = 3.0 s.
+        ("abb_acs880", {5813: 0, 5815: 30}, 5813, 0),
+        # MG20Z102: 8-04 Off, 8-03 60.0 s.
+        ("danfoss_fc202", {8039: 0, 8030: 600}, 8039, 0),
+        # Functional profile, 9.4: the watchdog 00012 is 0.
+        ("grundfos_cim500", {11: 0}, 11, 0),
+        # EAV64332: SLL and, on Ethernet, ETHL are 1, freewheel; TTO and TTOB 10.0 s.
+        ("schneider_atv630", {7010: 1, 6005: 100, 7021: 1, 64415: 100}, 7010, 0),
+    ],
+)
+def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(
+    make: str, delivered: dict[int, int], address: int, off: int
+) -> None:
+    registers = make_of(make, lambda: 0.0, timeout_s=None).registers()
+    assert {each: registers[each] for each in delivered} == delivered
+    drive = make_of(make, lambda: 0.0, timeout_s=3.0)
+    assert drive.registers()[address] != off
+    drive.inject("timeout_off", 0)
+    assert drive.registers()[address] == off
 
 
 def test_abb_guards_nothing_for_30_s_after_power_up() -> None:
-    """Power-up at 10 s, boot until 12 s, so guarded from 42 s on."""
-    drive = OnPaper("abb_acs880", boot_s=2.0, timeout_s=3.0, ramp_s=1.0)
-    drive.now = 10.0
-    drive.drive.power_cycle()
-    for drive.now, answers in ((11.99, False), (12.0, True), (13.0, True)):
-        assert drive.drive.answers is answers
-    drive.start()
-    assert drive.speed(41.9) == 0.5
-    assert drive.speed(44.5) == 0.0
-    assert drive.read(400) == 0x6681
+    """Power-up at 10 s, boot until 12 s, so guarded from 42 s on; fault 0x6681 in 04.01."""
+    now = [10.0]
+    drive = make_of("abb_acs880", lambda: now[0], boot_s=2.0, timeout_s=3.0, ramp_s=1.0)
+    drive.power_cycle()
+    for now[0], answers in ((11.99, False), (12.0, True), (13.0, True)):
+        assert drive.answers is answers
+    for address, word in ((0, 0x047E), (1, 10_000), (0, 0x047F)):
+        assert drive.write(address, [word]) is None
+    for now[0], speed in ((41.9, 0.5), (44.5, 0.0)):
+        drive.advance()
+        assert drive.speed == speed
+    assert drive.registers()[400] == 0x6681
 
 
 # --- what can go wrong on the wire, as the driver sees it -----------------------------------------
@@ -327,10 +240,10 @@ def test_wrong_options_are_refused_with_what_would_be_right(
 
 
 class Driven:
-    """A simulator, and the driver that runs it."""
+    """A simulator, and the driver that runs it by a drive file."""
 
-    def __init__(self, drive: Simulator, exchange: DriveExchange) -> None:
-        self.drive, self.exchange = drive, exchange
+    def __init__(self, drive: Simulator, exchange: DriveExchange, file: DriveFile) -> None:
+        self.drive, self.exchange, self.file = drive, exchange, file
 
     def said(self, what: Callable[[DriveStatus], bool]) -> bool:
         status = self.exchange.snapshot.status
@@ -359,16 +272,21 @@ def driven(make: str, directory: Path) -> Iterator[Driven]:
     ) as exchange:
         exchange.only_simulator()
         exchange.start()
-        yield Driven(drive, exchange)
+        yield Driven(drive, exchange, file)
 
 
-def test_with_the_driver_every_make_runs_stops_and_has_its_fault_reset(
+@pytest.mark.parametrize(
+    "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
+)
+def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     make: str, tmp_path: Path
 ) -> None:
+    """And has its fault reset. The timeout of a CIM is fixed."""
+    timeout = 5 if make == "grundfos_cim500" else 2
     with driven(make, tmp_path) as both:
         drive, exchange = both.drive, both.exchange
         both.reach(0.6)
-        assert exchange.snapshot.timeout_s == (5 if make == "grundfos_cim500" else 2)
+        assert exchange.snapshot.timeout_s == timeout
         both.reach(0.0)
         both.reach(0.4)
         drive.inject("drive_fault")
@@ -377,9 +295,14 @@ def test_with_the_driver_every_make_runs_stops_and_has_its_fault_reset(
         exchange.demand(None)
         exchange.reset()
         until(lambda: both.said(lambda status: status.fault == ""))
-        both.reach(0.6)
         exchange.close()
-        assert drive.speed() == 0
+        alone = Drive(both.file, parse_address(place_of(drive)))
+        alone.line.connect()
+        alone.run(0.6)
+        alone.line.close()
+        until(lambda: drive.speed() > 0.5)
+        until(lambda: drive.speed() == 0)
+    assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
 def test_with_the_driver_a_stop_that_is_acknowledged_and_no_more_leads_to_silence(
@@ -392,9 +315,7 @@ def test_with_the_driver_a_stop_that_is_acknowledged_and_no_more_leads_to_silenc
         both.reach(0.6)
         drive.inject("runs_on")
         exchange.demand(None)
-        until(lambda: both.said(
-            lambda status: "acknowledges *stop*" in status.fault
-        ), 20)
+        until(lambda: both.said(lambda status: "acknowledges *stop*" in status.fault), 20)
         assert exchange.snapshot.state is State.STOPPING  # its cause is seen before the silence
         until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
         assert drive.speed() == pytest.approx(0.6, abs=1e-3)
