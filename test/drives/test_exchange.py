@@ -399,32 +399,33 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
 
 # --- a drive that acknowledges *stop* and runs on -------------------------------------------------
 
-@pytest.mark.parametrize("local", [False, True])
-def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, local: bool
-) -> None:
-    """-32768 of 20000 is no speed. In local control a person at its panel has it, and sees to it.
 
-    Judged after 0.5 s instead of 10. Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s.
-    One whose speed can be read, and does not fall, is left in test_simulated_drive.py.
+@pytest.mark.parametrize(
+    ("speed", "left_for"),
+    [
+        # -32768 of 20000 is no speed.
+        (0x8000, r"register 400005.* is -32768.*; its speed cannot be read.*, although \*stop\*"),
+        (10_000, r"it acknowledges \*stop\*, but its speed has not fallen .* \(it is 50.0%\)"),
+    ],
+)
+def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, speed: int, left_for: str
+) -> None:
+    """Judged after 0.5 s instead of 10, and seen for 0.5 s instead of 2.
+
+    Its own timeout, 58.16, is 1 s; the margin, 1 s, is 0.2 s here.
     """
-    monkeypatch.setattr(exchange, "RUNS_ON_S", 0.5)
-    bench.drive.values[5815] = 15
+    for name, seconds in (("RUNS_ON_S", 0.5), ("SEEN_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
+        monkeypatch.setattr(exchange, name, seconds)
+    bench.drive.values[5815] = 10
     bench.run()
     bench.wire.times.clear()
-    says = {3: 0x1031 if local else 0x1231, 4: 0x8000}
-    bench.drive.on_write = lambda _address, _word: bench.drive.values.update(says)
+    bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: speed})
     bench.speed = None
-    if local:
-        time.sleep(2.5)
-        assert "nothing is sent" not in bench.now.problem
-        assert max(silences(bench.wire), default=0.0) < 2.5
-        return
-    left_for = (
-        r"register 400005.* is -32768.*; its speed cannot be read.*, although \*stop\* is written, "
-        "so nothing is sent for 2.5 s"
-    )
-    wait(lambda: re.search(left_for, bench.now.problem))
+    if speed == 10_000:  # its cause is seen before the silence
+        bench.until_said(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
+        assert bench.now.state is State.STOPPING
+    wait(lambda: re.search(f"{left_for}.*so nothing is sent for 1.2 s", bench.now.problem))
     assert "two connections" not in bench.now.problem
     assert not bench.now.connected and bench.now.status is None
     assert bench.drive.written[-1] in (OFF, (1, 0))
@@ -433,7 +434,22 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 0})
     bench.until_said(lambda status: status.stands and not status.fault)
     assert bench.drive.written[0] == OFF
-    assert silences(bench.wire)[-1] >= 2.5
+    assert silences(bench.wire)[-1] >= 1.2
+
+
+def test_one_in_local_control_is_not_left_in_silence(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A person at its panel has it, and sees to it, whether its speed can be read or not."""
+    monkeypatch.setattr(exchange, "RUNS_ON_S", 0.5)
+    bench.run()
+    bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1031, 4: 0x8000})
+    bench.speed = None
+    wait(lambda: not bench.now.connected)
+    until = time.monotonic() + 2.0
+    while time.monotonic() < until:
+        assert bench.now.state is not State.SILENT
+        time.sleep(0.01)
 
 
 # --- whether a drive obeys, by a clock of the test's own ------------------------------------------
@@ -554,22 +570,6 @@ def test_what_somebody_changes_at_the_panel_is_noticed(
     assert bench.now.timeout_s is None
     assert "reading register 5815: refused with exception 2" in bench.now.timeout_note
     assert bench.now.connected
-
-
-def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Schneider: at 725 rpm of 1450 half of rated speed; of 2900 a quarter."""
-    monkeypatch.setattr(exchange, "SETTINGS_S", 0.2)
-    monkeypatch.setattr(exchange, "STILL_S", 0.2)
-    drive = Registers({
-        8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
-        3302: 1, 3011: 1,
-    })
-    with closing(Bench(read_drive_file(find_drive_file("schneider_atv630")))) as bench:
-        bench.wire.answer = drive
-        bench.exchange.start()
-        bench.until_said(lambda status: status.speed == pytest.approx(0.5))
-        drive.values[9604] = 2900
-        bench.until_said(lambda status: status.speed == pytest.approx(0.25))
 
 
 # --- where time is not real -----------------------------------------------------------------------

@@ -7,7 +7,6 @@ before each. The manual's number of each register and what each word means stand
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -16,7 +15,6 @@ from typing import Any
 
 import pytest
 from modbus_wire import Answer, Registers, SerialWire, Wire, crc, frame, script
-from simulators import until
 
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
@@ -277,21 +275,6 @@ def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
         assert follow(name, dialogue, Drive.read, gateway=True).timed_out
 
 
-# 43/14, MEI type 0E, read code 01, from object 00: maker and product (V1.1b3, section 6.21).
-IDENTIFY = "2B 0E 01 00 -> 2B 0E 01 01 00 00 02"
-
-
-@pytest.mark.parametrize(("answer", "says"), [
-    (" 00 0D" + b"greenroof_ros".hex() + "01 0F" + b"drive simulator".hex(), "$"),
-    (" 00 0D" + b"greenroof_ros".hex() + "01 02" + b"PM".hex(), ".* 'greenroof_ros', 'PM'"),
-    (None, "what is there does not identify itself as that .*refused with exception 1"),
-])
-def test_whether_it_is_the_simulator(answer: str | None, says: str) -> None:
-    line = "2B 0E 01 00 -> AB 01" if answer is None else IDENTIFY + answer
-    why = follow("abb_acs880", f"who? : {line}", Drive.why_no_simulator)
-    assert re.match(says, why), why
-
-
 def test_a_drive_elsewhere_is_no_simulator_and_is_not_asked() -> None:
     file = read_drive_file(find_drive_file("abb_acs880"))
     drive = Drive(file, parse_drive_address("/dev/ttyS0", "at"))
@@ -430,14 +413,6 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, says: str) -> 
     with pytest.raises(DriveError, match=says) as got:
         against(lambda _request: answer, Drive.stop)
     assert got.value.kind == kind
-
-
-def test_a_connection_without_an_answer_is_reset() -> None:
-    """So that a drive with one socket has it free at once; RFC 9293, section 3.10.7.4."""
-    with closing(Wire(lambda _request: [])) as wire:
-        with pytest.raises(DriveError, match="no valid answer"):
-            talk("abb_acs880", wire.at, Drive.read)
-        until(lambda: wire.resets == 1, 5)
 
 
 REFUSED: list[tuple[str, str, Task, str, str]] = [

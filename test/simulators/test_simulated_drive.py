@@ -22,7 +22,7 @@ from simulators import DEFAULT, Simulator, refusal, until
 from greenroof_ros import drive_simulator
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import DriveExchange, State
+from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.drives.modbus_line import (
     Address,
     DriveError,
@@ -303,24 +303,3 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         until(lambda: drive.speed() > 0.5)
         until(lambda: drive.speed() == 0)
     assert f"communication timeout: nothing for {timeout} s" in drive.said
-
-
-def test_with_the_driver_a_stop_that_is_acknowledged_and_no_more_leads_to_silence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Seen after 1 s here. Writing *stop* on and on would keep the drive's own timeout alive."""
-    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 1.0)
-    with driven("danfoss_fc202", tmp_path) as both:
-        drive, exchange = both.drive, both.exchange
-        both.reach(0.6)
-        drive.inject("runs_on")
-        exchange.demand(None)
-        until(lambda: both.said(lambda status: "acknowledges *stop*" in status.fault), 20)
-        assert exchange.snapshot.state is State.STOPPING  # its cause is seen before the silence
-        until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
-        assert drive.speed() == pytest.approx(0.6, abs=1e-3)
-        assert "so nothing is sent for 3 s" in exchange.snapshot.problem
-        until(lambda: drive.speed() == 0, 20)
-        until(lambda: exchange.snapshot.connected, 20)
-        both.reach(0.4)
-    assert "communication timeout: nothing for 2 s" in drive.said
