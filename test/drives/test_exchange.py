@@ -572,6 +572,20 @@ def test_what_somebody_changes_at_the_panel_is_noticed(
     assert bench.now.connected
 
 
+def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schneider: at 725 rpm of 1450 half of rated speed; of 2900 a quarter."""
+    monkeypatch.setattr(exchange, "SETTINGS_S", 0.2)
+    monkeypatch.setattr(exchange, "STILL_S", 0.2)
+    with closing(Bench(read_drive_file(find_drive_file("schneider_atv630")))) as bench:
+        bench.wire.answer = drive = Registers({
+            8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
+        })
+        bench.exchange.start()
+        bench.until_said(lambda status: status.speed == pytest.approx(0.5))
+        drive.values[9604] = 2900
+        bench.until_said(lambda status: status.speed == pytest.approx(0.25))
+
+
 # --- where time is not real -----------------------------------------------------------------------
 
 

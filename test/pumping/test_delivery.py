@@ -15,12 +15,6 @@ from pump_rig import Rig
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.input_rules import (
-    InputRules,
-    LevelRule,
-    cistern_reach,
-    roof_reach,
-)
 from greenroof_ros.pumping.limits import settings_for
 
 NOISE = 0.005
@@ -280,77 +274,53 @@ def test_a_suspend_hides_no_leak(
     assert not found or "perhaps a leak" in rig.decisions[-1].why
 
 
-class Ruled:
-    """A rig whose sensors keep the rules of a live graph, one reading a second, with noise."""
+def test_jumps_of_a_sensor_are_no_water() -> None:
+    """By which they moved the readings, as test_input_rules.py has it.
 
-    def __init__(self, noise: float, x2: float) -> None:
-        self.rig = Rig(x2=x2)
-        self.spikes: tuple[int, int] | None = None
-        """a reading of a tank is 10 cm off each so many seconds"""
-        reaches = cistern_reach(PAPER_SITE), roof_reach(PAPER_SITE)
-        self._levels = [LevelRule(each, 0.01, 0.02) for each in reaches]
-        self._rules = [InputRules(self.rig.now, 5.0, 10.0, level=each) for each in self._levels]
-        self._errors = noise * np.random.default_rng(1).standard_normal((3600, 2))
-
-    def time_to_fault(self, seconds: int, command: float) -> float:
-        """Return after how long there is a fault (s); infinite if none comes."""
-        rig = self.rig
-        for second in range(seconds):
-            cistern, roof = rig.plant.levels()
-            levels = np.array([cistern + rig.cistern_offset, roof]) + self._errors[second]
-            if self.spikes is not None and second % self.spikes[1] == 0:
-                levels[self.spikes[0]] += 0.1
-            good = [
-                float(level) if rule.came(rig.now, float(level)).good else None
-                for rule, level in zip(self._rules, levels, strict=True)
-            ]
-            rig.change = {
-                "cistern_level": good[0], "roof_level": good[1],
-                "displacements": tuple(each.displacement for each in self._levels),
-            }
-            if rig.step(command).state == "fault":
-                return second
-        return math.inf
-
-
-def test_a_sensor_that_is_set_again_is_no_leak() -> None:
-    """By 5 cm of the cistern, 1.25 m3, down and, ten minutes later, up again."""
-    site = Ruled(0.002, x2=0.5)
-    for site.rig.cistern_offset in (-0.05, 0.0):
-        assert site.time_to_fault(600, 0.01) == math.inf
+    The cistern's sensor is set again by 5 cm, 1.25 m3, down and, ten minutes later, up again.
+    """
+    rig = Rig(x2=0.5, noise=0.002)
+    for rig.cistern_offset in (-0.05, 0.0):
+        rig.change = {"displacements": (rig.cistern_offset, 0.0)}
+        assert time_to_fault(rig, 600, 0.01) == math.inf
 
 
 def test_a_drift_that_is_over_is_no_fault_later() -> None:
     """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
-    site = Ruled(0.002, x2=0.2)
-    for seconds, offsets in ((100, [0.0]), (1, [0.05 * k / 60 for k in range(45)]), (600, [0.0])):
-        for site.rig.cistern_offset in offsets:
-            assert site.time_to_fault(seconds, 1.0) == math.inf
-    assert any("cistern" in one.why for one in site.rig.decisions)
-    assert any(one.state == "running" for one in site.rig.decisions[160:])
+    rig = Rig(x2=0.2, noise=0.002)
+    rig.run(100, 1.0)
+    for second in range(45):
+        rig.cistern_offset = 0.05 * second / 60
+        assert rig.step(1.0).state == "running"
+    rig.change = {"displacements": (-rig.cistern_offset, 0.0)}
+    rig.cistern_offset = 0.0
+    assert time_to_fault(rig, 600, 1.0) == math.inf
 
 
-@pytest.mark.parametrize(("tank", "leaving"), [(0, 1.0), (1, 0.0)])
-def test_spikes_hide_no_fault(tank: int, leaving: float) -> None:
-    """Each makes both levels unknown for the time of recovery, 10 s, and some more to start.
-
-    So of 30 s the pump runs for ten, and the 160 s of a burst pipe, or closed valve, become 480.
-    """
-    site = Ruled(0.002, x2=0.5)
-    assert site.time_to_fault(600, 0.01) == math.inf
-    site.spikes = tank, 30
-    site.rig.arriving, site.rig.leaving = 0.0, leaving
-    assert site.time_to_fault(3600, 1.0) <= 520
-    assert site.rig.ledger.record.day_volume < 2.0
-
-
-def test_a_large_leak_latches() -> None:
-    """It lowers the level faster than pump and outlet can, so that it jumps again and again."""
-    site = Ruled(0.003, x2=0.5)
-    assert site.time_to_fault(200, 0.0) == math.inf
-    site.rig.leak = 0.02
-    assert site.time_to_fault(600, 0.0) <= 120
-    assert "perhaps a leak, or somebody else takes water" in site.rig.decisions[-1].why
+@pytest.mark.parametrize(
+    ("broken", "command", "within"),
+    [
+        # So of 30 s the pump runs for ten, and the 160 s of a burst pipe become 480.
+        ({"arriving": 0.0}, 1.0, 520), ({"arriving": 0.0, "leaving": 0.0}, 1.0, 520),
+        # It falls faster than pump and outlet can, so that it jumps again and again.
+        ({"leak": 0.02}, 0.0, 120),
+    ],
+)
+def test_levels_that_are_unknown_now_and_then_hide_no_fault(
+    broken: dict[str, float], command: float, within: int
+) -> None:
+    """A spike each half minute makes both unknown for the 10 s of recovery."""
+    rig = Rig(x2=0.5, noise=0.002)
+    rig.run(600, 0.01)
+    for name, value in broken.items():
+        setattr(rig, name, value)
+    for second in range(within):
+        unknown = second % 30 < 11
+        rig.change = dict.fromkeys(("cistern_level", "roof_level")) if unknown else {}
+        if rig.step(command).state == "fault":
+            break
+    assert rig.decisions[-1].state == "fault"
+    assert rig.ledger.record.day_volume < 2.0
 
 
 def test_a_meter_that_says_nothing_hides_no_volume() -> None:
