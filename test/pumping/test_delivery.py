@@ -300,7 +300,7 @@ def test_a_drift_that_is_over_is_no_fault_later() -> None:
 @pytest.mark.parametrize(
     ("broken", "command", "within"),
     [
-        # So of 30 s the pump runs for ten, and the 160 s of a burst pipe become 480.
+        # Of 30 s the pump runs for ten, and the 160 s of a burst pipe become 480.
         ({"arriving": 0.0}, 1.0, 520), ({"arriving": 0.0, "leaving": 0.0}, 1.0, 520),
         # It falls faster than pump and outlet can, so that it jumps again and again.
         ({"leak": 0.02}, 0.0, 120),
