@@ -251,6 +251,20 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     assert "(a stuck contactor)" in rig.decisions[-1].why
 
 
+def test_a_repaired_pipe() -> None:
+    """The reset begins a new check; the same fault is found again if it is still there."""
+    rig = Rig(x2=0.5)
+    rig.run(100, 0.01)
+    rig.arriving = 0.0
+    assert time_to_fault(rig, 600, 1.0) < math.inf
+    rig.control.reset()
+    assert time_to_fault(rig, 600, 1.0) > 60
+    assert rig.decisions[-1].state == "fault"
+    rig.arriving = 1.0
+    rig.control.reset()
+    assert time_to_fault(rig, 150, 1.0) == math.inf
+
+
 @pytest.mark.parametrize(
     ("site", "leak", "after", "left", "found"),
     [

@@ -118,6 +118,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     second.count(100.0, 10.0, 1.0)
     third.stop("stopped here")
     third.fault("overload", "drive_fault")
+    third.stop_on_page(True)
     assert first.close() == ""
     assert second.take() and not second.take()
     assert (second.record.fault, second.record.fault_code) == ("burst pipe", "delivery")
@@ -125,7 +126,8 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert (second.record.day_volume, second.close()) == (0, "")
     assert third.take()
     assert (third.record.fault, third.record.fault_code) == ("overload", "drive_fault")
-    assert (third.record.operator_stop, third.close()) == ("stopped here", "")
+    assert (third.record.operator_stop, third.record.page_stop) == ("stopped here", True)
+    assert third.close() == ""
 
 
 def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:

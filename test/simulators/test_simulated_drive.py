@@ -9,7 +9,7 @@ import re
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -130,7 +130,13 @@ def driver(shared: Simulator) -> Iterator[Drive]:
     shared.inject("none")
     at = parse_address(place_of(shared))
     made = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
-    made.line.connect()
+
+    def connects() -> bool:
+        with suppress(DriveError):  # its port may be just being opened again
+            made.line.connect()
+        return made.line.connected
+
+    until(connects)
     yield made
     made.line.close()
     shared.inject("none")
