@@ -29,6 +29,7 @@ class Wire:
         self.seen: list[bytes] = []
         self.times: list[float] = []  # at which that came (s, `time.monotonic`)
         self.connections = 0
+        self.resets = 0  # so many connections were reset by the other side, not closed
         self._listener = socket.create_server(("127.0.0.1", port))
         self.port: int = self._listener.getsockname()[1]
         self._open: list[socket.socket] = []
@@ -86,6 +87,8 @@ class Wire:
                     for wait, data in answers:
                         time.sleep(wait)
                         one.sendall(data)
+        except ConnectionResetError:
+            self.resets += 1
         except OSError:
             pass
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from modbus_wire import Answer, Registers, SerialWire, Wire, crc, frame, script
+from simulators import until
 
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
@@ -275,6 +276,15 @@ def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
         assert follow(name, dialogue, Drive.read, gateway=True).timed_out
 
 
+def test_another_product_is_no_simulator() -> None:
+    """43/14, MEI type 0E, read code 01, from object 00: maker, product (V1.1b3, section 6.21)."""
+    why = follow("abb_acs880", (
+        "who? : 2B 0E 01 00 -> 2B 0E 01 01 00 00 02 00 0D" + b"greenroof_ros".hex() + "01 02"
+        + b"PM".hex()
+    ), Drive.why_no_simulator)
+    assert why.endswith(" identifies itself as 'greenroof_ros', 'PM'")
+
+
 def test_a_drive_elsewhere_is_no_simulator_and_is_not_asked() -> None:
     file = read_drive_file(find_drive_file("abb_acs880"))
     drive = Drive(file, parse_drive_address("/dev/ttyS0", "at"))
@@ -413,6 +423,14 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, says: str) -> 
     with pytest.raises(DriveError, match=says) as got:
         against(lambda _request: answer, Drive.stop)
     assert got.value.kind == kind
+
+
+def test_a_connection_without_an_answer_is_reset() -> None:
+    """So that a drive with one socket has it free at once; RFC 9293, section 3.10.7.4."""
+    with closing(Wire(lambda _request: [])) as wire:
+        with pytest.raises(DriveError, match="no valid answer"):
+            talk("abb_acs880", wire.at, Drive.read)
+        until(lambda: wire.resets == 1, 5)
 
 
 REFUSED: list[tuple[str, str, Task, str, str]] = [
