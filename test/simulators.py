@@ -1,15 +1,13 @@
-"""The simulators as programs, and a bare client that speaks Modbus by the byte."""
+"""The simulators as programs, and a client of their workbenches."""
 
 from __future__ import annotations
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from types import ModuleType
 from typing import TypeVar
 
@@ -129,56 +127,6 @@ def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) 
     with pytest.raises(ConfigurationError) as caught:
         module.main.__wrapped__()
     return str(caught.value)
-
-
-class Bus:
-    """One connection to a Modbus TCP port, made of bytes."""
-
-    def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=1)
-        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def send(self, frame: str) -> None:
-        """Send bytes given in hexadecimal."""
-        self.socket.sendall(bytes.fromhex(frame))
-
-    def receive(self, seconds: float = 1.0) -> str:
-        """Return what comes next, in one piece, in hexadecimal; empty where nothing does.
-
-        Raises:
-            ConnectionError: the other end has closed.
-        """
-        self.socket.settimeout(seconds)
-        with suppress(TimeoutError):
-            data = self.socket.recv(512)
-            if not data:
-                raise ConnectionError("closed")
-            return data.hex()
-        return ""
-
-    def ask(self, frame: str, seconds: float = 1.0) -> str:
-        self.send(frame)
-        return self.receive(seconds)
-
-    def read(self, address: int, function: int = 3) -> int:
-        """Return a register."""
-        answer = self.ask(f"0001 0000 0006 01 {function:02x} {address:04x} 0001")
-        assert answer.startswith(f"00010000000501{function:02x}02"), answer
-        return int(answer[-4:], 16)
-
-    def write(self, address: int, word: int) -> None:
-        """Write a register; the answer repeats the request."""
-        frame = f"0001000000060106{address:04x}{word:04x}"
-        assert self.ask(frame) == frame
-
-    def close(self) -> None:
-        self.socket.close()
-
-    def __enter__(self) -> Bus:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def until(condition: Callable[[], object], seconds: float = 60.0) -> float:

@@ -14,19 +14,14 @@ from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
 
-ADVERSARIES = (
-    "always dry", "always rain", "a storm that is always tomorrow", "inverted", "a day early",
-    "a day late", "a false alarm each week",
-)
 TOGETHER = "all of them, a member each"
 """an ensemble for a controller that takes one"""
 
 
 class Adversary:
-    """Hourly forecasts that were made to do harm; the first hour is not forecast but observed."""
+    """Hourly forecasts of a kind; the first hour is not forecast but observed."""
 
     def __init__(self, kind: str, weather: Weather) -> None:
-        """Take one of :data:`ADVERSARIES` or :data:`TOGETHER`, and the records."""
         self._kind = kind
         self._weather = weather
 

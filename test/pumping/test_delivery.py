@@ -15,42 +15,31 @@ from pump_rig import Rig
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.input_rules import (
-    InputRules,
-    LevelRule,
-    cistern_reach,
-    roof_reach,
-)
 from greenroof_ros.pumping.limits import settings_for
 
 NOISE = 0.005
 """m, standard deviation of a reading"""
+SLOW: dict[str, Any] = {"tau": 10.0, "noise": 0.0015}
+"""for hours: ticks of 10 s, with a mean as exact as of 5 mm each second"""
 
 
 def steps_to_fault(
-    site: Site, steps: int, averaging: float, *, cistern: float = 2.0, fall: float = 0.0,
-    rise: float = 0.0, wobble: float = 0.0, pumped: float = 0.0,
+    site: Site, averaging: float, *, fall: float = 0.0, rise: float = 0.0, wobble: float = 0.0,
+    pumped: float = 0.0,
 ) -> tuple[int, str]:
-    """Return after which of so many steps of a second there is a fault, and which.
+    """Return after which of 300 steps of a second there is a fault, and which; 301 after none.
 
-    Args:
-        site: whose levels are read.
-        steps: at most; one more is returned where there is no fault.
-        averaging: averaging_time (s).
-        cistern: its level at first (m); the roof's is 1 cm.
-        fall: of the cistern in a step (m).
-        rise: of the roof in a step (m).
-        wobble: of the roof's reading, each second step (m).
-        pumped: in a step (m3).
+    Levels begin at 2 m and 1 cm; ``fall`` of the cistern, ``rise`` of the roof and what was pumped
+    are of each step, ``wobble`` of the roof's reading of each second one.
     """
     check = DeliveryCheck(site, settings_for(site, averaging_time=averaging))
-    check.step(1.0, cistern, 0.01, 0.0, 0.0)
-    for k in range(1, steps + 1):
+    check.step(1.0, 2.0, 0.01, 0.0, 0.0)
+    for k in range(1, 301):
         roof = 0.01 + rise * k + wobble * (k % 2)
-        found = check.step(1.0, cistern - fall * k, roof, pumped, pumped)
+        found = check.step(1.0, 2.0 - fall * k, roof, pumped, pumped)
         if found:
             return k, found
-    return steps + 1, ""
+    return 301, ""
 
 
 def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
@@ -94,75 +83,64 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # At 2 m, 2 cm more by a wrong sensor, a low outlet takes 0.005305 sqrt(1.02) = 0.005358
         # m3/s. Twice that may leave. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25
         # 2.7778e-7 t after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as what the outlet
-        # takes is not seen. Below the outlet it is as without one.
+        # takes is not seen.
         (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or somebody else takes water"),
-        (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 601, ""),
-        (LOW_OUTLET, 1.0, {"cistern": 0.97, "fall": 0.01 / 25}, 16, "or somebody else takes water"),
+        (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 301, ""),
     ],
 )
 def test_thresholds_by_hand(
     site: Site, averaging: float, moves: dict[str, float], steps: int, words: str
 ) -> None:
     """6 mm on 68.8 m2 are 0.4128 m3, on 25 m2 0.15 m3; 1 mm/h is allowed."""
-    most = 99 if words else steps - 1
-    found_after, found = steps_to_fault(site, most, averaging, **moves)
+    found_after, found = steps_to_fault(site, averaging, **moves)
     assert (found_after, found.endswith(words)) == (steps, True)
 
 
-@pytest.mark.parametrize(("leak", "minutes"), [(0.0053, 11), (0.001, 120)])
-def test_a_leak_is_seen_when_the_low_outlet_takes_less(leak: float, minutes: float) -> None:
-    """From 2 m, where it takes 0.0053 m3/s: as much leaves beside it, and less.
-
-    It takes as much as the leak at 1 m + (leak / 0.0053)^2, and nothing more at 1 m.
-    """
+def test_a_leak_is_seen_when_the_low_outlet_takes_less() -> None:
+    """From 2 m, where it takes 0.0053 m3/s, as much leaves beside it; at 1 m it takes nothing."""
     rig = Rig(50.0, 2.0, site=LOW_OUTLET, noise=NOISE)
     rig.run(200, 0.0)
-    rig.leak = leak
-    assert time_to_fault(rig, 4 * 3600, 0.0) < 60 * minutes
+    rig.leak = 0.0053
+    assert time_to_fault(rig, 3600, 0.0) < 660
     assert "m3 by its low outlet: perhaps a leak" in rig.decisions[-1].why
-    assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 1 + (leak / 0.0053) ** 2
+    assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 2
 
 
-def drains(share: float) -> Plant:
-    """Return a site whose low outlet has such a share of the file's area; 0 is clogged."""
-    real = replace(LOW_OUTLET, low_outlet_radius=0.025 * math.sqrt(share))
-    return Plant(real if share else PAPER_SITE, 70.0, 0.2)
-
-
+# An outlet with 1.4 times the area of the file's.
+WIDE = replace(LOW_OUTLET, low_outlet_radius=0.025 * math.sqrt(1.4))
 WELL: list[Any] = [
-    # Four hours from 2.8 m down to a low outlet, with more than the file's area and clogged, while
-    # the pump fills the roof to its 3.14 m3; then the detention volume goes on draining.
-    *(pytest.param({"x2": 0.2, "site": LOW_OUTLET}, {"plant": drains(share)}, [(4 * 3600, 1.0)],
-                   {"delivered": 2.9, "x1": least}, id="hours")
-      for share, least in ((1.4, 24.7), (0.0, 65.0))),
+    # From 2.8 m down a low outlet, a wide one and one that is clogged, while the pump fills the
+    # roof to its 3.14 m3.
+    *(({"x2": 0.2, "site": LOW_OUTLET}, {"plant": Plant(real, 70.0, 0.2)}, [(1800, 1.0)],
+       {"delivered": 2.9})
+      for real in (WIDE, PAPER_SITE)),
     # The mains give more than the pump takes, until the roof is filled: 2.1 m3 in 250 s.
-    *(({"noise": noise, "site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2})
-      for noise in (0.0, NOISE)),
+    ({"site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2}),
     # Filled from wilting to its target a roof keeps 0.58 at the end: half an hour long more than
     # half of what is pumped percolates.
-    *(({"noise": noise, "x2": 0.2, "site": MEASURED}, {}, [(2400, 1.0, 0, 0.4)],
-       {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star})
-      for noise in (0.0, NOISE)),
-    # From 0.5 m above the outlet to its edge, with a sensor that reads too little, or too much.
-    *(({"x1": 87.5, "x2": 3.2}, {"cistern_offset": offset}, [(7200, 0.0)], {"x1": 74.9})
-      for offset in (-0.015, 0.015)),
-    # The pipe is a third worse than the site file says, or the meter reads too much.
+    ({"x2": 0.2, "site": MEASURED}, {}, [(2400, 1.0, 0, 0.4)],
+     {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star}),
+    # From 0.5 m above the outlet to its edge, with a sensor that reads too little.
+    (SLOW | {"x1": 87.5, "x2": 3.2}, {"cistern_offset": -0.015}, [(7200, 0.0)], {"x1": 74.9}),
+    # The pipe is a third worse than the site file says, or the meter reads too little.
     ({"x2": 0.0}, {"arriving": 2 / 3, "leaving": 2 / 3}, [(400, 1.0)], {"delivered": 2.8}),
     ({"x2": 0.0}, {"change": {"flow": 0.0055}}, [(300, 1.0)], {"delivered": 1.5}),
     # A cloudburst on a roof that is being watered, and on a cistern that runs over.
-    ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (3600, 0.15, 100), (6600, 0.15)],
+    ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (1200, 0.15, 100), (1800, 0.15)],
      {"x2": PAPER_SITE.x2_star}),
     # A heat wave is no burst pipe: then the roof is watered again, and rises.
-    pytest.param({"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1},
-                 id="hours"),
+    (SLOW | {"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1}),
     # An hour's shower into inlets of all sizes, while a pump fills a dry roof.
-    *(pytest.param(
-        {"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
-        [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
-        {"delivered": 300 * 0.0084 * command}, id="hours")
+    *((SLOW | {"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
+       [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
+       {"delivered": 300 * 0.0084 * command})
       for inlet in (20.0, 500.0) for command in (1.0, 0.005) for rate in (2.0, 50.0)),
+    # 20 mm/h on 50 m2 of catchment, while little is pumped; then that drains off the roof.
+    (SLOW | {"x1": 30.0, "x2": 1.4, "site": site_with(a_in=50.0)}, {},
+     [(900, 0.05), (3600, 0.05, 20), (5400, 0.0, 0, 13.3)], {"delivered": 1}),
     # A gap in the levels, four hours long, in which nothing but weather happened.
-    ({"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)], {"x2": 2.5}),
+    (SLOW | {"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)],
+     {"x2": 2.5}),
 ]
 
 
@@ -178,7 +156,7 @@ def test_what_goes_well_is_no_alarm(
     for scene in scenes:
         seconds, command, rain, loss, *unknown = (*scene, *(0.0, 0.0)[len(scene) - 2:])
         rig.change = dict.fromkeys(unknown) or changed.get("change", {})
-        for _ in range(seconds):
+        for _ in range(int(seconds / rig.tau)):
             decision = rig.step(command, rain / 3.6e6, loss / 3.6e6 * rig.site.a2)
             assert decision.state != "fault", f"{rig.now:.0f} s: {decision.why}"
     reached = {"x1": rig.plant.x1, "x2": rig.plant.x2, "delivered": rig.delivered}
@@ -186,18 +164,18 @@ def test_what_goes_well_is_no_alarm(
 
 
 def test_a_level_that_is_held_is_no_alarm() -> None:
-    """For two days a trickle replaces what evaporates, 0.4 mm/h, to the digit of a sensor.
+    """For a day a trickle replaces what evaporates, 0.8 mm/h, to the digit of a sensor.
 
-    By then 19 mm were pumped, three times the tolerance. Off the bed of 68.8 m2 go 0.0275 m3 in an
-    hour, which is 0.00091 of the maximum flow of 0.0084 m3/s. Both sensors read whole millimetres.
+    By then 19 mm were pumped, three times the tolerance. Off the bed of 68.8 m2 go 0.055 m3 in an
+    hour, which is 0.00182 of the maximum flow of 0.0084 m3/s. Both sensors read whole millimetres.
     """
     rig = Rig(x2=0.5, tau=10.0)
     readings = set()
-    for _ in range(2 * 8640):
+    for _ in range(8640):
         cistern, roof = (round(level, 3) for level in rig.plant.levels())
         rig.change = {"cistern_level": cistern, "roof_level": roof}
         readings.add(roof)
-        rig.step(0.00091, evapotranspiration=0.4e-3 / 3600 * 68.8)
+        rig.step(0.00182, evapotranspiration=0.8e-3 / 3600 * 68.8)
     assert rig.delivered > 2 * 0.006 * 68.8
     assert len(readings) < 5
     assert not any(one.state in ("fault", "held") for one in rig.decisions)
@@ -211,27 +189,23 @@ HALF_DRY = {"x2": 0.5}
 DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
 @pytest.mark.parametrize(
     ("made", "before", "broken", "command", "within", "cause"),
     [
         # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that may be
-        # evapotranspiration: a fifth of the flow needs 509 s, a hundredth 18,400 s. Then the mean
-        # lags 60 s, and noise may hide twice its standard deviation of 0.03 m3.
+        # evapotranspiration: a hundredth of the flow needs 18,400 s. Then the mean lags 60 s, and
+        # noise may hide twice its standard deviation of 0.03 m3.
         (HALF_DRY, 0.01, {"arriving": 0.0}, 1.0, 200, BURST),
-        (HALF_DRY, 0.01, {"arriving": 0.0}, 0.2, 680, BURST),
-        (HALF_DRY, 0.01, {"arriving": 0.0}, 0.01, 20_500, BURST),
+        (SLOW | HALF_DRY, 0.01, {"arriving": 0.0}, 0.01, 20_500, BURST),
         # Minutes of good pumping hide nothing; a tenth of the flow still arrives.
         ({"x2": 0.0}, 0.3, {"arriving": 0.1}, 0.9, 260, BURST),
-        # No water moves at all, as a meter says, too, where there is one.
-        (HALF_DRY, 0.01, {"arriving": 0.0, "leaving": 0.0}, 1.0, 200, CLOSED),
+        # No water moves at all, as a meter says, too.
         (HALF_DRY, 0.01, {"arriving": 0.0, "leaving": 0.0, "change": {"flow": 0.0}}, 1.0, 200,
          CLOSED),
         # 0.15 m3 in 18 s, and the lag. What is lost is less 7e-6 m3/s that are allowed.
         (HALF_DRY, 0.0, {"contactor_stuck": True}, 0.0, 70, RUNS),
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
-        ({"x2": 3.2}, 0.3, {"leak": 1e-4}, 0.3, 1900, LEAK),
-        # Between pulses; where the readings are noisy the guess may be another.
+        # Between pulses; the readings are noisy, and the guess may be another.
         (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
         # A low outlet takes less than the pump's 0.0084 m3/s, and is not taken for a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
@@ -239,11 +213,11 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
     ],
 )
 def test_what_breaks_is_found(
-    noise: float, made: dict[str, Any], before: float, broken: dict[str, Any], command: float,
-    within: float, cause: str,
+    made: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
+    cause: str,
 ) -> None:
     """After ten minutes that went well; the pump is off then."""
-    rig = Rig(noise=noise, **made)
+    rig = Rig(**({"noise": NOISE} | made))
     rig.run(600, before)
     assert rig.decisions[-1].state != "fault"
     for name, value in broken.items():
@@ -295,8 +269,7 @@ def test_a_repaired_pipe() -> None:
     ("site", "leak", "after", "left", "found"),
     [
         # Of 25 m2 8 mm may be lost in eight hours, and 6 mm more: together 0.35 m3.
-        (PAPER_SITE, 0.0, 0.0, 70.0, False), (PAPER_SITE, 0.25 / 28800, 0.0, 69.75, False),
-        (PAPER_SITE, 0.6 / 28800, 0.0, 69.4, True),
+        (PAPER_SITE, 0.25 / 28800, 0.0, 69.75, False), (PAPER_SITE, 0.6 / 28800, 0.0, 69.4, True),
         # From 2.8 m down to its low outlet; a leak that goes on afterwards is found.
         (LOW_OUTLET, 0.0, 0.0, 25.0, False), (LOW_OUTLET, 0.0005, 0.0005, 15.6, True),
     ],
@@ -305,7 +278,7 @@ def test_a_suspend_hides_no_leak(
     site: Site, leak: float, after: float, left: float, found: bool
 ) -> None:
     """Of eight hours."""
-    rig = Rig(x2=1.0, site=site, noise=NOISE)
+    rig = Rig(x2=1.0, site=site, **SLOW)
     rig.run(200, 0.0)
     rig.leak = leak
     rig.suspend(8 * 3600)
@@ -315,95 +288,60 @@ def test_a_suspend_hides_no_leak(
     assert not found or "perhaps a leak" in rig.decisions[-1].why
 
 
-class Ruled:
-    """A rig whose sensors keep the rules of a live graph, one reading a second, with noise."""
+def test_jumps_of_a_sensor_are_no_water() -> None:
+    """By which they moved the readings, as test_input_rules.py has it.
 
-    def __init__(self, noise: float, *, tolerance: float = 0.02, **volumes: float) -> None:
-        self.rig = Rig(**volumes)  # type: ignore[arg-type]
-        self.spikes: tuple[int, int] | None = None
-        """a reading of a tank is 10 cm off each so many seconds"""
-        reaches = cistern_reach(PAPER_SITE), roof_reach(PAPER_SITE)
-        self._levels = [LevelRule(each, 0.01, tolerance) for each in reaches]
-        self._rules = [InputRules(self.rig.now, 5.0, 10.0, level=each) for each in self._levels]
-        self._errors = noise * np.random.default_rng(1).standard_normal((100_000, 2))
+    The cistern's sensor is set again by 5 cm, 1.25 m3, down and, five minutes later, up again.
+    """
+    rig = Rig(x2=0.2, noise=0.002)
+    rig.run(200, 0.3)
+    for rig.cistern_offset in (-0.05, 0.0):
+        rig.change = {"displacements": (rig.cistern_offset, 0.0)}
+        assert time_to_fault(rig, 300, 0.3) == math.inf
+    rig = Rig(x2=0.5)  # or the roof's, while it is filled
+    rig.run(100, 1.0)
+    for _ in range(150):
+        roof = rig.plant.levels()[1] - 0.05
+        rig.change = {"roof_level": roof, "displacements": (0.0, -0.05)}
+        assert rig.step(1.0).state == "running"
 
-    def time_to_fault(self, seconds: int, command: float) -> float:
-        """Return after how long there is a fault (s); infinite if none comes."""
-        rig = self.rig
-        for second in range(seconds):
-            cistern, roof = rig.plant.levels()
-            levels = np.array([cistern + rig.cistern_offset, roof]) + self._errors[second]
-            if self.spikes is not None and second % self.spikes[1] == 0:
-                levels[self.spikes[0]] += 0.1
-            good = [
-                float(level) if rule.came(rig.now, float(level)).good else None
-                for rule, level in zip(self._rules, levels, strict=True)
-            ]
-            rig.change = {
-                "cistern_level": good[0], "roof_level": good[1],
-                "displacements": tuple(each.displacement for each in self._levels),
-            }
-            if rig.step(command).state == "fault":
-                return second
-        return math.inf
+
+def test_a_drift_that_is_over_is_no_fault_later() -> None:
+    """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
+    rig = Rig(x2=0.2, noise=0.002)
+    rig.run(100, 1.0)
+    for second in range(45):
+        rig.cistern_offset = 0.05 * second / 60
+        assert rig.step(1.0).state == "running"
+    rig.change = {"displacements": (-rig.cistern_offset, 0.0)}
+    rig.cistern_offset = 0.0
+    assert time_to_fault(rig, 600, 1.0) == math.inf
 
 
 @pytest.mark.parametrize(
-    ("noise", "tolerance", "offsets"),
+    ("broken", "command", "within"),
     [
-        # Ten standard deviations are tolerance enough for hours of noise.
-        pytest.param(0.002, 0.02, [0.0] * 3, id="hours"),
-        pytest.param(NOISE, 0.05, [0.0] * 3, id="hours"),
-        # Set again by 5 cm of the cistern, 1.25 m3, down and, an hour later, up again.
-        (0.0, 0.02, [-0.05, 0.0]), (0.002, 0.02, [-0.05, 0.0]),
+        # Of 30 s the pump runs for ten, and the 160 s of a burst pipe become 480.
+        ({"arriving": 0.0}, 1.0, 520), ({"arriving": 0.0, "leaving": 0.0}, 1.0, 520),
+        # It falls faster than pump and outlet can, so that it jumps again and again.
+        ({"leak": 0.02}, 0.0, 120),
     ],
 )
-def test_what_is_no_jump_of_water_is_no_leak(
-    noise: float, tolerance: float, offsets: list[float]
+def test_levels_that_are_unknown_now_and_then_hide_no_fault(
+    broken: dict[str, float], command: float, within: int
 ) -> None:
-    """Each offset of the cistern's sensor for an hour."""
-    site = Ruled(noise, tolerance=tolerance, x2=0.5)
-    for site.rig.cistern_offset in offsets:
-        assert site.time_to_fault(3600, 0.01 if any(offsets) else 0.0) == math.inf
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.002])
-def test_a_drift_that_is_over_is_no_fault_later(noise: float) -> None:
-    """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
-    site = Ruled(noise, x2=0.2)
-    for seconds, offsets in ((100, [0.0]), (1, [0.05 * k / 60 for k in range(45)]), (600, [0.0])):
-        for site.rig.cistern_offset in offsets:
-            assert site.time_to_fault(seconds, 1.0) == math.inf
-    assert any("cistern" in one.why for one in site.rig.decisions)
-    assert any(one.state == "running" for one in site.rig.decisions[160:])
-
-
-@pytest.mark.parametrize("tank", [0, 1])
-@pytest.mark.parametrize(
-    ("noise", "every", "leaving"),
-    [(0.002, 30, 1.0), (0.002, 30, 0.0), (0.0, 30, 1.0), (0.002, 90, 0.0)],
-)
-def test_spikes_hide_no_fault(tank: int, noise: float, every: int, leaving: float) -> None:
-    """Each makes both levels unknown for the time of recovery, 10 s, and some more to start.
-
-    So of 30 s the pump runs for ten, and the 160 s of a burst pipe, or closed valve, become 480.
-    """
-    site = Ruled(noise, x2=0.5)
-    assert site.time_to_fault(600, 0.01) == math.inf
-    site.spikes = tank, every
-    site.rig.arriving, site.rig.leaving = 0.0, leaving
-    assert site.time_to_fault(3600, 1.0) <= 520
-    assert site.rig.ledger.record.day_volume < 2.0
-
-
-@pytest.mark.parametrize(("noise", "leak"), [(0.003, 0.02), (0.0, 0.025), (0.003, 0.05)])
-def test_a_large_leak_latches(noise: float, leak: float) -> None:
-    """It lowers the level faster than pump and outlet can, so that it jumps again and again."""
-    site = Ruled(noise, x2=0.5)
-    assert site.time_to_fault(200, 0.0) == math.inf
-    site.rig.leak = leak
-    assert site.time_to_fault(600, 0.0) <= 120
-    assert "perhaps a leak, or somebody else takes water" in site.rig.decisions[-1].why
+    """A spike each half minute makes both unknown for the 10 s of recovery."""
+    rig = Rig(x2=0.5, noise=0.002)
+    rig.run(600, 0.01)
+    for name, value in broken.items():
+        setattr(rig, name, value)
+    for second in range(within):
+        unknown = second % 30 < 11
+        rig.change = dict.fromkeys(("cistern_level", "roof_level")) if unknown else {}
+        if rig.step(command).state == "fault":
+            break
+    assert rig.decisions[-1].state == "fault"
+    assert rig.ledger.record.day_volume < 2.0
 
 
 def test_a_meter_that_says_nothing_hides_no_volume() -> None:
@@ -416,25 +354,22 @@ def test_a_meter_that_says_nothing_hides_no_volume() -> None:
 
 
 @pytest.mark.parametrize(
-    ("site", "x2", "noise", "command", "drift", "dry_for"),
+    ("site", "x2", "command", "drift", "dry_for"),
     [
-        *((PAPER_SITE, 0.5, 0.0002, command, 0.0, 0) for command in (1.0, 0.2, 0.02)),
-        *((PAPER_SITE, 0.5, NOISE, command, 0.0, 0) for command in (1.0, 0.2)),
+        *((PAPER_SITE, 0.5, command, 0.0, 0) for command in (1.0, 0.02)),
         # Mains that are shut at what it reads, and a soil that keeps more than at its target.
-        (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 0.0002, 1.0, 0.0, 0),
-        (MEASURED, 0.2, 0.0002, 1.0, 0.0, 0),
-        (MEASURED, 1.5, 0.0002, 1.0, 0.0, 0),
+        (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 1.0, 0.0, 0),
+        (MEASURED, 0.2, 1.0, 0.0, 0),
         # At full flow the pump is dry for a minute. Half of that flow would take more than the
         # drift adds; so the roof has to show it.
-        *((PAPER_SITE, 0.5, 0.0002, command, 0.010, dry)
-          for command, dry in ((1.0, 60), (0.2, 0), (0.02, 0))),
+        (PAPER_SITE, 0.5, 1.0, 0.010, 60), (PAPER_SITE, 0.5, 0.2, 0.010, 0),
     ],
 )
 def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_runs_dry(
-    site: Site, x2: float, noise: float, command: float, drift: float, dry_for: int
+    site: Site, x2: float, command: float, drift: float, dry_for: int
 ) -> None:
     """60 mm above the suction level: stuck but for its noise, or off by more each minute (m)."""
-    rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=noise, site=site)
+    rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=0.0002, site=site)
     stuck_at, dry = rig.plant.x1, 0
     for second in range(3600):
         fell = (stuck_at - rig.plant.x1) / site.a1
@@ -447,19 +382,6 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
     assert rig.decisions[-1].state == "fault"
     assert drift or "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
     assert dry <= dry_for
-
-
-def test_rain_that_has_drained_off_the_roof_is_no_alarm() -> None:
-    """20 mm/h for an hour on 50 m2 of catchment, while little is pumped; then the roof drains."""
-    rig = Rig(x1=30.0, x2=1.4, site=site_with(a_in=50.0))
-    for second in range(4 * 3600):
-        decision = rig.step(
-            0.05 if second < 4500 else 0.0, 20 / 3.6e6 if 900 <= second < 4500 else 0.0
-        )
-        assert decision.state != "fault", f"{second} s: {decision.why}"
-        drained = 13.3 / 3.6e6 * rig.site.a2
-        if second >= 4500 and rig.plant.x2 - drained > 0.02 * rig.site.a2:
-            rig.plant.x2 -= drained
 
 
 def test_a_soil_that_drains_is_no_burst_pipe() -> None:
@@ -477,8 +399,8 @@ def test_a_soil_that_drains_is_no_burst_pipe() -> None:
 
 
 def test_the_first_readings_are_no_alarm() -> None:
-    """They may be two standard deviations off; a hundred starts of the check."""
-    errors = NOISE * np.random.default_rng(3).standard_normal((100, 180, 2))
+    """They may be two standard deviations off; thirty starts of the check."""
+    errors = NOISE * np.random.default_rng(3).standard_normal((30, 120, 2))
     for one in errors:
         check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
         assert not any(

@@ -62,13 +62,10 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
     "silent beyond its greatest age": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (8.0, "", ""), (8.1, "", "silent"),
     ],
-    "one bad value between two looks": [
+    "one bad value, then a silence that nobody looked at": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.1, "nan", "refused"),
         (3.2, "a value", "recovering"), (6.1, "a value", "recovering"), (6.3, "a value", ""),
-    ],
-    "a silence that nobody looked at": [
-        (0.0, "a value", "recovering"), (4.0, "a value", ""), (9.1, "a value", "recovering"),
-        (12.0, "a value", "recovering"), (12.2, "a value", ""),
+        (11.4, "a value", "recovering"), (14.3, "a value", "recovering"), (14.5, "a value", ""),
     ],
     "two publishers, whatever they say": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.5, "2 publishers", "publishers"),
@@ -151,8 +148,6 @@ def test_jump() -> None:
 def test_what_jumps_have_moved_the_readings_by() -> None:
     """A spike that comes back has moved nothing; what stays has, however it came there."""
     for values, moved in (
-        ({0.0: 1.5, 1.0: 2.0}, 0.5),
-        ({0.0: 1.5, 1.0: 2.0, 2.0: 1.5}, 0.0),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 1.495}, 0.0),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 1.4}, -0.1),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 2.5}, 1.0),
@@ -247,36 +242,14 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
         PAPER_SITE, a_in=50.0, runoff_coefficient=0.8,
         low_outlet_level=1.0, low_outlet_radius=0.025,
     )
-    rises = {
-        (flow, rain, level): expected_rise(site, flow, rain, level, 0.03)[0]
-        for flow in (0.0, 0.005) for rain in (0.0, 1e-4, 4e-4) for level in (1.0, 2.0)
-    }
-    assert rises[0.0, 4e-4, 1.0] == pytest.approx(0.016 / 25, rel=1e-12)
-    assert rises[0.0, 4e-4, 2.0] == pytest.approx((0.016 - 1.5 * 0.00530529) / 25, rel=1e-5)
-    assert rises[0.0, 1e-4, 2.0] == rises[0.0, 0.0, 2.0] == 0.0
-    assert rises[0.005, 0.0, 1.0] == rises[0.005, 0.0, 2.0] == pytest.approx(-0.2e-3, rel=1e-12)
+    taken = 0.61 * math.pi * 0.025**2 * math.sqrt(2 * 9.81)
+    for flow, rain, level, rise in (
+        (0.0, 4e-4, 1.0, 0.016 / 25), (0.0, 4e-4, 2.0, (0.016 - 1.5 * taken) / 25),
+        (0.0, 1e-4, 2.0, 0.0), (0.005, 0.0, 2.0, -0.2e-3),
+    ):
+        found = expected_rise(site, flow, rain, level, 0.03)[0]
+        assert found == pytest.approx(rise, rel=1e-12), (flow, rain, level)
     without = cistern_reach(PAPER_SITE).fall(2.0)
-    assert cistern_reach(site).fall(2.0) - without == pytest.approx(
-        1.5 * 0.00530529 / 25, rel=1e-5
-    )
+    assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * taken / 25, rel=1e-9)
     # A cloudburst runs off to the last drop: 500 mm/h on 50 m2.
     assert cistern_reach(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)
-
-
-@given(
-    cistern=st.floats(0.0, 2.99), roof=st.floats(0.0, 0.49), rain=st.floats(0.0, 1e-4),
-    share=st.floats(0.0, 1.0),
-)
-def test_what_is_expected_is_no_jump(
-    cistern: float, roof: float, rain: float, share: float
-) -> None:
-    """The rules agree: a level that does what is expected of it is not refused as too fast."""
-    site = PAPER_SITE
-    flow = share * 0.008422
-    rises = expected_rise(site, flow, rain, cistern, roof)
-    for level, rise, reach in (
-        (cistern, rises[0], cistern_reach(site)), (roof, rises[1], roof_reach(site)),
-    ):
-        rules = InputRules(0.0, 1e9, 0.0, level=LevelRule(reach, 1e9, 1e-9))
-        assert rules.came(0.0, level).good
-        assert rules.came(10.0, level + 10 * rise).good

@@ -6,12 +6,9 @@ import math
 import time
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
-from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -72,15 +69,13 @@ def test_commands_that_are_no_shares() -> None:
     Above 1 they are taken as 1, and it is said; the speed is never above the rated one.
     """
     rig = Rig(x2=0.0)
-    for command, why in (
-        (None, "there is no command"),
-        (math.nan, "the command nan is refused: it must be a number from 0 to 1"),
-        (math.inf, "the command inf is refused: it must be a number from 0 to 1"),
-        (-1e-9, "the command -1e-09 is refused: it must be a number from 0 to 1"),
-    ):
+    for command in (math.nan, math.inf, -1e-9):
         assert rig.run(20, 1.0).state == "running"
         decision = rig.step(command)
-        assert (decision.speed, decision.state, decision.why) == (None, "stopping", why)
+        assert (decision.speed, decision.state) == (None, "stopping")
+        assert decision.why == (
+            f"the command {command:g} is refused: it must be a number from 0 to 1"
+        )
         assert rig.run(10, command).state == "off"
     decision, before = rig.run(30, 1e300), rig.delivered
     assert (decision.warning, decision.speed) == (
@@ -139,31 +134,24 @@ def test_what_is_not_known_is_said_so() -> None:
 
 
 def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
-    """What still is latches again; that the first fault stays, test_interlocks.py shows."""
     rig = Rig()
     rig.run(15, 0.5)
-    assert rig.control.reset() == ""
+    rig.control.stop(True)
+    assert rig.step(0.5).why.startswith("an operator stopped it; the pump still turns, at 0.6")
+    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection"}}
+    decision = rig.step(0.5)
+    assert (decision.state, decision.stands) == ("held", False)
+    assert decision.why == (
+        "an operator stopped it; no connection; whether the pump stands is not known"
+    )
+    rig.change = {}
+    assert rig.run(60, 0.5).why == "an operator stopped it"
+    rig.control.stop(False)
+    assert rig.run(15, 0.5).state == "running"
     rig.change = {"drive_fault": "overload"}
     decision = rig.step(0.5)
     assert (decision.speed, decision.state) == (None, "fault")
     assert decision.why.startswith("the drive reports: overload; the pump still turns, at 0.6")
-    assert rig.control.reset() == "the drive reports: overload"
-    assert rig.step(0.5).state == "fault"
-    rig.change = {}
-    rig.control.reset()
-    assert rig.run(15, 0.5).state == "running"
-    rig.control.stop(True)
-    assert rig.step(0.5).why.startswith("an operator stopped it; the pump still turns, at 0.6")
-    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection to the drive"}}
-    decision = rig.step(0.5)
-    assert (decision.state, decision.stands) == ("held", False)
-    assert decision.why == (
-        "an operator stopped it; no connection to the drive; whether the pump stands is not known"
-    )
-    rig.change = {}
-    assert rig.run(600, 0.5).why == "an operator stopped it"
-    rig.control.stop(False)
-    assert rig.step(0.5).speed is not None
 
 
 @pytest.mark.parametrize(
@@ -192,14 +180,6 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
-@pytest.mark.parametrize(("speed", "stands"), [(0.015, True), (0.02, True), (0.021, False)])
-def test_the_driver_and_the_control_agree_on_what_stands(speed: float, stands: bool) -> None:
-    status = DriveStatus(True, False, "", "", speed, None, remote=True)
-    rig = Rig()
-    rig.change = {"speed": speed}
-    assert (status.stands, rig.step(0.0).stands) == (stands, stands)
-
-
 LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
 
 
@@ -208,7 +188,7 @@ LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
     [
         # Up to full speed, down, and up again before it stands, whatever the ticks are.
         *((ramp, tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
-          for ramp, tau in ((10.0, 1.0), (18.0, 5.0), (30.0, 1.0), (30.0, 10.0))),
+          for ramp, tau in ((10.0, 1.0), (30.0, 10.0))),
         # The least time off of 10 s, then 8 s in which the drive makes itself ready.
         (30.0, 1.0, [(18, 1.0, 0.0), (50, 1.0, None), (60, 0.0, None)]),
         # It has not heard that it is to stop until its own timeout comes 15 s later; then 30 s.
@@ -235,17 +215,16 @@ def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
     assert "s, which a ramp of 5 s (drive_ramp) does not explain" in rig.decisions[-1].why
 
 
-@pytest.mark.parametrize("every", [3, 16])
-def test_a_drive_that_does_not_stop_behind_a_bad_line(every: int) -> None:
-    """Its speed is unknown for a second of each so many; 15 s must be known, 3 s of its ramp."""
+def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
+    """Its speed is unknown for a second of each three; 15 s must be known, 3 s of its ramp."""
     rig = Rig()
     rig.run(30, 0.8)
     rig.stuck_speed = 0.8
     for second in range(200):
-        rig.change = {} if second % every else dict(LOST)
+        rig.change = {} if second % 3 else dict(LOST)
         if rig.step(0.0).state == "fault":
             break
-    assert second <= 12 + 16 * every / (every - 1)
+    assert second <= 36
     assert rig.decisions[-1].why.startswith("the speed does not follow")
 
 
@@ -269,13 +248,11 @@ def test_a_drive_has_its_own_time() -> None:
     ("change", "flow", "source"),
     [
         ({"flow": 0.003, "drive_flow": 0.004}, 0.003, "flow meter"),
-        ({"flow": None, "drive_flow": 0.004}, 0.004, "the drive's own"),
         ({"flow": math.nan, "drive_flow": -1.0, "speed": 0.8}, 0.00609864,
          "computed from the speed"),
         ({"speed": None}, 0.0, "unknown, taken as 0"),
         ({"speed": 0.0, "flow": 0.003}, 0.003, "flow meter"),
         # A meter that gives litres.
-        ({"flow": 5.7, "speed": 0.8}, 0.00609864, "computed from the speed"),
         ({"flow": 5.7, "drive_flow": 0.004}, 0.004, "the drive's own"),
     ],
 )
@@ -316,7 +293,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
 
 
-@pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (28800.0, 15.0)])
+@pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (3600.0, 15.0)])
 def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted: float) -> None:
     """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, greatest_run=3600.0))
@@ -338,7 +315,7 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     assert rig.decisions[-1].why == "the command is 0"
     # One that stands is none that may have run.
     before = rig.ledger.record
-    rig.suspend(28800.0)
+    rig.suspend(3600.0)
     after = rig.ledger.record
     assert (after.day_run, after.day_volume) == (before.day_run, before.day_volume)
     assert rig.run(15, 0.5).state in ("starting", "running")
@@ -382,7 +359,7 @@ def test_what_is_not_heard_counts_at_worst() -> None:
 
 @pytest.mark.parametrize(
     ("controller", "drive_ramp"),
-    [("mpc", 0.2), ("lookahead --horizon 12", 1.0), ("onoff", 1.0)],
+    [("lookahead --horizon 12", 0.2), ("onoff", 1.0)],
 )
 def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
     """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
@@ -401,28 +378,3 @@ def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> N
     least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, run.x1)
     assert simulated > 0.04
     assert rig.delivered == pytest.approx(simulated, abs=max(0.01 * simulated, least_pulse))
-
-
-ANYTHING = st.none() | st.floats() | st.floats(0, 1)
-
-
-@settings(max_examples=200)
-@given(
-    seen=st.lists(
-        st.builds(
-            Observation, command=ANYTHING, cistern_level=ANYTHING | st.floats(0.7, 100),
-            roof_level=ANYTHING, frost=st.sampled_from([False, False, None, True]), speed=ANYTHING,
-            flow=ANYTHING, drive_flow=ANYTHING, drive_ready=st.booleans(),
-        ),
-        min_size=1, max_size=30,
-    ),
-    dt=st.sampled_from([0.0, 1e-3, 1.0, 60.0]),
-)
-def test_whatever_comes(seen: list[Observation], dt: float) -> None:
-    """Nothing raises; speeds are those of a drive and flows those of the pump."""
-    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
-    for one in seen:
-        decision = control.step(dt, one)
-        assert decision.speed is None or 0.3 <= decision.speed <= 1
-        # 100 m of water above the pump, at twice its speed.
-        assert 0 <= decision.flow <= 0.03
