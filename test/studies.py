@@ -9,11 +9,8 @@ import sys
 from collections.abc import Iterable
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.report.groups import Assumptions, Report
-from greenroof_ros.report.runs import find_runs
 from greenroof_ros.study.case_run import bound_case, run_case
 from greenroof_ros.study.grid import read_grid
 from greenroof_ros.study.store import Store
@@ -111,8 +108,3 @@ def record(directory: Path, years: Iterable[int]) -> None:
         ]
         text = "\n".join([f"{header}station pressure [kPa]", *lines, ""])
         (directory / f"{year}_5.csv").write_text(text)
-
-
-def report_of(*paths: Path, **assumptions: Any) -> Report:
-    """Read and judge what is under some paths."""
-    return Report(find_runs(list(paths), None), Assumptions(**assumptions))

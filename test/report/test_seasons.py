@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from inputs import figures_of, page_of, report_of, write_study
-from studies import grid, record, study
+from studies import record, run_here
 
 from greenroof_ros.model.site import edited
 from greenroof_ros.report.about import Row
@@ -147,7 +147,7 @@ def missed(own: Sequence[Deviations], other: Deviations) -> int:
     return sum(one is not None and one.mean.verdict != CONTAINS_1 for one in found)
 
 
-@pytest.mark.parametrize(("years", "seeds"), [(4, 1), (11, 1), (11, 3)])
+@pytest.mark.parametrize(("years", "seeds"), [(4, 1), (11, 3)])
 def test_luck_alone_leaves_1_out_once_in_twenty(years: int, seeds: int) -> None:
     """Of years that differ by luck, and of seeds within them: no more often, and no less.
 
@@ -306,7 +306,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
 # --- from the grid to the figures ----------------------------------------------------------------
 
 SEASONS_GRID = """
-site: {file: site.yaml, tau: 300.0}
+site: {file: site.yaml, tau: 600.0}
 weather:
   - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: {from: 2015, to: 2016}, hours: 192,
      evapotranspiration: fao56}
@@ -315,10 +315,10 @@ forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
 initial: low-low
 controllers:
   onoff: {forecast: perfect}
-  lookahead: {horizon: 48}
+  lookahead: {horizon: 24}
 """
 SIZES = """
-site: {file: site_catchment.yaml, tau: 300.0, a1: [2.0, 8.0]}
+site: {file: site_catchment.yaml, tau: 600.0, a1: [2.0, 8.0]}
 weather:
   - {file: "2015_*.csv", start: 2015-05-01T00:00, hours: 192, evapotranspiration: fao56}
   - {file: "2016_*.csv", start: 2016-05-01T00:00, hours: 192, evapotranspiration: fao56}
@@ -331,13 +331,10 @@ controllers: {onoff: }
 @pytest.mark.parametrize("text", [SEASONS_GRID, SIZES], ids=["seasons", "sizes"])
 def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
     """A week and a day of two years."""
-    record(tmp_path / "record", (2015, 2016))
-    done = study(
-        tmp_path, grid(tmp_path, text), "--weather", "record", "--no-trajectories",
-        "--output", "out",
-    )
-    assert done.returncode == 0, done.stderr
-    report = report_of(tmp_path / "out")
+    directory = tmp_path / "record"
+    record(directory, (2015, 2016))
+    run_here(directory, text)
+    report = report_of(directory / "out")
     cases = report.of(SEASONS)
     assert not report.single
     assert {tuple(year for year, _ in report.years(row)) for row in cases} == {(2015, 2016)}
@@ -353,9 +350,9 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         for row in (small, large):
             assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
         # Sites that differ in something else are not compared by their size.
-        site = tmp_path / "out" / "configuration" / small["site"]
+        site = directory / "out" / "configuration" / small["site"]
         site.write_text(edited(site, {"pump_efficiency": 0.7}))
-        assert report.sizing and not report_of(tmp_path / "out").sizing
+        assert report.sizing and not report_of(directory / "out").sizing
         return
     assert list(figures) == ["seasons", "season-comparisons"]
     assert all(row["ratio"] > 1 for row in cases)

@@ -52,7 +52,7 @@ WRONG = {
         edited("low-low", "site"),
         "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
     ),
-    "one-value": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
+    "one-value": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not"),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-of-two": (

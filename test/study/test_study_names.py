@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 from places import CONFIG, Once
-from studies import WEATHER, report_of, rows_of, run_here, store_of
+from studies import WEATHER, rows_of, run_here, store_of
 
 from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.groups import Assumptions, Report
 from greenroof_ros.report.page import render
+from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.study.__main__ import Names, show
 
@@ -101,9 +103,14 @@ def test_table_and_terminal(
         distinct(tuple(cells) for cells in lines)
 
 
+def judged(*paths: Path) -> Report:
+    """Read and judge runs."""
+    return Report(find_runs(list(paths), None), Assumptions())
+
+
 def test_tables_and_figures_of_the_report(varied: Path) -> None:
     """By the cells that are names, without a run's identity; titles, curves, marks and bars."""
-    report = report_of(varied / "out")
+    report = judged(varied / "out")
     tables = {table.name: table for table in make_tables(report)}
     assert len(tables) == 5
     for table in tables.values():
@@ -148,7 +155,7 @@ controllers: {onoff: }
         place = tmp_path / folder
         run_here(place, text.replace("roof: 0.5", f"roof: {roof}"))
         place.joinpath("out").rename(place.with_name(f"of-{folder}"))
-    both = report_of(tmp_path / "of-north", tmp_path / "of-south")
+    both = judged(tmp_path / "of-north", tmp_path / "of-south")
     windows = both.windows()
     distinct(map(both.heading, windows), 2)
     assert [window["site"] for window in windows] == [
@@ -163,6 +170,6 @@ controllers: {onoff: }
     assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
     # What is the same in both is compared.
     shutil.copytree(tmp_path / "of-north", tmp_path / "again")
-    again = report_of(tmp_path / "of-north", tmp_path / "again")
+    again = judged(tmp_path / "of-north", tmp_path / "again")
     assert len(again.windows()) == 1
     assert again.initials == ["low-low", "dry"]
