@@ -65,9 +65,6 @@ WRONG: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         ),
         ("std_msgs/msg/Float64", "not std_msgs/msg/Float32"),
     ),
-    "a-wrong-unit": (
-        bag(cistern_level=[2000.0] * 3), ("/cistern/level", "2000", "0 to 9 m", "outlet")
-    ),
     "not-a-number": (bag(roof_level=[0.03, float("nan"), 0.03]), ("/roof/level", "nan")),
     "study-without-results": (
         lambda at: (at / "in" / "runs" / "001").mkdir(parents=True),
@@ -114,14 +111,11 @@ def test_input(tmp_path: Path, name: str) -> None:
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_paths_and_sites(tmp_path: Path) -> None:
-    """A path twice; a site for a study, and one that is wrong."""
-    one = small_bag(tmp_path / "bag")
-    with pytest.raises(ConfigurationError, match="two runs are named bag"):
-        find_runs([one, one], None)
+def test_sites(tmp_path: Path) -> None:
+    """One that is wrong, and one for a study."""
     (tmp_path / "site.yaml").write_text("a1: -25\n")
     with pytest.raises(ConfigurationError, match=r"site.yaml.*a1"):
-        find_runs([one], tmp_path / "site.yaml")
+        find_runs([small_bag(tmp_path / "bag")], tmp_path / "site.yaml")
     study()(tmp_path)
     with pytest.raises(ConfigurationError, match=r"--site.*has its own sites"):
         find_runs([tmp_path / "in"], CONFIG / "site.yaml")

@@ -291,8 +291,8 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
         ({**base, "controller": name, **{f"parameter:{key}": text for key, text in given.items()}},
          few)
         for name, given in (
-            ("lookahead", {"horizon": "10", "forecast": "perfect"}),
             ("lookahead", {"horizon": "60", "forecast": "hourly"}),
+            ("lookahead", {"horizon": "9", "forecast": "perfect"}),
             ("anticipating_onoff", {"threshold": "0.5"}),
             ("anticipating_onoff", {"threshold": "inf"}),
             ("proportional", {}),
@@ -302,25 +302,11 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     report = report_of(write_study(tmp_path / "study", rows))
     assert report.controllers == ["lookahead", "anticipating_onoff", "proportional"]
     assert report.settings["lookahead"].labels == [
-        "horizon 10, forecast perfect", "horizon 60, forecast hourly"
+        "horizon 9, forecast perfect", "horizon 60, forecast hourly"
     ]
     assert report.settings["anticipating_onoff"].labels == ["0.5", "none"]
     assert report.settings["proportional"].labels == ["005", "006"]
     assert "trajectories-1-1" in figures_of(report)
-
-
-def test_a_studys_notes_name_the_hours(tmp_path: Path) -> None:
-    """Those that were filled; and what the table knows beyond them."""
-    named = "dew point: 2021-07-20T12:00-05:00 to 2021-07-21T03:00-05:00 (16 hours)"
-    row = {**simulate("mpc", "0.001", "low-low").row, "filled_hours": "16", "filled": named,
-           "fallbacks": "2", "suspicious": "79.2 mm",
-           "forecast_repeats_from": "2021-07-31T23:00-05:00"}
-    text = page_of(write_study(tmp_path / "study", [(row, None)]))
-    assert "Suspicious, and not changed: 79.2 mm." in text
-    assert "16 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled" in text
-    assert f"<details><summary>which</summary>{named}</details>" in text
-    assert "The controller&#39;s solver found no answer in 2 ticks." in text
-    assert "A forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed." in text
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
@@ -364,19 +350,6 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
     ]
     assert {one["method"] for one in figures_of(report)["weather-1"].data["evapotranspiration-1"]
             } == {"published", "fao56"}
-
-
-def test_sensor_and_pump_errors_are_named(tmp_path: Path) -> None:
-    """Runs with sensor or pump errors are not compared with those without, and are named."""
-    row = simulate("mpc", "0.001", "low-low").row
-    noisy = {"roof_noise": "0.0005", "roof_offset": "0.0", "noise_seed": "3"}
-    path = write_study(tmp_path / "study", [
-        (row, None), ({**row, **noisy, "minimum_on": "0.0"}, None),
-        ({**row, "noise_seed": "3", "minimum_on": "60.0"}, None),
-    ])
-    named = ["none", "roof noise 0.0005 m, seed 3", "minimum on 60 s"]
-    assert [window["sensor and pump errors"] for window in report_of(path).windows()] == named
-    assert "evapotranspiration published, roof noise 0.0005 m, seed 3" in page_of(path)
 
 
 # --- many seeds ----------------------------------------------------------------------------------

@@ -41,7 +41,6 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 from greenroof_ros.report.runs import find_runs
-from greenroof_ros.report.tables import make_tables
 
 TOTAL = "total_deviation_m3"
 
@@ -157,14 +156,6 @@ def site_bag(directory: Path, **changes: tuple[Sequence[int], Sequence[float]]) 
     })
 
 
-def test_pulses_between_the_levels_count(tmp_path: Path) -> None:
-    """20 s of 1 L/s lie between two levels; the deviation is an integral over time all the same."""
-    (row,) = report_of(site_bag(tmp_path / "bag")).single
-    assert row["pumped_m3"] == pytest.approx(0.02, rel=1e-9)
-    assert (row["pump_starts"], row["pump_hours"]) == (1, pytest.approx(20 / 3600))
-    assert row[TOTAL] == pytest.approx(3600 * 68.8 * (0.0457 - 0.03), rel=1e-9)
-
-
 def test_pumps_that_start_too_often(tmp_path: Path) -> None:
     """The paper's site allows 20 starts in an hour: the page warns of 21."""
     seconds = [minute * MINUTE for minute in range(60)]
@@ -252,27 +243,6 @@ def own_run(directory: Path, one: Simulated, **known: Any) -> Path:
     return directory
 
 
-def test_sites_of_run_directories(tmp_path: Path) -> None:
-    """Runs of equal sites are compared, whatever their directories; other sites are in titles."""
-    one = simulate("onoff", "0.5", "low-low", "0.01")
-    paths = [own_run(tmp_path / name, one) for name in "abc"]
-    report = report_of(*paths)
-    assert [row["site"] for row in report.single] == ["site.yaml"] * 3
-    assert len(report.windows()) == 1
-    assert "site" not in report.heading(report.windows()[0])
-    file = paths[1] / "configuration" / "site.yaml"
-    file.write_text(file.read_text().replace("a1: 25.0", "a1: 30.0"))
-    report = report_of(*paths)
-    assert [row["site"] for row in report.single] == [
-        "site.yaml (a)", "site.yaml (b)", "site.yaml (a)"
-    ]
-    headings = list(map(report.heading, report.windows()))
-    assert len(set(headings)) == len(headings) == 2
-    assert headings[1].startswith("site.yaml (b), ")
-    header = {table.name: table.header for table in make_tables(report)}
-    assert "site" in header["Results of each run"]
-
-
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     """As its summary has them: a sensor that errs makes the bag's roof another than the true one.
 
@@ -306,7 +276,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
 
 
 def test_a_run_directorys_notes(tmp_path: Path) -> None:
-    """As a study's: fallbacks, repeated forecasts, filled hours."""
+    """Fallbacks, repeated forecasts, filled hours: by name, and on the page."""
     path = own_run(
         tmp_path / "run", simulate("onoff", "0.5", "low-low", "0.01"), limited_steps=4,
         solver={"fallbacks": 3}, filled={"dew point": ["2021-07-20T13:00-05:00"]}, filled_hours=1,
@@ -323,18 +293,10 @@ def test_a_run_directorys_notes(tmp_path: Path) -> None:
         "1 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled in",
         "suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00",
     }
-    assert "dew point: 2021-07-20T13:00-05:00" in [note.listed for note in report.runs["run"].notes]
-
-
-def test_own_runs_may_be_beyond_a_sites(tmp_path: Path) -> None:
-    """On/off of fraction 5 pumps five times the full flow, from a cistern that holds 15 m."""
-    one = simulate("onoff", "0.5", "low-low", "0.01")
-    pumped = dataclasses.replace(
-        one.trajectory, command=np.full(len(one.trajectory.time), 5.0),
-        pump_flow=np.full(len(one.trajectory.time), 0.04), cistern=one.trajectory.cistern + 325,
-    )
-    path = own_run(tmp_path / "run", one._replace(trajectory=pumped))
-    assert report_of(path).single[0]["max_command"] == 5
+    text = page_of(path)
+    assert "Suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00." in text
+    listed = "dew point: 2021-07-20T13:00-05:00"
+    assert f"<details><summary>which</summary>{listed}</details>" in text
 
 
 FOREIGN = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -141,32 +140,6 @@ def test_intervals_of_another_library() -> None:
             assert low - 1e-5 <= end <= high + 1e-5
 
 
-def missed(own: Sequence[Deviations], other: Deviations) -> int:
-    """Return how many of these intervals leave 1 out."""
-    found = [compare(one, other) for one in own]
-    return sum(one is not None and one.mean.verdict != CONTAINS_1 for one in found)
-
-
-@pytest.mark.parametrize(("years", "seeds"), [(4, 1), (11, 3)])
-def test_luck_alone_leaves_1_out_once_in_twenty(years: int, seeds: int) -> None:
-    """Of years that differ by luck, and of seeds within them: no more often, and no less.
-
-    Seeds that were resampled once more within each year would count their variance twice: of three
-    seeds such intervals left 1 out in 1.2 %.
-    """
-    count, random = 500, np.random.default_rng(3)
-    lucky = [
-        deviations(*(
-            dict(enumerate(100 + random.normal(0, 10, years), 2015)) for _ in range(seeds)
-        ))
-        for _ in range(count)
-    ]
-    even = deviations(dict.fromkeys(range(2015, 2015 + years), 100.0))
-    # Of so many the binomial distribution has 99 % between these.
-    low, high = scipy.stats.binom.interval(0.99, count, 0.05)
-    assert low <= missed(lucky, even) <= high
-
-
 def test_a_year_has_one_value_the_mean_of_its_seeds() -> None:
     """Seeds whose mean is the same in every year leave nothing unsure, however far apart."""
     apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
@@ -232,17 +205,6 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
         "on/off fraction 0.1, level 1 perfect"
     }
     assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).over_onoff
-
-
-def test_settings_in_the_order_of_their_values(tmp_path: Path) -> None:
-    """Numbers, not texts: 12 before 48 before 120."""
-    runs = [
-        {**row, "parameter:fraction": value}
-        for value in (120.0, 12.0, 48.0) for row in rows("mpc", None, ONOFF)
-    ]
-    assert [row["setting"] for row in study_of(tmp_path / "study", *runs).of(SEASONS)] == [
-        "fraction 12", "fraction 48", "fraction 120"
-    ]
 
 
 def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
