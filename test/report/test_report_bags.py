@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ from inputs import (
     write_study,
 )
 from paper import paper_run
-from places import CONFIG
+from places import CHECKOUT, CONFIG
 from rosbags.rosbag2 import StoragePlugin
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -144,24 +143,15 @@ def loaded(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
     return load()
 
 
-def site_bag(directory: Path, **changes: tuple[Sequence[int], Sequence[float]]) -> Path:
-    """An hour of a real site: levels each minute, a flow of 1 L/s in seconds 70 to 89."""
-    seconds, minutes = range(3600), [minute * MINUTE for minute in range(60)]
-    flow = [0.001 * (70 <= second < 90) for second in seconds]
-    return write_bag(directory, {
-        "/roof/level": (minutes, [0.03] * 60), "/cistern/level": (minutes, [2.0] * 60),
-        "/pump/command": ([second * 10**9 for second in seconds], [0.1 * (q > 0) for q in flow]),
-        "/pump/flow": ([second * 10**9 for second in seconds], flow),
-        **{f"/{key.replace('_', '/')}": value for key, value in changes.items()},
-    })
-
-
 def test_pumps_that_start_too_often(tmp_path: Path) -> None:
     """The paper's site allows 20 starts in an hour: the page warns of 21."""
-    seconds = [minute * MINUTE for minute in range(60)]
+    minutes = [minute * MINUTE for minute in range(60)]
     for starts in (20, 21):
         flow = [0.001 * (minute % 2 and minute < 2 * starts) for minute in range(60)]
-        bag = site_bag(tmp_path / f"{starts}", pump_flow=(seconds, flow))
+        bag = write_bag(tmp_path / f"{starts}", {
+            "/roof/level": (minutes, [0.03] * 60), "/cistern/level": (minutes, [2.0] * 60),
+            "/pump/command": (minutes, [0.1] * 60), "/pump/flow": (minutes, flow),
+        })
         warned = "The pumps started more than 20 times in an hour" in page_of(bag)
         assert warned is (starts > 20)
 
@@ -194,19 +184,24 @@ def test_a_gap_is_not_filled_with_flow(tmp_path: Path) -> None:
 
 
 def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
-    """A NaN and a spike among 3600 values; a pump in L/s for 20 s of an hour.
+    """A NaN and a spike among 600 values; a pump in L/s for 20 s of ten minutes.
 
     Of frost a NaN says that it is unknown, as before there is a forecast at a live site.
     """
-    stamps = [second * 10**9 for second in range(3600)]
-    levels = [0.03] * 3600
+    stamps = [second * 10**9 for second in range(600)]
+    levels = [0.03] * 600
     levels[100], levels[200] = math.nan, 35.0
-    trajectory, notes = loaded(site_bag(tmp_path / "spike", roof_level=(stamps, levels)))
+    flow = [0.001 * (70 <= second < 90) for second in range(600)]
+    values = {
+        "/roof/level": (stamps, levels), "/cistern/level": (stamps[:1], [2.0]),
+        "/pump/command": (stamps[:1], [0.1]), "/pump/flow": (stamps, flow),
+    }
+    trajectory, notes = loaded(write_bag(tmp_path / "spike", values))
     assert set(trajectory.roof.tolist()) == {68.8 * 0.03}
-    assert any("2 of 3600 values of /roof/level are not finite" in note for note in notes)
-    flow = [1.0 * (70 <= second < 90) for second in range(3600)]
+    assert any("2 of 600 values of /roof/level are not finite" in note for note in notes)
+    values |= {"/roof/level": (stamps[:1], [0.03]), "/pump/flow": (stamps, [1e3 * q for q in flow])}
     with pytest.raises(ConfigurationError, match=r"/pump/flow: .*is a unit wrong"):
-        loaded(site_bag(tmp_path / "litres", pump_flow=(stamps, flow)))
+        loaded(write_bag(tmp_path / "litres", values))
     for known in (0, 2):
         frost = [math.nan] * (3 - known) + [0.0] * known
         bag = small_bag(tmp_path / f"frost-{known}", weather_frost=frost)
@@ -248,11 +243,11 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
 
     No bound belongs to it, since its first reading is not what was on the roof.
     """
-    one = simulate("onoff", "2", "low-low")
+    one = simulate("onoff", "2", "low-low", "0.05")
     path = own_run(tmp_path / "run", one)
     (row,) = report_of(path).single
     assert row["bound_m3"] == pytest.approx(
-        clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.2")).bound_m3, rel=1e-9
+        clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.05")).bound_m3, rel=1e-9
     )
     assert row["ratio"] == pytest.approx(one.row[TOTAL] / row["bound_m3"], rel=1e-9)
     results = {name: one.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
@@ -377,41 +372,24 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     assert found["roof_residual_m3"] == pytest.approx(0, abs=1e-12)
 
 
-# A pump that gives 1 L/s, and in every tenth tick, the first among them, what cannot be.
-BAD_DRIVER = """
-import math, rclpy
-from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Float64
-
-BAD, ticks = [math.nan, 5.0, -0.001, math.inf], 0
-
-def on_command(message):
-    global ticks
-    publisher.publish(Float64(data=0.001 if ticks % 10 else BAD[ticks // 10 % 4]))
-    ticks += 1
-
-def on_liveliness(event):
-    if event.alive_count == 0:
-        raise SystemExit
-
+# The example's pump, but it gives 1 L/s, and in every tenth tick, the first too, what cannot be.
+DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text()
+BAD_FLOWS = """
+import itertools
+BAD = [math.nan, 5.0, -0.001, math.inf]
+flows = (0.001 if tick % 10 else BAD[tick // 10 % 4] for tick in itertools.count())
 rclpy.init()
-node = rclpy.create_node("pump")
-qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-qos.liveliness_lease_duration = Duration(seconds=1)
-publisher = node.create_publisher(Float64, "pump/flow", qos)
-events = SubscriptionEventCallbacks(liveliness=on_liveliness)
-node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
-rclpy.spin(node)
 """
 
 
 def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
     """Summary and bag agree, and with the sum by hand: 9 of 10 ticks of 1 L/s, 12 starts."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    bad = DRIVER.replace("rclpy.init()\n", BAD_FLOWS)
+    bad = bad.replace(".publish(flow)", ".publish(Float64(data=next(flows)))")
+    assert bad.count("flows)") == 1
     driver = subprocess.Popen(
-        [sys.executable, "-c", BAD_DRIVER], cwd=tmp_path, env=environment(domain)
+        [sys.executable, "-c", bad], cwd=tmp_path, env=environment(domain)
     )
     try:
         summary = bring_up(

@@ -223,6 +223,7 @@ def test_engines_give_the_same_table(tmp_path: Path) -> None:
     rows = rows_of(loop / "results.csv")
     names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
     header = list(rows[0])
+    assert header.index("evapotranspiration") + 1 == header.index("forecast")
     first = header.index("forecast_delay") + 1
     assert header[first : header.index("controller")] == names
     assert [[float(row[name]) for name in names] for row in rows] == [
@@ -265,7 +266,7 @@ def test_forecasts(tmp_path: Path) -> None:
     # A skill of one's own: the package's, but that it rains too seldom.
     skill = (CONFIG / "forecasts" / "skill.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(skill.replace("wetness:", "wetness: -1.0 #"))
-    done = run_here(tmp_path, PLANNED + FORECASTS)
+    run_here(tmp_path, PLANNED + FORECASTS)
     rows = rows_of(tmp_path / "out" / "results.csv")
     columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
     assert [tuple(row[column] for column in columns) for row in rows] == [
@@ -274,16 +275,9 @@ def test_forecasts(tmp_path: Path) -> None:
         ("errors", "mine.yaml", "1", ""),
         ("archive.csv", "", "", ""),
     ]
-    header = list(rows[0])
-    assert header.index("evapotranspiration") + 1 == header.index("forecast")
-    assert header.index("forecast_delay") + 1 == header.index("controller")
     # Rain is coming by the file alone, so that less is pumped.
     pumped = [float(row["pumped_m3"]) for row in rows]
     assert pumped[3] < min(pumped[:3])
-    for name in ("archive.csv", "mine.yaml"):
-        kept = tmp_path / "out" / "configuration" / name
-        assert kept.read_bytes() == (tmp_path / name).read_bytes()
-
     own = PLANNED.replace("hours: 0.2", "hours: 0.2, forecast: persistence") + FORECASTS
     assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
         "persistence"
@@ -294,7 +288,6 @@ def test_forecasts(tmp_path: Path) -> None:
         (tmp_path / file).write_text((tmp_path / file).read_text().replace(old, new))
         after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
         assert [place for place in range(4) if before[place] != after[place]] == [number]
-    assert len({case.identity for case in done.cases}) == 4
 
 
 class DaskCluster:

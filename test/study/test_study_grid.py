@@ -126,7 +126,6 @@ def test_a_wrong_grid_ends_before_anything_runs(tmp_path: Path) -> None:
     ("options", "expected"),
     [
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
-        (["--weather", "absent"], "--weather = 'absent': must be a directory with weather files"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be written"),
     ],
 )
