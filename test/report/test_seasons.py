@@ -277,7 +277,7 @@ forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
 initial: low-low
 controllers:
   onoff: {forecast: perfect}
-  lookahead: {horizon: 24}
+  mpc: {weight: 0.01}
 """
 SIZES = """
 site: {file: site_catchment.yaml, tau: 600.0, a1: [2.0, 8.0]}
