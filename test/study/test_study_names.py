@@ -17,7 +17,8 @@ from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.study.__main__ import Names, show
 
-# What a window varies, and settings: files of one name in two folders, numbers that differ in late digits.
+# Windows, forecasts, errors and settings: files of one name in two folders, and numbers that differ
+# in late digits.
 VARIED = """
 site: [north/site.yaml, south/site.yaml]
 weather:
