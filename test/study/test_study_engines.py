@@ -104,25 +104,6 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
 
 
-def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C: nothing is left behind, what is finished is in the table, the rest can follow."""
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    grid(tmp_path, lasting("1").replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]"))
-    process = begun(tmp_path, TMPDIR=str(scratch))
-    wait_for(lambda: len(stored(tmp_path)) >= 3, 120, "three runs")
-    group = list(children(process.pid))
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "Traceback" not in errors
-    assert ended(group, 60)
-    assert not list(scratch.iterdir())
-    status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
-    assert status.count("done") >= 1  # what each of two workers has just stored may be missing
-    assert status.count("done") + status.count("not run") == 8
-
-
 def test_interrupted_while_workers_start(tmp_path: Path) -> None:
     """Ctrl-C while the fork server imports: it says nothing of where it was."""
     grid(tmp_path)
@@ -147,10 +128,14 @@ def fork_server(process: int) -> int:
 
 
 @pytest.mark.parametrize(
-    ("engine", "number"), [("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)]
+    ("engine", "number"),
+    [("inprocess", signal.SIGINT), ("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)],
 )
-def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> None:
-    """A signal to the study's process only: all others end with it, long before their runs do."""
+def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
+    """Ctrl-C, or a signal to the study's process only: all others end with it, before their runs.
+
+    Nothing is left behind, and the table says what was not run.
+    """
     # Not in tmp_path: the path of the fork server's socket may have 107 characters.
     scratch = Path(tempfile.mkdtemp())
     # A month takes minutes.
@@ -165,11 +150,14 @@ def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> Non
 
     wait_for(under_way, 120, "two busy processes")
     there = list(children(process.pid))
-    process.send_signal(number)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert ended(there, 60)
     assert "Traceback" not in errors
-    if number == signal.SIGTERM:
+    if number != signal.SIGKILL:
         assert process.returncode == 130
         assert "resource_tracker" not in errors
         assert {file.suffix for file in scratch.iterdir()} <= {".lock"}
