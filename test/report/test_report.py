@@ -438,30 +438,61 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
 # --- the command ---------------------------------------------------------------------------------
 
 
-def test_study(tmp_path: Path) -> None:
-    """A page, each figure twice, the runs that failed with their errors, and where the page is."""
+def failed_study(directory: Path) -> Path:
+    """Write a study of a run that is done and two that are not; return where its report goes."""
     one = simulate("onoff", "2", "low-low")
     failed = {**one.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
     not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    write_study(
-        tmp_path / "study",
-        [(one.row, one.trajectory.thinned(60)), (failed, None), (not_run, None)],
-    )
-    done = command("study", "--output", "report", cwd=tmp_path)
+    done = (one.row, one.trajectory.thinned(60))
+    write_study(directory / "study", [done, (failed, None), (not_run, None)])
+    return directory / "study" / "report"
+
+
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    """Neither a report, unless with --force, nor what is no report's."""
+    report = failed_study(tmp_path)
+    (report / "figures").mkdir(parents=True)
+    (report / "report.html").write_text("before")
+    done = command("study", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--force replaces it" in done.stderr
+    for name, named in (("notes.txt", "notes.txt"), ("figures/more/energy-1.svg", "figures/more")):
+        (report / name).parent.mkdir(exist_ok=True)
+        (report / name).write_text("mine")
+        done = command("study", "--force", cwd=tmp_path)
+        assert done.returncode == 2, name
+        assert named in done.stderr and "no report's" in done.stderr
+        assert (report / name).read_text() == "mine"
+        (report / name).unlink()
+    assert (report / "report.html").read_text() == "before"
+
+
+def test_study(tmp_path: Path) -> None:
+    """A page, each figure twice, the runs that failed with their errors, and where the page is.
+
+    With --force a report of before is gone.
+    """
+    report = failed_study(tmp_path)
+    (report / "figures").mkdir(parents=True)
+    (report / "figures" / "energy-7.svg").write_text("before")
+    (report / "report.html").write_text("before")
+    done = command("study", "--force", "--water-price", "5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    page = tmp_path / "report" / "report.html"
-    assert str(page) in done.stdout
+    assert str(report / "report.html") in done.stdout
     assert "fraction 2" in done.stdout
-    text = page.read_text()
+    text = (report / "report.html").read_text()
+    assert "5 CAD/m³" in text
     assert "solver: &lt;gave up&gt;" in text
     assert "2 runs failed" in text
     assert "<td>not run</td>" in text
     assert "over the least" not in text
-    names = {path.stem for path in (tmp_path / "report" / "figures").iterdir()}
-    assert {"pump-curve-1", "weather-1", "trajectories-1-1"} <= names
+    names = {path.stem for path in (report / "figures").iterdir()}
+    assert names == {
+        "weather-1", "trajectories-1-1", "water-balance-1", "pump-curve-1", "pump-smoothing-1"
+    }
     for name in names:
-        svg = (tmp_path / "report" / "figures" / f"{name}.svg").read_text()
-        png = (tmp_path / "report" / "figures" / f"{name}.png").read_bytes()
+        svg = (report / "figures" / f"{name}.svg").read_text()
+        png = (report / "figures" / f"{name}.png").read_bytes()
         assert svg.startswith("<svg") and "<text" in svg
         assert png.startswith(b"\x89PNG")
         width, height = struct.unpack(">II", png[16:24])
@@ -491,34 +522,3 @@ def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Pa
         assert places == sorted(places)
         warnings = text.find('<section id="warnings">')
         assert warnings == -1 or places[1] < warnings < places[2]
-
-
-def test_force_replaces_a_report_and_nothing_else(tmp_path: Path) -> None:
-    """Refused with how; then page and figures are new, and those of before gone."""
-    rows = seeded_rows(simulate("onoff", "0.5", "low-low").row)[:50]  # three figures
-    write_study(tmp_path / "run", [(row, None) for row in rows])
-    report = tmp_path / "run" / "report"
-    (report / "figures").mkdir(parents=True)
-    before = [report / "report.html", report / "figures" / "weather-7.svg"]
-    for file in before:
-        file.write_text("before")
-    done = command("run", "--water-price", "5", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "--force replaces it" in done.stderr
-    (report / "figures" / "more").mkdir()
-    for name, named in (("notes.txt", "notes.txt"), ("figures/more/energy-1.svg", "figures/more")):
-        (report / name).write_text("mine")
-        done = command("run", "--force", cwd=tmp_path)
-        assert done.returncode == 2, name
-        assert named in done.stderr and "no report's" in done.stderr
-        assert (report / name).read_text() == "mine"
-        (report / name).unlink()
-    (report / "figures" / "more").rmdir()
-    assert {file.read_text() for file in before} == {"before"}
-    done = command("run", "--water-price", "5", "--force", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "5 CAD/m³" in (report / "report.html").read_text()
-    assert {file.name for file in (report / "figures").iterdir()} == {
-        f"{name}.{kind}" for name in ("forecast-errors", "pump-curve-1", "pump-smoothing-1")
-        for kind in ("svg", "png")
-    }

@@ -39,6 +39,7 @@ from rosbags.rosbag2 import StoragePlugin
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
+from greenroof_ros.report.__main__ import _show
 from greenroof_ros.report.runs import find_runs
 
 TOTAL = "total_deviation_m3"
@@ -565,27 +566,28 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
     ]]
 
 
-def test_what_the_terminal_says_of_how_runs_ended(tmp_path: Path) -> None:
+def test_what_the_terminal_says_of_how_runs_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One that left nothing is refused with why it failed; beside others it is in the list."""
-    left_nothing = ended_run(tmp_path / "nothing", "failed", reason="no start within 30 s")
-    shutil.rmtree(left_nothing / "bag")
+    nothing = ended_run(tmp_path / "nothing", "failed", reason="no start within 30 s")
+    shutil.rmtree(nothing / "bag")
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
     shutil.rmtree(silent / "bag")
     small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
-    ended_run(tmp_path / "lossy", incidents=[LOSS, STILL_LOST])
-    known, sentence, _ = ENDINGS["failed"]
-    ended_run(tmp_path / "broken", "failed", **known)
     done = command("nothing", cwd=tmp_path)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "nothing failed: no start within 30 s; no bag" in done.stderr
     with pytest.raises(ConfigurationError, match="silent was interrupted at tick 0 of 720"):
         report_of(silent)
-    done = command("lossy", "broken", "nothing", "silent", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = " ".join(done.stdout.split())
+    lossy = ended_run(tmp_path / "lossy", incidents=[LOSS, STILL_LOST])
+    known, sentence, _ = ENDINGS["failed"]
+    broken = ended_run(tmp_path / "broken", "failed", **known)
+    _show(report_of(lossy, broken, nothing, silent))
+    said = " ".join(capsys.readouterr().out.split())
     assert "lossy: done, with 2 incidents; the report lists them" in said
     assert f"broken {sentence}; what follows is of the part" in said
-    page = (tmp_path / "lossy" / "report" / "report.html").read_text()
+    page = page_of(lossy, broken, nothing, silent)
     assert "2 runs failed or did not run" in page
     assert '<th scope="row">nothing</th><td>mpc</td><td>failed: no start within 30 s' in page
 
