@@ -388,7 +388,7 @@ def test_seeds_belong_together(seeds: Path) -> None:
 
 
 def test_seeds_page(seeds: Path) -> None:
-    """The mean, that of the worst two and a half, and the worst; what the page leaves out."""
+    """Mean of 25 seeds, mean of the worst two and a half, worst; what the page leaves out."""
     text = page_of(seeds)
     table = text.partition("over their seeds</h3>")[2].partition("</table>")[0]
     assert table.count("<tr>") == 1 + 24
