@@ -1,8 +1,9 @@
-"""Studies for the tests: the command, and a small grid."""
+"""Studies for the tests: the command, the same in this process, and a small grid."""
 
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -10,6 +11,9 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.study.case_run import bound_case, run_case
+from greenroof_ros.study.grid import read_grid
+from greenroof_ros.study.store import Store
 
 CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"
@@ -29,12 +33,48 @@ controllers:
 """
 
 
-def study(directory: Path, *options: str, timeout: float = 600) -> subprocess.CompletedProcess[str]:
+def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run the command to its end."""
     return subprocess.run(
         [sys.executable, "-m", "greenroof_ros.study", *options],
-        cwd=directory, capture_output=True, text=True, timeout=timeout, check=False,
+        cwd=directory, capture_output=True, text=True, timeout=600, check=False,
     )
+
+
+def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[str]:
+    """Start the command on the grid in a directory, in a session of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out", *options],
+        cwd=directory, env={**os.environ, **variables}, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )
+
+
+def store_of(
+    directory: Path, *, engine: str = "inprocess", trajectory_every: float | None = 0.0
+) -> Store:
+    """Begin the study of the grid in a directory, or go on with it."""
+    file = directory / "grid.yaml"
+    return Store(
+        directory / "out", file, read_grid(file), engine, trajectory_every=trajectory_every
+    )
+
+
+def run_here(directory: Path, text: str) -> Store:
+    """Do all runs of a grid in this process."""
+    grid(directory, text)
+    store = store_of(directory)
+    for case in store.cases:
+        store.keep(case, run_case(case, store.engine, store.trajectory_every))
+        if case.bound_block != 0 and case.problem not in store.bounds:
+            store.keep_bound(case, bound_case(case))
+    store.write_tables()
+    return store
+
+
+def stored(directory: Path) -> list[Path]:
+    """Return the runs of a study that are finished."""
+    return [run for run in (directory / "out" / "runs").glob("*") if run.suffix != ".part"]
 
 
 def grid(directory: Path, text: str = GRID) -> str:

@@ -34,42 +34,14 @@ GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.
 SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
 
-# The rosdep keys of each requirement; none where rosdep has none, and package.xml says so.
+# The rosdep keys of requirements that are not named as their distribution.
 ROSDEP_KEYS = {
-    "numpy": ["python3-numpy"],
-    "scipy": ["python3-scipy"],
-    "osqp": [],
-    "mcap": [],
-    "eto": [],
     "pyyaml": ["python3-yaml"],
-    "ruamel.yaml": ["python3-ruamel.yaml"],
-    "rich": ["python3-rich"],
+    "pymodbus": ["python3-pymodbus-pip", "python3-serial"],
+    "rosbags": ["python3-rosbags-pip"],
 }
-# The same of the extras that a user installs, by extra.
-EXTRA_KEYS = {
-    "pump": {"pymodbus": ["python3-pymodbus-pip", "python3-serial"]},
-    "study": {
-        "pebble": [],
-        "polars": [],
-        "rosbags": ["python3-rosbags-pip"],
-        "altair": [],
-        "vl-convert-python": [],
-        "jinja2": ["python3-jinja2"],
-    },
-    "watch": {"aiohttp": ["python3-aiohttp"]},
-    "fetch": {"aiohttp": ["python3-aiohttp"]},
-    "completion": {"argcomplete": ["python3-argcomplete"]},
-    "netcdf": {"netcdf4": ["python3-netcdf4"]},
-    "dask": {"distributed": []},
-}
-# What a developer of this package installs beside them, or another ROS 2.
+# Extras for a developer of this package, or another ROS 2; the others are a user's.
 OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench", "mutation"}
-# Of these what `colcon test` needs.
-TEST_KEYS = {
-    "pytest": "python3-pytest",
-    "pytest-xdist": "python3-pytest-xdist",
-    "hypothesis": "python3-hypothesis",
-}
 
 
 def run(*command, cwd, env, timeout=1800):
@@ -220,13 +192,12 @@ def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):
     # Warnings may stand before the list.
     line = next(line for line in listing.splitlines() if line.startswith("["))
     names = {item["name"].lower().replace("_", "-") for item in json.loads(line)}
-    assert "greenroof-ros" in names
-    assert set(ROSDEP_KEYS) <= names
-    ros = {name for name in names if name.startswith(("ros-", "rcl", "rmw", "std-msgs"))}
-    assert ros == set()
+    assert {"greenroof-ros", "numpy", "osqp"} <= names
+    assert not [name for name in names if name.startswith(("ros-", "rcl", "rmw", "std-msgs"))]
 
 
 def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
+    """No node or command becomes a name on everybody's PATH, such as watch, which Linux has."""
     printed = run(
         pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
         cwd=tmp_path, env=pip_environment,
@@ -234,35 +205,30 @@ def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
     module, shared = map(Path, printed.split())
     assert_installed(module, pip_installed.resolve())
     assert shared == pip_installed.resolve() / "share" / "greenroof_ros"
-
-
-def test_pip_install_makes_one_console_script(pip_installed):
-    """No node or command becomes a name on everybody's PATH, such as watch, which Linux has."""
     commands = pip_installed / "bin"
     assert [name for name in SCRIPTS if os.access(commands / name, os.X_OK)] == [GREENROOF]
 
 
-def test_pip_install_simulates(pip_installed, pip_environment, tmp_path):
-    commands = pip_installed / "bin"
-    for command in (
-        [commands / GREENROOF, "simulate"], [commands / "python", "-m", "greenroof_ros.simulate"]
-    ):
-        assert run(*command, "--hours", "0.01", cwd=tmp_path, env=pip_environment).strip()
-
-
-def test_pip_install_runs_copies_of_its_grids(pip_installed, pip_environment, tmp_path):
+def test_pip_install_simulates_and_reads_copies_of_its_grids(
+    pip_installed, pip_environment, tmp_path
+):
     """Copied into an empty directory, they find the files that they name in the installed share."""
-    counts = {"paper.yaml": 3 * 10, "useless_forecasts.yaml": 3 * 3 * 8}
+    commands = pip_installed / "bin"
     share = pip_installed / "share" / "greenroof_ros"
-    for name in counts:
-        shutil.copy(share / "config" / "studies" / name, tmp_path)
-    printed = run(
-        pip_installed / "bin" / "python", "-c",
-        "import sys, pathlib, greenroof_ros.study.grid as grid\n"
-        "for name in sys.argv[1:]: print(name, len(grid.read_grid(pathlib.Path(name))))", *counts,
-        cwd=tmp_path, env=pip_environment,
+    shutil.copy(share / "config" / "studies" / "paper.yaml", tmp_path)
+    count = (
+        "import pathlib, greenroof_ros.study.grid as grid\n"
+        "print(len(grid.read_grid(pathlib.Path('paper.yaml'))))"
     )
-    assert printed.splitlines() == [f"{name} {count}" for name, count in counts.items()]
+    for command in (
+        [commands / GREENROOF, "simulate", "--hours", "0.01"],
+        [commands / "python", "-m", "greenroof_ros.simulate", "--hours", "0.01"],
+    ):
+        assert run(*command, cwd=tmp_path, env=pip_environment).strip()
+    printed = run(commands / "python", "-c", count, cwd=tmp_path, env=pip_environment)
+    assert printed.strip() == "30"
+
+
 # -------------------------------------------------------------------------------------- ros2
 
 # What each kind of line prints, among other things.
@@ -294,18 +260,13 @@ def ros2_checkout(package_index, tmp_path_factory):
     return checkout
 
 
-@pytest.mark.parametrize("page", ["doc/tutorials/first-run.md", "doc/reference/topics.md"])
-def test_ros2_lines_work_as_printed(page, ros2_checkout, domain):
+def test_ros2_lines_work_as_printed(ros2_checkout, domain):
     """Each line, in a terminal of its own in which only .venv was activated."""
     environment = bare_environment(ros2_checkout) | {"ROS_DOMAIN_ID": str(domain)}
-    lines = [
-        line for block in blocks(page) for line in block.splitlines()
-        if re.search(r"(^| )ros2 (topic|param|interface) ", line)
-    ]
+    pages = "\n".join(blocks("doc/tutorials/first-run.md") + blocks("doc/reference/topics.md"))
+    lines = re.findall(r"^(?:\S+ )?ros2 (?:topic|param|interface) .*$", pages, re.MULTILINE)
     assert lines
-    # The other page's reader has made the first run.
-    first_run = "\n".join(blocks("doc/tutorials/first-run.md"))
-    (export,) = re.findall(r"^export .*$", first_run, re.MULTILINE)
+    (export,) = re.findall(r"^export .*$", pages, re.MULTILINE)
 
     def start(line):
         script = f". .venv/bin/activate; {export}; {line}"
@@ -389,28 +350,22 @@ def sourced(workspace, tmp_path, command):
 
 
 def test_colcon_build_lays_everything(workspace, tmp_path):
-    printed = sourced(workspace, tmp_path, f"{sys.executable} -c '{PRINT_SHARED_DIRECTORY}'")
-    module, shared = map(Path, printed.split())
-    prefix = workspace.resolve() / "install" / "greenroof_ros"
-    assert_installed(module, prefix)
-    assert shared == prefix / "share" / "greenroof_ros"
+    printed = sourced(
+        workspace, tmp_path,
+        f"echo $AMENT_PREFIX_PATH && {sys.executable} -c '{PRINT_SHARED_DIRECTORY}'",
+    )
+    path, module, shared = map(Path, printed.split())
+    assert path == workspace / "install" / "greenroof_ros"
+    assert_installed(module, path.resolve())
+    assert shared == path.resolve() / "share" / "greenroof_ros"
 
 
-def test_colcon_build_puts_the_package_on_the_ament_path(workspace, tmp_path):
-    prefix = workspace / "install" / "greenroof_ros"
-    assert sourced(workspace, tmp_path, "echo $AMENT_PREFIX_PATH").split() == [str(prefix)]
-
-
-def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace):
+def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace, tmp_path):
     executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
     found = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
     assert sorted(found) == SCRIPTS
-
-
-@pytest.mark.parametrize("command", ["simulate", "greenroof simulate"])
-def test_colcon_built_executable_runs(command, workspace, tmp_path):
-    executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
-    assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
+    for command in ("simulate", "greenroof simulate"):
+        assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
 
 
 # -------------------------------------------------------------------------------- the files agree
@@ -476,42 +431,30 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
 
 
 def test_package_xml_names_every_requirement(manifest, setup_options):
-    """By its rosdep key; what has none is in the comment on what pip installs."""
+    """By its rosdep key, and nothing else; what has none is in the comment on what pip installs."""
     extras = setup_options["extras_require"]
-    assert extras.keys() == EXTRA_KEYS.keys() | OTHER_EXTRAS
-    requirements = {"": setup_options["install_requires"]} | {
-        extra: extras[extra] for extra in EXTRA_KEYS
-    }
-    keys = {"": ROSDEP_KEYS, **EXTRA_KEYS}
-    assert {extra: {distribution(text) for text in texts} for extra, texts in requirements.items()
-            } == {extra: set(named) for extra, named in keys.items()}
-    depends = {depend.name for depend in manifest.exec_depends}
-    (without,) = re.findall(
+    assert extras.keys() > OTHER_EXTRAS
+    named = [setup_options["install_requires"]]
+    named += [texts for extra, texts in extras.items() if extra not in OTHER_EXTRAS]
+    requirements = {distribution(text) for texts in named for text in texts}
+    (comment,) = re.findall(
         r"<!--\s*rosdep has no key.*?-->", (CHECKOUT / "package.xml").read_text(), re.DOTALL
     )
-    for named in keys.values():
-        for name, its_keys in named.items():
-            assert set(its_keys) <= depends, name
-            assert bool(its_keys) != bool(re.search(rf"\b{name}\b", without)), name
-
-
-def test_package_xml_names_what_the_tests_need(manifest, setup_options):
-    tests = {distribution(text) for text in setup_options["extras_require"]["test"]}
-    assert TEST_KEYS.keys() <= tests
-    assert {depend.name for depend in manifest.test_depends} == set(TEST_KEYS.values())
-
-
-def test_package_xml_and_ros_extra_name_the_same_ros_packages(manifest, setup_options):
-    named = (ROSDEP_KEYS, *EXTRA_KEYS.values())
-    keys = {key for extra in named for its_keys in extra.values() for key in its_keys}
-    depends = {depend.name for depend in manifest.exec_depends} - keys
-    extra = {
-        distribution(text).removeprefix("ros-jazzy-").replace("-", "_")
-        for text in setup_options["extras_require"]["ros"]
+    without = {name for name in requirements if re.search(rf"\b{name}\b", comment)}
+    assert without
+    ros = {
+        distribution(text).removeprefix("ros-jazzy-").replace("-", "_") for text in extras["ros"]
     }
-    assert extra == depends
+    keys = {
+        key for name in requirements - without
+        for key in ROSDEP_KEYS.get(name, [f"python3-{name}"])
+    }
+    assert {depend.name for depend in manifest.exec_depends} == keys | ros
     topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text(encoding="utf-8"))
-    assert {topic["type"].split("/")[0] for topic in topics["topics"].values()} <= depends
+    assert {topic["type"].split("/")[0] for topic in topics["topics"].values()} <= ros
+    tests = {f"python3-{distribution(text)}" for text in extras["test"]}
+    needed = {depend.name for depend in manifest.test_depends}
+    assert {"python3-pytest", "python3-hypothesis"} <= needed <= tests
 
 
 # For each target of the command line: whether it can be imported, and called. Nothing of this
@@ -529,24 +472,20 @@ for target in sys.argv[1:]:
 """
 
 
-@pytest.fixture(scope="module")
-def targets():
-    """Return the target of each executable of a workspace, and what came of an import of it."""
+def test_executables_can_be_called():
+    """The target of each executable of a workspace."""
     entries = options_of_setup("install")["entry_points"]["console_scripts"]
-    found = dict(entry.replace(" ", "").split("=") for entry in entries)
+    targets = dict(entry.replace(" ", "").split("=") for entry in entries)
+    assert sorted(targets) == SCRIPTS
     printed = run(
-        sys.executable, "-c", FIND_TARGETS, *found.values(), cwd=CHECKOUT, env=dict(os.environ)
+        sys.executable, "-c", FIND_TARGETS, *targets.values(), cwd=CHECKOUT, env=dict(os.environ)
     )
     said = dict(line.split(" ", 1) for line in printed.splitlines() if ":" in line)
-    return {name: said[target] for name, target in found.items()}
-
-
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_executable_can_be_called(name, targets):
-    assert sorted(targets) == SCRIPTS
-    if name in NODES and importlib.util.find_spec("rclpy") is None:
-        pytest.skip("nodes need a ROS 2: the extra [ros], or one that is sourced")
-    assert targets[name] == "True"
+    if importlib.util.find_spec("rclpy") is None:  # the extra [ros], or one that is sourced
+        targets = {name: target for name, target in targets.items() if name not in NODES}
+    assert {name: said[target] for name, target in targets.items()} == dict.fromkeys(
+        targets, "True"
+    )
 
 
 def test_the_service_is_one_that_systemd_takes() -> None:

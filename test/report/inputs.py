@@ -192,18 +192,21 @@ def small_bag(directory: Path, **changes: Any) -> Path:
     )
 
 
-def ended_run(directory: Path, status: str = "done", **known: Any) -> Path:
-    """Write what bringup leaves of 720 ticks of MPC; without metrics, if it is not done."""
-    one = simulate("mpc", "0.001", "low-low")
+def ended_run(
+    directory: Path, status: str = "done", one: Simulated | None = None, **known: Any
+) -> Path:
+    """Write what bringup leaves of 720 ticks of MPC, or of another run, without its metrics."""
+    one = one or simulate("mpc", "0.001", "low-low")
     ticks = known.get("last_tick") or 720
     columns = {name: getattr(one.trajectory, name)[: ticks + 1] for name in NAMES}
     write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
     (directory / "configuration").mkdir()
     shutil.copy(CONFIG / "site.yaml", directory / "configuration")
     (directory / "summary.json").write_text(json.dumps({
-        "status": status, "reason": None, "last_tick": None, "controller": "mpc",
+        "status": status, "reason": None, "last_tick": None, "controller": one.row["controller"],
         "parameters": {"weight": 0.001, "max_command": None}, "weather": "toronto_2021-07.csv",
-        "initial": {"name": "low-low", "cistern_m3": 57.69, "roof_m3": 2.42},
+        "initial": {"name": "low-low", "cistern_m3": one.row["cistern_m3"],
+                    "roof_m3": one.row["roof_m3"]},
         "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
         "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
         **known,

@@ -39,24 +39,6 @@ def found_in(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     return measured(Run(row={"run": "bag"}, site=site), Recorded(happened))
 
 
-def test_an_hour_of_constant_flow() -> None:
-    """0.002 m3/s for an hour from a cistern at 2 m: 7.2 m3.
-
-    L = (3.56 18.4 / 0.2 + 0.6) 0.002^2 / (2 9.81 (0.01 pi)^2) + 16 - 2
-      = 328.12 4e-6 / (19.62 9.8696044e-4) + 14 = 14.0677788 m;
-    the power is 1000 9.81 0.002 L = 276.00982 W, over an efficiency of 0.5 552.0196 Wh.
-    """
-    found = found_in(trajectory(
-        3601, cistern=50.0, roof=TARGET, command=0.25, pump_flow=np.full(3601, 0.002)
-    ))
-    assert (found["hours"], found["start"]) == (1, "2021-07-07 02:00-05:00")
-    assert found["pumped_m3"] == pytest.approx(7.2, rel=1e-12)
-    assert found["hydraulic_energy_kwh"] == pytest.approx(0.27600982, rel=1e-6)
-    assert found["electric_energy_kwh"] == pytest.approx(0.5520196, rel=1e-6)
-    assert (found["pump_starts"], found["max_command"], found["beyond_hours"]) == (1, 0.25, 0)
-    assert found["total_deviation_m3"] == pytest.approx(0, abs=1e-9)
-
-
 def test_samples_of_a_real_site() -> None:
     """Samples at 0, 10, 40 and 100 s, deviations of 1, 2, 3 and 4 m3, by hand."""
     found = found_in(replace(
@@ -86,27 +68,9 @@ def test_band_includes_its_edges_and_counts_time() -> None:
     assert near_hours(PAPER_SITE, run, 0.05) == pytest.approx(0.5 + 1 / 3600)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ("--initial", "low-low", "--controller", "mpc", "--weight", "1e-5"),
-        # An empty roof gives less than evaporates, until it rains.
-        ("--cistern", "10", "--roof", "0.001", "--controller", "onoff"),
-        # A drainage layer, computed from what percolates.
-        (
-            "--controller", "onoff", "--start", "2021-07-08T04:00",
-            "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-        ),
-    ],
-)
-def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
-    """The same bits from a run under way and from its trajectory."""
-    own_tally(options)
-
-
 def own_tally(options: tuple[str, ...]) -> dict[str, float]:
     """Check a run against its own tally, and return that."""
-    run = paper_run(*options, *(() if "--hours" in options else ("--hours", "3")))
+    run = paper_run(*options)
     metrics = Metrics()
     found = found_in(record(run, closed_loop(run, run.make_controller(), metrics)), run.site)
     results = metrics.results()
@@ -121,8 +85,13 @@ def own_tally(options: tuple[str, ...]) -> dict[str, float]:
     return results
 
 
-def test_own_tally_of_further_parts(tmp_path: Path) -> None:
-    """A layer that is not empty at first, a low outlet and a catchment, water from the mains."""
+def test_the_simulations_own_tally(tmp_path: Path) -> None:
+    """The same bits from a run under way and from its trajectory.
+
+    An empty roof gives less than evaporates, until it rains; a layer is not empty at first; there
+    are a low outlet, a catchment, and water from the mains.
+    """
+    own_tally(("--cistern", "10", "--roof", "0.001", "--controller", "onoff", "--hours", "3"))
     measured_roof = edited(CONFIG / "site_neubrandenburg.yaml", {})
     layer, mains = tmp_path / "layer.yaml", tmp_path / "mains.yaml"
     layer.write_text(

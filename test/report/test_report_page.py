@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,14 @@ from greenroof_ros.report.page import render
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
 INITIALS = ("low-low", "high-low", "high-high")
-SAMPLES = 43201
+# Of the samples of 12 h: these of each curve are drawn, and no more.
+TIME = np.arange(0.0, 43201.0, 40.0)
+# What noise from 0 to 1 is times, and more than.
+NOISE = {
+    "cistern": (1, 50), "roof": (1, 3), "precipitation": (1e-6, 0), "evapotranspiration": (1e-6, 0),
+    "command": (1, 0), "pump_flow": (1e-2, 0), "outflow": (1e-2, 0), "drainage": (1e-2, 0),
+    "frost": (0, 0),
+}
 # Marks in a view's scene that belong to the data, by name; and a legend's entry, by its text.
 SCENE = """
 window.marks = (id, type) => {
@@ -96,87 +104,32 @@ window.legendEntry = (id, text) => {
 """
 
 
-def noisy_study(
-    directory: Path, initials: tuple[str, ...], weights: tuple[str, ...],
-    fractions: tuple[str, ...],
-) -> None:
-    """Write a study of runs of 12 h of noise, which takes the most room."""
+def noisy_study(directory: Path, initials: int, settings: int) -> Path:
+    """Write the page on a study of 12 h of noise, which takes the most room."""
     random = np.random.default_rng(1)
-    row = simulate("onoff", "0.5", "low-low", "0.01").row
-    runs = []
-    for initial in initials:
+    row = {**simulate("onoff", "0.5", "low-low", "0.01").row, "parameter:fraction": "",
+           "hours": "12", "bound_m3": 30_000.0}
+    runs: list[tuple[dict[str, Any], Trajectory | None]] = []
+    for initial in INITIALS[:initials]:
         for controller, key, values in (
-            ("mpc", "weight", weights), ("onoff", "fraction", fractions)
+            ("mpc", "weight", WEIGHTS), ("onoff", "fraction", FRACTIONS)
         ):
-            for value in values:
-                noise = random.random((9, SAMPLES))
-                noise[2:4] *= 1e-6
-                noise[5:8] *= 1e-2
-                columns = dict(zip(
-                    ("cistern", "roof", "precipitation", "evapotranspiration", "command",
-                     "pump_flow", "outflow", "drainage"),
-                    noise[:8], strict=True,
-                ))
-                columns["cistern"] += 50
-                columns["roof"] += 3
-                trajectory = Trajectory(
-                    start=START, time=np.arange(float(SAMPLES)), frost=np.zeros(SAMPLES), **columns
-                )
+            for value in values[:settings]:
+                columns = {
+                    name: least + times * random.random(len(TIME))
+                    for name, (times, least) in NOISE.items()
+                }
                 about = {**row, "initial": initial, "controller": controller,
-                         "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
                          f"parameter:{key}": value,
                          "total_deviation_m3": 30_000.0 * (1 + random.random())}
-                runs.append((about, trajectory))
-    write_study(directory, runs)
-
-
-@pytest.fixture(scope="module")
-def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on a study of the paper's size."""
-    directory = tmp_path_factory.mktemp("page")
-    noisy_study(directory / "study", INITIALS, WEIGHTS, FRACTIONS)
-    return reported(directory)
-
-
-@pytest.fixture(scope="module")
-def small_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on a study of four runs."""
-    directory = tmp_path_factory.mktemp("small")
-    noisy_study(directory / "study", INITIALS[:1], WEIGHTS[:2], FRACTIONS[:2])
-    return reported(directory)
-
-
-@pytest.fixture(scope="module")
-def seeds_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on 600 runs under forecast errors."""
-    directory = tmp_path_factory.mktemp("seeds")
-    row = simulate("onoff", "0.5", "low-low", "0.01").row
-    write_study(directory / "study", [(one, None) for one in seeded_rows(row)])
-    return reported(directory)
-
-
-@pytest.fixture(scope="module")
-def runs_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on a whole run, one whose setting was changed, and one that failed."""
-    directory = tmp_path_factory.mktemp("runs")
-    change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
-    ended_run(directory / "whole", "done")
-    ended_run(directory / "2026-11-21T02-25-10-changed", "done", parameter_changes=[change])
-    ended_run(directory / "broken", "failed", last_tick=72, reason="node weather ended (SIGKILL)")
-    return reported(directory, "whole", "2026-11-21T02-25-10-changed", "broken")
-
-
-@pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on one run."""
-    directory = tmp_path_factory.mktemp("run")
-    ended_run(directory / "2026-11-21T02-25-10-mpc", "done")
-    return reported(directory, "2026-11-21T02-25-10-mpc")
+                runs.append((about, Trajectory(start=START, time=TIME, **columns)))
+    write_study(directory / "study", runs)
+    return reported(directory, "study")
 
 
 def reported(directory: Path, *paths: str) -> Path:
     """Write the page on a study, or on runs, without the figures' own files."""
-    report = report_of(*(directory / path for path in paths or ["study"]))
+    report = report_of(*(directory / path for path in paths))
     file = directory / "report.html"
     file.write_text(render(report, list(figures_of(report).values())))
     return file
@@ -189,21 +142,28 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Any:
-    """Open the page, with all that is folded, and wait until everything is drawn."""
+@contextmanager
+def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iterator[Any]:
+    """Open the page, with all that is folded, and wait until everything is drawn.
+
+    The console stays empty, and no file or server is asked for anything.
+    """
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.set_default_timeout(120_000)
-    page.said = []
-    page.asked = []
-    page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
-    page.on("pageerror", lambda error: page.said.append(str(error)))
-    page.on("request", lambda request: page.asked.append(request.url))
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
     page.goto(file.as_uri())
     page.wait_for_function("document.documentElement.dataset.drawn")
     page.evaluate(f"() => {{ {SCENE} }}")
     if unfold:
         unfold_all(page)
-    return page
+    yield page
+    assert said == []
+    assert asked == [file.as_uri()]
+    page.close()
 
 
 def unfold_all(page: Any) -> None:
@@ -214,11 +174,12 @@ def unfold_all(page: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def folded_page(browser: Any, page_file: Path) -> Iterator[Any]:
-    """The largest page, opened once for all tests: as it is until ``page`` unfolds it."""
-    found = opened(browser, page_file, 1400, unfold=False)
-    yield found
-    found.close()
+def folded_page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A page of the paper's size, opened once: as it is until ``page`` unfolds it."""
+    file = noisy_study(tmp_path_factory.mktemp("page"), 3, 5)
+    assert file.stat().st_size < 5_000_000
+    with opened(browser, file, 1400, unfold=False) as page:
+        yield page
 
 
 @pytest.fixture(scope="module")
@@ -235,23 +196,12 @@ def overflow(page: Any) -> int:
     )
 
 
-def test_size(page_file: Path) -> None:
-    """30 runs of 12 h of noise fit into 5 MB."""
-    assert page_file.stat().st_size < 5_000_000
-
-
-def test_a_study_is_short(folded_page: Any) -> None:
-    """Before anything is unfolded, and so before all tests of ``page``."""
-    short(folded_page, 3000)
-
-
-def test_a_run_is_short(browser: Any, run_file: Path) -> None:
-    """The same of one run."""
-    page = opened(browser, run_file, 1400, unfold=False)
-    try:
-        short(page, 2700)
-    finally:
-        page.close()
+def first_number(page: Any) -> float:
+    """Return where the first table's leftmost number ends (px)."""
+    return page.locator("table").first.evaluate(
+        "(one) => Math.min(...[...one.tBodies[0].querySelectorAll('td:not(.text)')].map("
+        "(cell) => cell.getBoundingClientRect().right))"
+    )
 
 
 def short(page: Any, most: int) -> None:
@@ -268,11 +218,21 @@ def short(page: Any, most: int) -> None:
     page.wait_for_function("crowded().length === 0")
 
 
-def test_silent_and_alone(page: Any, page_file: Path) -> None:
-    """The console stays empty, and no file or server is asked for anything."""
-    assert page.said == []
-    assert page.asked == [page_file.as_uri()]
-    assert page.locator("h1").count() == 1
+def readable(page: Any) -> None:
+    """Check that nothing is too wide: at 1400 px, and once the window is made 500 px wide."""
+    assert page.evaluate("mostLines()") <= 2
+    assert max(page.evaluate("clipped()")) <= 1
+    assert page.evaluate("crowded()") == []
+    page.set_viewport_size({"width": 500, "height": 900})
+    page.wait_for_function("Math.max(...clipped()) <= 1")
+    settle(page)
+    assert page.evaluate("crowded()") == []
+
+
+def test_a_study_is_short(folded_page: Any) -> None:
+    """Before anything is unfolded, and so before all tests of ``page``."""
+    assert folded_page.locator("h1").count() == 1
+    short(folded_page, 3000)
 
 
 def test_every_figure_has_its_series(page: Any) -> None:
@@ -413,45 +373,44 @@ def test_hover_shows_values(page: Any) -> None:
     assert "weight" in text and "electric energy (Wh)" in text
 
 
-@pytest.fixture(scope="module")
-def small_page(browser: Any, small_file: Path) -> Iterator[Any]:
-    """A page that is opened in a narrow window."""
-    found = opened(browser, small_file, 500)
-    yield found
-    found.close()
+def test_widths(browser: Any, tmp_path: Path) -> None:
+    """Two columns or one, never wider than the window, laid out again when its width changes.
+
+    On paper figures are vectors; on the screen they are canvases again afterwards.
+    """
+    with opened(browser, noisy_study(tmp_path, 1, 2), 500) as page:
+        assert overflow(page) == 0
+        assert max(page.evaluate("clipped()")) <= 1
+        assert first_number(page) <= 500 - 16
+        box = page.locator(".scroll").nth(1)
+        assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
+        box.evaluate("(one) => { one.scrollLeft = 300 }")
+        left = box.evaluate("(one) => one.getBoundingClientRect().left")
+        first = box.locator("tbody th").first.evaluate(
+            "(one) => one.getBoundingClientRect().left"
+        )
+        assert first == pytest.approx(left, abs=2)
+        lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
+        width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
+        assert len(set(page.evaluate(lefts))) == 1
+        assert page.evaluate(width) < 500
+        page.set_viewport_size({"width": 1280, "height": 900})
+        page.wait_for_function(f"new Set({lefts}).size === 2")
+        drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
+        page.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
+        assert overflow(page) == 0
+        panels = page.locator(".panel canvas").count()
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        assert page.locator(".panel svg").count() == panels
+        page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+        assert page.locator(".panel canvas").count() == panels
 
 
-def test_widths(page: Any, small_page: Any) -> None:
-    """Two columns or one, never wider than the window, laid out again when its width changes."""
-    assert overflow(page) == 0
-    assert small_page.said == []
-    assert overflow(small_page) == 0
-    assert max(small_page.evaluate("clipped()")) <= 1
-    assert first_number(small_page) <= 500 - 16
-    box = small_page.locator(".scroll").nth(1)
-    assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
-    box.evaluate("(one) => { one.scrollLeft = 300 }")
-    left = box.evaluate("(one) => one.getBoundingClientRect().left")
-    first = box.locator("tbody th").first
-    assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(left, abs=2)
-    lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
-    width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
-    assert len(set(small_page.evaluate(lefts))) == 1
-    assert small_page.evaluate(width) < 500
-    small_page.set_viewport_size({"width": 1280, "height": 900})
-    small_page.wait_for_function(f"new Set({lefts}).size === 2")
-    drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
-    small_page.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
-    assert overflow(small_page) == 0
-
-
-def test_many_seeds(browser: Any, seeds_file: Path) -> None:
+def test_many_seeds(browser: Any, tmp_path: Path) -> None:
     """A panel for each window and initial state: mean and worst tenth; the legend switches both."""
-    assert seeds_file.stat().st_size < 5_000_000
-    page = opened(browser, seeds_file, 1280)
-    try:
-        assert page.said == []
-        assert page.asked == [seeds_file.as_uri()]
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    write_study(tmp_path / "study", [(one, None) for one in seeded_rows(row)])
+    with opened(browser, reported(tmp_path, "study"), 1400) as page:
         assert page.locator("#forecast-errors canvas").count() == 4
         first, second = (f"forecast-errors-panel-{number}" for number in (1, 2))
 
@@ -469,55 +428,33 @@ def test_many_seeds(browser: Any, seeds_file: Path) -> None:
         assert marks(first, "symbol") == 12
         assert page.locator("table.sortable").count() == 1
         assert overflow(page) == 0
-    finally:
-        page.close()
+        readable(page)
+        assert first_number(page) <= 500 - 16
 
 
-def first_number(page: Any) -> float:
-    """Return where the first table's leftmost number ends (px)."""
-    return page.locator("table").first.evaluate(
-        "(one) => Math.min(...[...one.tBodies[0].querySelectorAll('td:not(.text)')].map("
-        "(cell) => cell.getBoundingClientRect().right))"
-    )
+def test_a_run(browser: Any, tmp_path: Path) -> None:
+    """Its page is short, and readable at any width."""
+    ended_run(tmp_path / "2026-11-21T02-25-10-mpc", "done")
+    file = reported(tmp_path, "2026-11-21T02-25-10-mpc")
+    with opened(browser, file, 1400, unfold=False) as page:
+        short(page, 2700)
+        unfold_all(page)
+        readable(page)
+        assert first_number(page) <= 500 - 16
 
 
-@pytest.mark.parametrize("name", ["seeds_file", "runs_file", "run_file"])
-def test_readable_at_any_width(
-    browser: Any, request: pytest.FixtureRequest, name: str
-) -> None:
-    """No cell of three lines at 1400 px; no legend is clipped there, or once it is 500 px wide.
-
-    At 500 px the first table shows a number without being moved. Pages of studies, and one that is
-    opened at 500 px, are looked at in ``test_widths`` and below.
-    """
-    page = opened(browser, request.getfixturevalue(name), 1400)
-    try:
-        assert page.evaluate("mostLines()") <= 2
-        assert max(page.evaluate("clipped()")) <= 1
-        assert page.evaluate("crowded()") == []
-        page.set_viewport_size({"width": 500, "height": 900})
-        page.wait_for_function("Math.max(...clipped()) <= 1")
-        settle(page)
-        assert page.evaluate("crowded()") == []
-        assert first_number(page) <= 500 - 16 or name == "runs_file"  # with its long setting
-    finally:
-        page.close()
-
-
-def test_printed_as_lines(small_page: Any) -> None:
-    """On paper figures are vectors; on the screen they are canvases again afterwards."""
-    panels = small_page.locator(".panel canvas").count()
-    small_page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    assert small_page.locator(".panel svg").count() == panels
-    small_page.evaluate("window.dispatchEvent(new Event('afterprint'))")
-    assert small_page.locator(".panel canvas").count() == panels
-    assert small_page.said == []
+def test_runs_side_by_side(browser: Any, tmp_path: Path) -> None:
+    """A whole one, one whose setting was changed and is long, and one that failed."""
+    change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
+    ended_run(tmp_path / "whole", "done")
+    ended_run(tmp_path / "2026-11-21T02-25-10-changed", "done", parameter_changes=[change])
+    ended_run(tmp_path / "broken", "failed", last_tick=72, reason="node weather ended (SIGKILL)")
+    file = reported(tmp_path, "whole", "2026-11-21T02-25-10-changed", "broken")
+    with opened(browser, file, 1400) as page:
+        readable(page)
 
 
 def test_a_study_is_readable_at_any_width(page: Any) -> None:
     """Its page is the largest; it is opened once for all tests, and this one comes last."""
-    assert page.evaluate("mostLines()") <= 2
-    assert max(page.evaluate("clipped()")) <= 1
-    assert page.evaluate("crowded()") == []
-    page.set_viewport_size({"width": 500, "height": 900})
-    page.wait_for_function("Math.max(...clipped()) <= 1")
+    assert overflow(page) == 0
+    readable(page)

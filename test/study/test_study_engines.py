@@ -17,7 +17,17 @@ from pathlib import Path
 import pytest
 from graphs import Process, alive, wait_for
 from places import DATA
-from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
+from studies import (
+    CONFIG,
+    WEATHER,
+    begun,
+    edited,
+    grid,
+    rows_of,
+    run_here,
+    stored,
+    study,
+)
 
 from greenroof_ros.recording.trajectory import read_parquet
 from greenroof_ros.report.runs import find_runs
@@ -48,22 +58,35 @@ def processor_s(process: int) -> float:
 
 
 def workers(process: int) -> list[int]:
-    """Return the processes that are on a run: a second's work of the fork server's children."""
+    """Return the processes that are on a run: half a second's work of the fork server's children.
+    """
     starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
     return [
-        child for starter in starters for child in children(int(starter)) if processor_s(child) > 1
+        child for starter in starters for child in children(int(starter))
+        if processor_s(child) > 0.5
     ]
+
+
+def ended(processes: list[int], seconds: float) -> bool:
+    """Wait until none of these processes runs any more."""
+    until = time.monotonic() + seconds
+    while any(alive(process) for process in processes):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def lasting(hours: str) -> str:
+    """Return the grid with longer runs, six of them, and no bounds before them."""
+    text = edited("[published, fao56]", "fao56").replace("hours: 0.25", f"hours: {hours}")
+    return f"{text}bound_block: 0\n"
 
 
 def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     """The others go on; the failure is in the table; the next call makes it good."""
-    text = GRID.replace("hours: 0.25", "hours: 6").replace("[low-low, ", "[")
-    text = text.replace("[published, fao56]", "fao56")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
-         "--jobs", "2"],
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )
+    grid(tmp_path, lasting("3").replace("[low-low, ", "["))
+    process = begun(tmp_path, "--jobs", "2")
     found = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
     os.kill(found[0], signal.SIGKILL)
     _, errors = process.communicate(timeout=200)
@@ -71,10 +94,9 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     assert "failed: mpc" in errors
     assert "Traceback" not in errors
     rows = rows_of(tmp_path / "out" / "results.csv")
-    failed = [row for row in rows if row["status"] == "failed"]
-    assert len(failed) == 1
-    assert failed[0]["error"]
-    assert failed[0]["total_deviation_m3"] == ""
+    (failed,) = [row for row in rows if row["status"] == "failed"]
+    assert failed["error"]
+    assert failed["total_deviation_m3"] == ""
     assert all(row["total_deviation_m3"] for row in rows if row["status"] == "done")
     result = study(tmp_path, "grid.yaml", "--output", "out")
     assert result.returncode == 0
@@ -82,40 +104,10 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
 
 
-def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C: nothing is left behind, what is finished is in the table, the rest can follow."""
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, edited("0.25", "3")),
-         "--output", "out"],
-        cwd=tmp_path, env={**os.environ, "TMPDIR": str(scratch)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        # Whoever runs the tests in the background of a shell has it ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    runs = tmp_path / "out" / "runs"
-    wait_for(lambda: len(finished(tmp_path)) >= 4, 120, "four runs")
-    group = list(children(process.pid))
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "Traceback" not in errors
-    assert ended(group, 60)
-    assert not list(scratch.iterdir())
-    status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
-    assert status.count("done") >= 2  # what each of two workers has just stored may be missing
-    assert status.count("done") + status.count("not run") == 12
-
-
 def test_interrupted_while_workers_start(tmp_path: Path) -> None:
     """Ctrl-C while the fork server imports: it says nothing of where it was."""
-    text = edited("0.25", "3")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out"],
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    grid(tmp_path)
+    process = begun(tmp_path)
     server = wait_for(lambda: fork_server(process.pid), 120, "a fork server")
     # Among its imports, which take half a second or more.
     wait_for(lambda: processor_s(server) > 0.2, 60, "imports of the fork server")
@@ -135,32 +127,21 @@ def fork_server(process: int) -> int:
     return 0
 
 
-def ended(processes: list[int], seconds: float) -> bool:
-    """Wait until none of these processes runs any more."""
-    until = time.monotonic() + seconds
-    while any(alive(process) for process in processes):
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.05)
-    return True
-
-
 @pytest.mark.parametrize(
-    ("engine", "number"), [("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)]
+    ("engine", "number"),
+    [("inprocess", signal.SIGINT), ("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)],
 )
-def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> None:
-    """A signal to the study's process only: all others end with it, long before their runs do."""
+def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
+    """Ctrl-C, or a signal to the study's process only: all others end with it, before their runs.
+
+    Nothing is left behind, and the table says what was not run.
+    """
     # Not in tmp_path: the path of the fork server's socket may have 107 characters.
     scratch = Path(tempfile.mkdtemp())
     # A month takes minutes.
-    text = edited("[published, fao56]", "fao56").replace("hours: 0.25", "hours: 500")
-    text = text.replace(str(WEATHER), str(DATA / "en_climate_hourly_07-2021.csv"))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
-         "--jobs", "2", "--engine", engine],
-        cwd=tmp_path, env={**os.environ, "TMPDIR": str(scratch)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )
+    month = str(DATA / "en_climate_hourly_07-2021.csv")
+    grid(tmp_path, lasting("500").replace(str(WEATHER), month))
+    process = begun(tmp_path, "--jobs", "2", "--engine", engine, TMPDIR=str(scratch))
 
     def under_way() -> bool:
         assert process.poll() is None
@@ -169,11 +150,14 @@ def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> Non
 
     wait_for(under_way, 120, "two busy processes")
     there = list(children(process.pid))
-    process.send_signal(number)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert ended(there, 60)
     assert "Traceback" not in errors
-    if number == signal.SIGTERM:
+    if number != signal.SIGKILL:
         assert process.returncode == 130
         assert "resource_tracker" not in errors
         assert {file.suffix for file in scratch.iterdir()} <= {".lock"}
@@ -182,51 +166,93 @@ def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> Non
     shutil.rmtree(scratch)
 
 
-def test_engines_give_the_same_table(tmp_path: Path) -> None:
-    """Bit for bit: the loop in process, and real graphs, each in a domain of its own."""
-    name = grid(tmp_path, edited("[low-low, ", "[").replace("[published, fao56]", "fao56"))
-    assert study(tmp_path, name, "--output", "loop").returncode == 0
-    result = study(tmp_path, name, "--output", "graph", "--engine", "ros")
-    assert result.returncode == 0, result.stderr
-    loop, graph = tmp_path / "loop", tmp_path / "graph"
-    assert (loop / "results.csv").read_bytes() == (graph / "results.csv").read_bytes()
-    rows = rows_of(graph / "results.csv")
-    assert len(rows) == 3
-    for row in rows:
-        assert (graph / "runs" / row["run"] / "bag" / "bag_0.mcap").is_file()
-
-
 def archive(directory: Path) -> None:
-    """Write a file of forecasts of which nothing will come true."""
+    """Write a file of forecasts that will not come true."""
     lines = ["issued,time,precipitation [mm/h]"]
     lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
     (directory / "archive.csv").write_text("\n".join(lines) + "\n")
 
 
-def own_skill(directory: Path) -> None:
-    """Write a skill of one's own: the package's, but that it rains too seldom."""
-    text = (CONFIG / "forecasts" / "skill.yaml").read_text()
-    (directory / "mine.yaml").write_text(text.replace("wetness:", "wetness: -1.0 #"))
-
-
-FORECASTS = (
-    "forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive.csv]\n"
-)
 PLANNED = f"""
 site: {CONFIG / "site.yaml"}
-weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
+weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.2}}
 initial: low-low
-controllers: {{anticipating_onoff: {{horizon: 12.0}}}}
+"""
+BY_BOTH = PLANNED + """
+controllers:
+  mpc: {weight: 1.0e-3, forecast: archive.csv}
+  anticipating_onoff: {horizon: 12.0, forecast: {model: ensemble, members: 3}}
+sensor_pump_errors:
+  - {}
+  - {roof_noise: 0.0005, roof_offset: 0.002, noise_seed: 1, minimum_on: 60, minimum_off: 90}
+"""
+
+
+def test_engines_give_the_same_table(tmp_path: Path) -> None:
+    """Bit for bit: the loop in process, and real graphs, each in a domain of its own.
+
+    Both have forecasts of a file and of an ensemble, and errors of sensor and pump. In the domain
+    that the first run would take runs another graph: it takes another one.
+    """
+    archive(tmp_path)
+    loop, graph = tmp_path / "loop", tmp_path / "graph"
+    cases = read_grid(tmp_path / grid(tmp_path, BY_BOTH))
+    domain = 51 + int(cases[0].identity, 16) % 51
+    process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
+    process.wait_for_ticks(size=0)
+    for output, engine in ((loop, "inprocess"), (graph, "ros")):
+        result = study(tmp_path, "grid.yaml", "--output", output.name, "--engine", engine)
+        assert result.returncode == 0, result.stderr
+    assert process.process.poll() is None, process.stderr()
+    process.process.send_signal(signal.SIGINT)
+    assert process.wait(300) == 130
+
+    assert (loop / "results.csv").read_bytes() == (graph / "results.csv").read_bytes()
+    rows = rows_of(loop / "results.csv")
+    names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
+    header = list(rows[0])
+    assert header.index("evapotranspiration") + 1 == header.index("forecast")
+    first = header.index("forecast_delay") + 1
+    assert header[first : header.index("controller")] == names
+    assert [[float(row[name]) for name in names] for row in rows] == [
+        [0] * 5, [0.0005, 0.002, 1, 60, 90],
+    ] * 2
+    final = {(row["controller"], row["roof_offset"]): float(row["final_roof_m3"]) for row in rows}
+    assert len(set(final.values())) == len(final) == 4
+    assert len({row["bound_m3"] for row in rows}) == 1
+    for row in rows:
+        run = graph / "runs" / row["run"]
+        assert (run / "bag" / "bag_0.mcap").is_file()
+        true, replayed = (
+            read_parquet(output / "runs" / row["run"] / "trajectory.parquet").roof
+            for output in (loop, graph)
+        )
+        if row["roof_noise"] == "0.0":
+            assert replayed == pytest.approx(true, rel=1e-12)
+        else:
+            assert replayed.tobytes() == true.tobytes()
+    # As the page names them, of a bag with its summary and of a study alike.
+    bags = [graph / "runs" / row["run"] for row in rows]
+    labels = [
+        [run.row["forecast"] for run in find_runs(paths, None).runs] for paths in (bags, [loop])
+    ]
+    assert labels[0] == labels[1]
+    assert set(labels[0]) == {"archive.csv", "ensemble skill real seed 0 members 3"}
+
+
+FORECASTS = """
+controllers: {anticipating_onoff: {horizon: 12.0}}
+forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive.csv]
 """
 
 
 def test_forecasts(tmp_path: Path) -> None:
     """Lists multiply; a window's own come before those of all; each run says which it had."""
     archive(tmp_path)
-    own_skill(tmp_path)
-    result = study(tmp_path, grid(tmp_path, PLANNED + FORECASTS), "--output", "out")
-    assert result.returncode == 0, result.stderr
-    assert "errors skill worse seed 1" in " ".join(result.stdout.split())
+    # A skill of one's own: the package's, but that it rains too seldom.
+    skill = (CONFIG / "forecasts" / "skill.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(skill.replace("wetness:", "wetness: -1.0 #"))
+    run_here(tmp_path, PLANNED + FORECASTS)
     rows = rows_of(tmp_path / "out" / "results.csv")
     columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
     assert [tuple(row[column] for column in columns) for row in rows] == [
@@ -235,103 +261,25 @@ def test_forecasts(tmp_path: Path) -> None:
         ("errors", "mine.yaml", "1", ""),
         ("archive.csv", "", "", ""),
     ]
-    header = list(rows[0])
-    assert header.index("evapotranspiration") + 1 == header.index("forecast")
-    assert header.index("forecast_delay") + 1 == header.index("controller")
-    assert len({row["run"] for row in rows}) == 4
     # Rain is coming by the file alone, so that less is pumped.
     pumped = [float(row["pumped_m3"]) for row in rows]
     assert pumped[3] < min(pumped[:3])
-    for name in ("archive.csv", "mine.yaml"):
-        kept = tmp_path / "out" / "configuration" / name
-        assert kept.read_bytes() == (tmp_path / name).read_bytes()
-    report = [run.row["forecast"] for run in find_runs([tmp_path / "out"], None).runs]
-    assert report == [
-        "perfect", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"
-    ]
-
-    own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
+    own = PLANNED.replace("hours: 0.2", "hours: 0.2, forecast: persistence") + FORECASTS
     assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
         "persistence"
     ]
-    before = [case.identity for case in read_grid(tmp_path / grid(tmp_path, PLANNED + FORECASTS))]
-    archived = tmp_path / "archive.csv"
-    archived.write_text(archived.read_text().replace("4.0", "5.0"))
-    after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
-    assert after[:3] == before[:3] and after[3] != before[3]
-    (tmp_path / "mine.yaml").write_text((tmp_path / "mine.yaml").read_text().replace("45", "46"))
-    own = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
-    assert own[:2] == after[:2] and own[2] != after[2]
-
-
-def test_forecasts_by_both_engines(tmp_path: Path) -> None:
-    """The graph is given the same."""
-    archive(tmp_path)
-    name = grid(tmp_path, PLANNED + "forecast: [archive.csv, {model: ensemble, members: 3}]\n")
-    for engine in ("inprocess", "ros"):
-        result = study(tmp_path, name, "--output", engine, "--engine", engine)
-        assert result.returncode == 0, result.stderr
-    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
-    assert loop.read_bytes() == graph.read_bytes()
-    # As the page does, of a bag with its summary and of a study alike.
-    bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
-    labels = [run.row["forecast"] for run in find_runs(bags, None).runs]
-    assert labels == ["archive.csv", "ensemble skill real seed 0 members 3"]
-
-
-WITH_ERRORS = """
-sensor_pump_errors:
-  - {}
-  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: 1, minimum_on: 60,
-     minimum_off: 90}
-"""
-
-
-def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
-    """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
-    planned = PLANNED.replace("anticipating_onoff: {horizon: 12.0}", "onoff: {fraction: 0.3}")
-    text = planned + WITH_ERRORS
-    for engine in ("inprocess", "ros"):
-        result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
-        assert result.returncode == 0, result.stderr
-    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
-    assert loop.read_bytes() == graph.read_bytes()
-    rows = rows_of(loop)
-    names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
-    assert [tuple(float(row[name]) for name in names) for row in rows] == [
-        (0, 0, 0, 0, 0),
-        (0.0005, -1e-5, 1, 60, 90),
-        (0.0005, 0.002, 1, 60, 90),
-    ]
-    header = list(rows[0])
-    first = header.index("forecast_delay") + 1
-    assert header[first : header.index("controller")] == names
-    assert len({row["run"] for row in rows}) == 3
-    # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
-    assert len({row["final_roof_m3"] for row in rows}) == 2
-    assert len({row["bound_m3"] for row in rows}) == 1
-    assert all(int(row["pump_starts"]) >= 1 for row in rows)
-    assert all(float(row["hydraulic_energy_kwh"]) > 0 for row in rows)
-    for row in rows:
-        name = Path("runs") / row["run"] / "trajectory.parquet"
-        true, replayed = (
-            read_parquet(tmp_path / engine / name).roof for engine in ("inprocess", "ros")
-        )
-        if row["roof_noise"] == "0.0":
-            assert replayed == pytest.approx(true, rel=1e-12)
-        else:
-            assert replayed.tobytes() == true.tobytes()
-
-    plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
-    erring = read_grid(tmp_path / grid(tmp_path, PLANNED + WITH_ERRORS))
-    assert len({case.identity for case in (*plain, *erring)}) == 4
-    assert not set(names) & plain[0].columns().keys()
+    grid(tmp_path, PLANNED + FORECASTS)
+    for number, file, old, new in ((3, "archive.csv", "4.0", "5.0"), (2, "mine.yaml", "45", "46")):
+        before = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
+        (tmp_path / file).write_text((tmp_path / file).read_text().replace(old, new))
+        after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
+        assert [place for place in range(4) if before[place] != after[place]] == [number]
 
 
 class DaskCluster:
     """A Dask scheduler and its workers, each a process of its own, on the loopback."""
 
-    def __init__(self, directory: Path, workers: int = 1) -> None:
+    def __init__(self, directory: Path) -> None:
         file = directory / f"scheduler-{time.monotonic_ns()}.json"
         self.log_file = directory / "dask.log"
         self.log = self.log_file.open("a")
@@ -342,8 +290,7 @@ class DaskCluster:
         wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
         self.address = json.loads(file.read_text())["address"]
         self.workers: list[subprocess.Popen[str]] = []
-        for _ in range(workers):
-            self.start_worker()
+        self.start_worker()
 
     def start_worker(self) -> None:
         """Start one more."""
@@ -370,12 +317,7 @@ def study_on(
     cluster: DaskCluster, directory: Path, until: Callable[[], bool]
 ) -> subprocess.Popen[str]:
     """Begin a study on a cluster, or go on with it, and wait for something."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out",
-         "--scheduler", cluster.address],
-        cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    process = begun(directory, "--scheduler", cluster.address)
 
     def under_way() -> bool:
         assert process.poll() is None, process.communicate()
@@ -385,11 +327,6 @@ def study_on(
     return process
 
 
-def finished(directory: Path) -> list[Path]:
-    """Return the runs that are stored."""
-    return [run for run in (directory / "out" / "runs").glob("*") if run.suffix != ".part"]
-
-
 def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
     """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
     shown, errors = process.communicate(timeout=60)
@@ -397,12 +334,12 @@ def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what:
     assert all(line.endswith("of 12 runs are there already") for line in there)
     assert bar.startswith("study ")
     assert said == (
-        f"error: {what}: {len(finished(directory))} of 12 cases are stored; run the same command "
+        f"error: {what}: {len(stored(directory))} of 12 cases are stored; run the same command "
         "again, it goes on"
     )
     assert (process.returncode, shown) == (1, "")
     status = [row["status"] for row in rows_of(directory / "out" / "results.csv")]
-    assert (status.count("done"), len(status)) == (len(finished(directory)), 12)
+    assert (status.count("done"), len(status)) == (len(stored(directory)), 12)
     assert set(status) == {"done", "not run"}
 
 
@@ -414,18 +351,23 @@ def test_dask(tmp_path: Path) -> None:
     it at once, and where there is no worker or no answer it does not begin. On another cluster the
     same command goes on, and no run is made twice.
     """
-    text = edited("0.25", "1").replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
-    grid(tmp_path, text.replace("  onoff:\n", ""))
+    archive(tmp_path)
+    text = edited("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
+    text = text.replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
+    site = "{file: site.yaml, a1: 26.0}"  # which no worker has as a file
+    grid(tmp_path, text.replace(str(CONFIG / "site.yaml"), site) + "forecast: archive.csv\n")
 
-    def stored(count: int) -> Callable[[], bool]:
-        return lambda: len(finished(tmp_path)) >= count
+    def more(count: int) -> Callable[[], bool]:
+        there = len(stored(tmp_path))
+        return lambda: len(stored(tmp_path)) >= there + count
 
-    cluster = DaskCluster(tmp_path, workers=2)
+    cluster = DaskCluster(tmp_path)
     try:
-        process = study_on(cluster, tmp_path, stored(2))
+        cluster.start_worker()
+        process = study_on(cluster, tmp_path, more(2))
         cluster.workers[0].kill()
         wait_for(lambda: "Remove worker" in cluster.log_file.read_text(), 60, "a worker gone")
-        wait_for(stored(len(finished(tmp_path)) + 2), 120, "two runs of the other worker")
+        wait_for(more(2), 120, "two runs of the other worker")
         # What was stored is not made again, but for the last run, which the study may still hold.
         log = cluster.log_file.read_text().splitlines()
         lost = [line for line in log if "lose already computed" in line]
@@ -438,7 +380,8 @@ def test_dask(tmp_path: Path) -> None:
         process = study_on(cluster, tmp_path, lambda: True)
         assert process.stderr is not None
         assert "of 12 runs are there already" in process.stderr.readline()
-        time.sleep(3)  # it waits for a worker
+        connected = "Receive client connection"
+        wait_for(lambda: cluster.log_file.read_text().count(connected) == 2, 60, "its client")
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
         assert (process.returncode, errors) == (130, "interrupted\n")
@@ -448,7 +391,7 @@ def test_dask(tmp_path: Path) -> None:
             f"error: --scheduler = '{cluster.address}': has no worker"
         ]
         cluster.start_worker()
-        process = study_on(cluster, tmp_path, stored(len(finished(tmp_path)) + 1))
+        process = study_on(cluster, tmp_path, more(1))
         cluster.scheduler.kill()
         ended_in_one_sentence(
             process, tmp_path, f"the Dask scheduler at {cluster.address} is gone"
@@ -460,7 +403,7 @@ def test_dask(tmp_path: Path) -> None:
         assert "Traceback" not in result.stderr
     finally:
         cluster.end()
-    before = {run: (run / "outcome.json").read_bytes() for run in finished(tmp_path)}
+    before = {run: (run / "outcome.json").read_bytes() for run in stored(tmp_path)}
     cluster = DaskCluster(tmp_path)
     try:
         result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
@@ -472,37 +415,5 @@ def test_dask(tmp_path: Path) -> None:
         assert {row["status"] for row in rows_of(there)} == {"done"}
         for run, outcome in before.items():
             assert (run / "outcome.json").read_bytes() == outcome
-        coarse_study_on(cluster, tmp_path)
     finally:
         cluster.end()
-
-
-def coarse_study_on(cluster: DaskCluster, directory: Path) -> None:
-    """Check a study as of seasons: coarse ticks, no forecast for who looks at none."""
-    archive(directory)
-    text = GRID.replace("02:00", "01:00").replace("onoff:", "onoff: {forecast: perfect}")
-    text = text.replace(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, tau: 10, M: 1}")
-    name = grid(directory, text + "forecast: archive.csv\n")
-    assert study(directory, name, "--output", "loop").returncode == 0
-    result = study(directory, name, "--output", "dask", "--scheduler", cluster.address)
-    assert result.returncode == 0, result.stderr
-    here, there = (directory / each / "results.csv" for each in ("loop", "dask"))
-    assert here.read_bytes() == there.read_bytes()
-    assert {(row["controller"], row["forecast"]) for row in rows_of(here)} == {
-        ("mpc", "archive.csv"), ("onoff", "perfect"),
-    }
-
-
-def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
-    """A graph runs in the domain that a run would take first: it takes another."""
-    text = edited("[published, fao56]", "published").replace("0.25", "0.02")
-    text = text.replace("    weight: [1.0e-3, 0.1]\n", "").replace("low-low, ", "")
-    cases = read_grid(tmp_path / grid(tmp_path, text))
-    domain = 51 + int(cases[0].identity, 16) % 51
-    process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
-    process.wait_for_ticks(size=0)
-    result = study(tmp_path, "grid.yaml", "--output", "out", "--engine", "ros")
-    assert result.returncode == 0, result.stderr
-    assert process.process.poll() is None, process.stderr()
-    process.process.send_signal(signal.SIGINT)
-    assert process.wait(300) == 130

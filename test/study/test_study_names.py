@@ -8,38 +8,38 @@ from pathlib import Path
 
 import pytest
 from places import CONFIG, Once
-from studies import WEATHER, grid, rows_of, study
+from studies import WEATHER, rows_of, run_here, store_of
 
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.groups import Assumptions, Report
 from greenroof_ros.report.page import render
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.tables import make_tables
-from greenroof_ros.study.__main__ import Names
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.study.__main__ import Names, show
 
-# Every key of a grid varied: files of one name in two folders, numbers that differ in late digits.
+# Windows, forecasts, errors and settings: files of one name in two folders, and numbers that differ
+# in late digits.
 VARIED = """
 site: [north/site.yaml, south/site.yaml]
 weather:
-  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.02,
+  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.01,
      evapotranspiration: [published, fao56]}
-  - {file: north/storm.csv, start: 2021-07-07T02:00:01, hours: 0.02, evapotranspiration: published}
-  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.02027777777777778}
-  - {file: south/storm.csv, start: 2021-07-07T02:00, hours: 0.02}
+  - {file: north/storm.csv, start: 2021-07-07T02:00:01, hours: 0.01, evapotranspiration: published}
+  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.01027777777777778}
+  - {file: south/storm.csv, start: 2021-07-07T02:00, hours: 0.01}
   - file: north/storm.csv
     start: 2021-07-07T02:00
-    hours: 0.02
+    hours: 0.01
     forecast: [persistence, north/archive.csv, south/archive.csv,
                {model: errors, skill: [real, worse], seed: [1, 2]}]
-initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
+initial: low-low
 sensor_pump_errors: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
 controllers:
-  mpc: {weight: [0.001, 0.0010000001], max_command: 1.0}
+  mpc: {weight: [0.001, 0.0010000001], max_command: 1.0, site: north/site.yaml}
   onoff: {fraction: 0.5}
 """
 WINDOWS = 2 * (2 + 1 + 1 + 1 + 3) * 2  # without those of many seeds
-RUNS = 2 * (2 + 1 + 1 + 1 + 3 + 4) * 2 * 2 * 3
+RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * (3 + 1)
 
 
 def write_inputs(directory: Path) -> None:
@@ -76,28 +76,28 @@ def varied(once: Once) -> Path:
 
     def fill(directory: Path) -> None:
         write_inputs(directory)
-        done = study(directory, grid(directory, VARIED), "--output", "out")
-        assert done.returncode == 0, done.stderr
+        run_here(directory, VARIED)
 
     return once("study-of-everything", fill)
 
 
-def test_rows_of_the_table(varied: Path) -> None:
-    """By the columns before the results alone; and each case's name in a sentence."""
+def test_table_and_terminal(
+    varied: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the columns before the results alone, and in a sentence; by titles and lines."""
     rows = rows_of(varied / "out" / "results.csv")
     columns = list(rows[0])
     given = columns[1 : columns.index("status")]
     distinct((tuple(row[column] for column in given) for row in rows), RUNS)
     assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
     assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
-    cases = read_grid(varied / "grid.yaml")
-    distinct(map(Names(cases).name, cases), RUNS)
+    store = store_of(varied)
+    distinct(map(Names(store.cases).name, store.cases), RUNS)
 
-
-def test_tables_on_the_terminal(varied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Titles, which wrap, and the lines below each."""
     monkeypatch.setenv("COLUMNS", "400")
-    tables = study(varied, "grid.yaml", "--output", "out").stdout.split("Total deviation")[1:]
+    show(store.cases, store.write_tables(), store.directory)
+    tables = capsys.readouterr().out.split("Total deviation")[1:]
+    # Titles wrap.
     distinct((" ".join(table.partition("┏")[0].split()) for table in tables), 2 * 5)
     for table in tables:
         lines = [line.split("│")[1:3] for line in table.splitlines() if line.startswith("│")]
@@ -109,14 +109,9 @@ def judged(*paths: Path) -> Report:
     return Report(find_runs(list(paths), None), Assumptions())
 
 
-@pytest.fixture(scope="module")
-def report(varied: Path) -> Report:
-    """The report of the study."""
-    return judged(varied / "out")
-
-
-def test_tables_of_the_report(report: Report) -> None:
-    """By the cells that are names; the run's own identity is no name."""
+def test_tables_and_figures_of_the_report(varied: Path) -> None:
+    """By the cells that are names, without a run's identity; titles, curves, marks and bars."""
+    report = judged(varied / "out")
     tables = {table.name: table for table in make_tables(report)}
     assert len(tables) == 5
     for table in tables.values():
@@ -130,9 +125,6 @@ def test_tables_of_the_report(report: Report) -> None:
     headings = page.partition("<h1")[2].split("<li>")[1:]
     distinct(heading.partition("</li>")[0] for heading in headings)
 
-
-def test_figures_of_the_report(report: Report) -> None:
-    """Titles, and in each the names of curves, marks and bars."""
     figures = [make() for make in make_figures(report, None)]
     distinct(figure.title for figure in figures)
     for figure in figures:
@@ -155,16 +147,14 @@ def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:
     """Site, weather, forecasts and a state, of one name and other in each: the study is added."""
     text = """
 site: site.yaml
-weather: {file: storm.csv, start: 2021-07-07T02:00, hours: 0.02, forecast: archive.csv}
+weather: {file: storm.csv, start: 2021-07-07T02:00, hours: 0.01, forecast: archive.csv}
 initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
 controllers: {onoff: }
 """
     write_inputs(tmp_path)
     for folder, roof in (("north", "0.5"), ("south", "0.6")):
         place = tmp_path / folder
-        name = grid(place, text.replace("roof: 0.5", f"roof: {roof}"))
-        shown = study(place, name, "--output", "out")
-        assert shown.returncode == 0, shown.stderr
+        run_here(place, text.replace("roof: 0.5", f"roof: {roof}"))
         place.joinpath("out").rename(place.with_name(f"of-{folder}"))
     both = judged(tmp_path / "of-north", tmp_path / "of-south")
     windows = both.windows()
