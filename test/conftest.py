@@ -20,9 +20,12 @@ settings.load_profile("greenroof_ros")
 
 # What takes longest starts first, so that the workers end together: names of tests and files.
 LONGEST = (
-    "test_pump_drivers.py", "test_live_bringup.py", "test_report_page.py", "test_report.py",
-    "test_faults.py", "test_packaging.py", "test_learned_trust.py", "test_lookahead.py",
+    "test_fidelity.py", "test_dask", "test_packaging.py", "test_faults.py", "test_live_bringup.py",
+    "test_pump_drivers.py", "test_calibrate.py", "test_fit.py", "test_error_model.py",
+    "test_report_page.py", "test_report.py",
 )
+# What waits for the paper's study waits in one worker.
+_OF_THE_PAPER = "test_fidelity.py"
 
 # A thousand processes that import the package need not compile it each, whatever the user has set.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -55,7 +58,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         graph = "domain" in getattr(item, "fixturenames", ())
         if graph:
             item.add_marker(pytest.mark.graph)
-        if graph or item.path.parent.name == "study":
+        if "papers" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.xdist_group(_OF_THE_PAPER))
+            files.setdefault(_OF_THE_PAPER, len(files))
+            files.setdefault(item.path.name, len(files))
+        elif graph or item.path.parent.name == "study":
             alone[item.nodeid] = len(alone)
         else:
             item.add_marker(pytest.mark.xdist_group(item.path.name))

@@ -49,6 +49,9 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
         wait_for(lambda: rig.truth.speed < 0.005, 60, "a pump that stands")
         end(process)
         process, port = watcher(domain, tmp_path)
+        wait_for(
+            lambda: document(port)["tiles"]["controller"]["value"] == "onoff", 60, "a controller"
+        )
         before = rig.pids()["controller"]
         os.kill(before, signal.SIGKILL)
         wait_for(lambda: rig.pids().get("controller", before) != before, 60, "another controller")
