@@ -69,11 +69,11 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper --force && exit $$code
 
-# Without ARGS every test, six processes more than there are cores, since graphs mostly wait.
+# Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side, test/conftest.py says.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 6)) --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup --no-loadscope-reorder
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif

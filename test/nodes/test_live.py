@@ -313,6 +313,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
         before = len(commands)
         site.until(lambda: len(commands) > before, LATE, "the end of a decision")
+        site.during(0.3)  # it waits for the next
         os.kill(process.pid, signal.SIGSTOP)
         site.during(1.0)
         before = len(commands)
