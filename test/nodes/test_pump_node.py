@@ -464,7 +464,7 @@ def test_check_pump_finds_it_right(rig: PumpRig) -> None:
     rig.leave()
     rig.simulate("--speed", "20")
     node = rig.start()
-    check = Process(rig.domain, "check_pump", "--node", "pump", "--period", "0.025", cwd=rig.cwd)
+    check = Process(rig.domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=rig.cwd)
     assert check.wait(120) == 0, check.stdout() + check.stderr()
     assert "22 of 22 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0

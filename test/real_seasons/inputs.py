@@ -12,13 +12,17 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from places import CONFIG
+from dressing.__main__ import together
+from numpy.typing import NDArray
 
-from greenroof_ros.forecast.dressing import dress, learn
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import SERVICE_DELAY_H, Archive
+from greenroof_ros.formats.records import HOUR, SERVICE_DELAY_H, Archive
 from greenroof_ros.model.site import Site, edited, read_site
 from greenroof_ros.weather.reading import read_weather
+
+Array = NDArray[np.float64]
 
 SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
 
@@ -43,6 +47,8 @@ ROOFS = {
 MAINS = {"mains_level": 0.85, "mains_flow": 5e-4}
 TICK_S = 60.0
 PLACEBO_DAYS = 35
+BLOCK_WEEKS = 4
+WEEK_H = 7 * 24
 
 
 @dataclass(frozen=True)
@@ -53,10 +59,21 @@ class Period:
     start: datetime
     hours: float
 
+    @property
+    def weeks(self) -> int:
+        """How many, the last of which may be short."""
+        return math.ceil(self.hours / WEEK_H)
+
+    def blocks(self) -> NDArray[np.intp]:
+        """Return in which block of weeks each week is; a short block at the end joins the last."""
+        last = max(1, round(self.weeks / BLOCK_WEEKS)) - 1
+        return np.minimum(np.arange(self.weeks) // BLOCK_WEEKS, last)
+
 
 # As far as the archives go, and a season that begins with a dry roof.
 YEAR = Period("20 February to 31 December", datetime(2024, 2, 20, 12, tzinfo=timezone.utc), 7548.0)
 SEASON = Period("May to October", datetime(2024, 5, 1, tzinfo=timezone.utc), 4416.0)
+AUTUMN = Period("September and October", datetime(2024, 9, 1, tzinfo=timezone.utc), 1464.0)
 
 
 class Inputs:
@@ -67,13 +84,13 @@ class Inputs:
         self._archives, self._scratch = archives, scratch
         self._sites = {roof: self._write_site(roof) for roof in ROOFS}
         gauge = scratch / "gauge.csv"
-        site = self._sites["measured"]
+        site = read_site(self.site_file("measured"))
         gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
         self.record = read_weather([gauge], site, rain_only=True)
         """of the rain as the gauge has it; missing hours are NaN"""
         self.weather = {
-            roof: read_weather([gauge], site, "assumed", "fill")
-            for roof, site in self._sites.items()
+            roof: read_weather([gauge], read_site(self.site_file(roof)), "assumed", "fill")
+            for roof in ROOFS
         }
         """of a run on each roof; missing hours are dry"""
 
@@ -82,7 +99,7 @@ class Inputs:
         return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
 
     def _write_site(self, roof: str) -> Site:
-        file = CONFIG / ROOFS[roof].file
+        file = shared_directory() / "config" / ROOFS[roof].file
         mains = {} if read_site(file).mains_level is not None else MAINS
         values = {"tau": TICK_S, "M": 1, "z_veg": ROOFS[roof].target, **mains}
         self.site_file(roof).write_text(edited(file, values), encoding="utf-8")
@@ -91,11 +108,10 @@ class Inputs:
     @cached_property
     def issued(self) -> Mapping[str, Archive]:
         """The archives by name, each known hours after its nominal time, as a service's."""
+        site = self._sites["measured"]
         services = {
             short: replace(
-                read_archive(
-                    self._archives / f"{name}_previous_runs.csv", self._sites["measured"]
-                ),
+                read_archive(self._archives / f"{name}_previous_runs.csv", site),
                 delay=SERVICE_DELAY_H,
             )
             for short, name in SERVICES.items()
@@ -103,7 +119,7 @@ class Inputs:
         services["GFS"] = _shortened(services["GFS"], 96)
         gem = services["GEM"]
         return {
-            "three": _together(list(services.values())),
+            "three": together(list(services.values())),
             "placebo": _shifted(gem),
             **services,
             "no rain": replace(
@@ -115,6 +131,55 @@ class Inputs:
         """Return an archive dressed by the record without the days around each issue."""
         archive = self.issued[source]
         return dress(archive, learn(archive, self.record, ROOFS[roof].hours))
+
+    def crossed(self, roof: str, source: str, period: Period) -> Archive:
+        """Return an archive of which each half of a period is dressed by the other half.
+
+        What is issued outside of the period is dressed by the wetter half.
+        """
+        archive, by = self.issued[source], self.by_half(roof, source, period)
+        issues = tuple(
+            dress_issue(issue, by[not self.is_wet(period, issue.issued)])
+            for issue in archive.issues
+        )
+        return replace(archive, issues=issues)
+
+    def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
+        """Return what fell after the issues of the drier half of a period, and of the wetter."""
+        rain = self.record.precipitation
+        half = [
+            self.is_wet(period, self.record.rain_from + hour * HOUR) for hour in range(len(rain))
+        ]
+        return {
+            wet: learn(
+                self.issued[source],
+                replace(self.record, values={
+                    "precipitation": np.where([one is wet for one in half], rain, np.nan),
+                }),
+                ROOFS[roof].hours,
+            )
+            for wet in (False, True)
+        }
+
+    def is_wet(self, period: Period, time: datetime) -> bool | None:
+        """Whether a time is in the wetter half of a period; None where it is in neither."""
+        week = (time - period.start) // timedelta(hours=WEEK_H)
+        return bool(self.wet_weeks(period)[week]) if 0 <= week < period.weeks else None
+
+    def wet_weeks(self, period: Period) -> NDArray[np.bool_]:
+        """Return which weeks are in the wetter half of a period's blocks."""
+        if period not in self._wet:
+            begin = (period.start - self.record.rain_from) // HOUR
+            rain = self.record.precipitation[begin : begin + round(period.hours)]
+            block = np.repeat(period.blocks(), WEEK_H)[: len(rain)]
+            totals = [np.nansum(rain[block == one]) for one in range(block[-1] + 1)]
+            wettest = np.argsort(totals)[-(len(totals) // 2) :]
+            self._wet[period] = np.isin(period.blocks(), wettest)
+        return self._wet[period]
+
+    @cached_property
+    def _wet(self) -> dict[Period, NDArray[np.bool_]]:
+        return {}
 
 
 def _half_sine(hour: int) -> float:
@@ -140,18 +205,6 @@ def _shortened(archive: Archive, hours: int) -> Archive:
     return replace(archive, issues=tuple(
         replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
     ))
-
-
-def _together(archives: Sequence[Archive]) -> Archive:
-    """Return the issues that all have at one time, as one ensemble of what is as long in all."""
-    by_time = [{issue.issued: issue for issue in archive.issues} for archive in archives]
-    issues = []
-    for issue in archives[0].issues:
-        alike = [times[issue.issued] for times in by_time if issue.issued in times]
-        if len(alike) == len(archives):
-            hours = min(one.hours for one in alike)
-            issues.append(replace(issue, rain=np.vstack([one.rain[:, :hours] for one in alike])))
-    return replace(archives[0], issues=tuple(issues))
 
 
 def _shifted(archive: Archive) -> Archive:

@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from real_seasons.inputs import Inputs, Period
 
 from greenroof_ros.controllers.registry import find_controller
@@ -14,15 +16,18 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.forecast.resampling import Rain, SteppedForecast
+from greenroof_ros.formats.records import Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import read_site
 
+Array = NDArray[np.float64]
+
 # A twentieth of the flow lifts in a tick of a minute what on/off lifts in three seconds.
 ONOFF = {"fraction": 0.05}
-ISSUED, DRESSED = "as issued", "dressed"
+ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
 SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
 
@@ -37,6 +42,8 @@ class Case:
     form: str = ISSUED
     trusts: bool = True
     """whether trust is learned; otherwise the forecast is trusted in full"""
+    hour: bool = True
+    """whether the gauge's rain in this minute counts as the whole hour's"""
 
     @property
     def name(self) -> str:
@@ -44,6 +51,7 @@ class Case:
         words = [self.source]
         words += [] if self.form == ISSUED else [self.form]
         words += ["trusted in full"] if not self.trusts and self.source in SOURCES else []
+        words += [] if self.hour else ["the hour as forecast"]
         return ", ".join(words)
 
     def file(self, directory: Path) -> Path:
@@ -55,11 +63,27 @@ class Case:
         return directory / place / f"{name}.json"
 
 
+class HourAsForecast(SteppedForecast):
+    """Knows what falls in this moment, and of the rest of the hour the forecast."""
+
+    def _take_hour(self, hour: int) -> None:
+        super()._take_hour(hour)
+        self._now = self._rates[:-1, 0].copy()
+        rain, _ = self._model.known(hour, self._hours(hour))
+        self._rates[:-1, 0] = rain[:, 0] / 1000 / 3600
+
+    def precipitation(self, tick: int) -> Rain:
+        """Return the means of the steps (m/s), the first of them observed."""
+        rain = np.array(super().precipitation(tick))
+        rain[..., 0] = self._now
+        return rain
+
+
 def write(case: Case, inputs: Inputs, file: Path) -> None:
     """Run a case, and write what it came to.
 
-    That is the deviation of each week (m3), the metrics as they were as each week ended, and at the
-    end, and what /controller/trust was as each day began.
+    That is the metrics, at the end and as they were as each week ended, the deviation of each week
+    (m3), and what /controller/trust was as each day began.
     """
     run = _built(case, inputs)
     controller, metrics = run.make_controller(), Metrics()
@@ -73,7 +97,9 @@ def write(case: Case, inputs: Inputs, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(".part")
     unfinished.write_text(json.dumps({
-        "until": [*until, metrics.results()], "weeks": metrics.weekly_deviations(), "trust": trust,
+        "metrics": metrics.results(), "until": [*until, metrics.results()],
+        "weeks": metrics.weekly_deviations(), "trust": trust,
+        "controller": controller.statistics(),
     }), encoding="utf-8")
     unfinished.rename(file)
 
@@ -91,13 +117,22 @@ def _built(case: Case, inputs: Inputs) -> Run:
         count_ticks(site, case.period.hours, "hours"), controller, parameters, "low-low",
         initial_state(site, "low-low"), ForecastChoice(),
     )
-    if case.source in (ONOFF_NAME, PERFECT):
+    archive = _archive(case, inputs)
+    if archive is None:
         return run
-    dressed = case.form == DRESSED
-    archive = (
-        inputs.dressed(case.roof, case.source) if dressed else inputs.issued[case.source]
-    )
-    return replace(run, forecast=SteppedForecast(
+    known = SteppedForecast if case.hour else HourAsForecast
+    return replace(run, forecast=known(
         FileModel(archive, weather, all_members=True), weather, site, run.start,
         growing_steps(parameters["horizon"]), run.steps, all_members=True,
     ))
+
+
+def _archive(case: Case, inputs: Inputs) -> Archive | None:
+    """Return the forecasts of a case; None for perfect ones."""
+    if case.source in (ONOFF_NAME, PERFECT):
+        return None
+    if case.form == DRESSED:
+        return inputs.dressed(case.roof, case.source)
+    if case.form == CROSSED:
+        return inputs.crossed(case.roof, case.source, case.period)
+    return inputs.issued[case.source]

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from markdown_tables import head, row
 from numpy.typing import NDArray
-from real_seasons.runs import DRESSED, ISSUED, NO_RAIN, ONOFF_NAME, PERFECT, SOURCES, Case
+from real_seasons.inputs import BLOCK_WEEKS
+from real_seasons.runs import (
+    CROSSED,
+    DRESSED,
+    ISSUED,
+    NO_RAIN,
+    ONOFF_NAME,
+    PERFECT,
+    SOURCES,
+    Case,
+)
 
 Array = NDArray[np.float64]
 Results: TypeAlias = dict[Case, dict[str, Any]]
 
 # Of the bootstrap. Blocks of weeks, since a storm's excess stays for more than one.
 RESAMPLES = 2000
-BLOCK_WEEKS = 4
 
 # What an owner sees of a run: heading, form, and of which weekly sums it is the ratio.
 OWNERS = {
@@ -28,6 +36,17 @@ OWNERS = {
     "mains water (m³)": ("{:.1f}", "mains_m3", ""),
     "rain kept": ("{:.2f}", "kept", "rain_roof_m3"),
 }
+STORMS = {"rain_kept_share_day": "rain kept of 10 mm in 24 h and more"}
+
+
+def _weeks(results: Results) -> dict[Case, Array]:
+    return {case: np.array(found["weeks"]) for case, found in results.items()}
+
+
+def _named(weeks: Mapping[Case, Array], source: str) -> Array:
+    """Return the weeks of a run that is not of a service; NaN where it has not been made."""
+    missing = np.full_like(next(iter(weeks.values())), np.nan)
+    return next((found for case, found in weeks.items() if case.source == source), missing)
 
 
 def drawn_weeks(weeks: int) -> NDArray[np.intp]:
@@ -53,58 +72,95 @@ def ratio(own: Array, other: Array) -> str:
     return f"{value:.3f} ({low:.3f} to {high:.3f})"
 
 
+def gained(own: Array, dry: Array, perfect: Array) -> str:
+    """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
+    share = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
+    return "" if np.isnan(share) else f"{share:.0f} %"
+
+
+def _head(cells: Sequence[str]) -> Iterator[str]:
+    yield f"| {' | '.join(cells)} |"
+    yield "|" + "---|" * len(cells)
+
+
+def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> Iterator[str]:
+    """Yield a row for each source, with columns for each form of its forecasts.
+
+    Args:
+        weeks: of all runs.
+        columns: forms of forecasts.
+        chosen: which weeks count.
+    """
+    onoff, dry, perfect = (
+        _named(weeks, source)[chosen] for source in (ONOFF_NAME, NO_RAIN, PERFECT)
+    )
+    yield f"on/off {onoff.sum():.0f} m³; over it: no rain {ratio(dry, onoff)}; " + (
+        f"perfect {ratio(perfect, onoff)}"
+    )
+    yield ""
+    heads = [
+        f"{form}: {what}" for form in columns for what in ("over on/off", "over no rain", "gained")
+    ]
+    yield from _head(["forecast", *heads])
+    for source, trusts in dict.fromkeys((case.source, case.trusts) for case in weeks):
+        if source not in SOURCES:
+            continue
+        cells = [source if trusts else f"{source}, trusted in full"]
+        for form in columns:
+            own = next((
+                found[chosen] for case, found in weeks.items()
+                if (case.source, case.form, case.trusts, case.hour) == (source, form, trusts, True)
+            ), None)
+            cells += [""] * 3 if own is None else [
+                ratio(own, onoff), ratio(own, dry), gained(own, dry, perfect)
+            ]
+        yield f"| {' | '.join(cells)} |"
+
+
 def of_period(results: Results) -> Iterator[str]:
-    """Yield a row for each source, with the gain over on/off, over no rain, and of perfect's."""
-    weeks = {
-        (case.source, case.form, case.trusts): np.array(found["weeks"])
-        for case, found in results.items()
-    }
-    onoff = weeks.get((ONOFF_NAME, ISSUED, True))
-    dry, perfect = (weeks.get((source, ISSUED, False)) for source in (NO_RAIN, PERFECT))
-    if onoff is None or dry is None:
-        return
-    yield f"on/off {onoff.sum():.0f} m³; over it: no rain {ratio(dry, onoff)}"
-    if perfect is None:
-        return
-    yield f"perfect {ratio(perfect, onoff)}\n"
-    columns = ("over on/off", "over no rain", "gained")
-    yield head(["forecast", *(f"{form}: {what}" for form in (ISSUED, DRESSED) for what in columns)])
-    for source, trusts in dict.fromkeys((source, trusts) for source, _, trusts in weeks):
-        if source in SOURCES:
-            cells = [source if trusts else f"{source}, trusted in full"]
-            for form in (ISSUED, DRESSED):
-                own = weeks[source, form, trusts]
-                gained = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
-                cells += [ratio(own, onoff), ratio(own, dry), f"{gained:.0f} %"]
-            yield row(cells)
+    """Yield the table of all weeks."""
+    if any(case.source == ONOFF_NAME for case in results):
+        yield from _rows(_weeks(results), (ISSUED, DRESSED), slice(None))
 
 
-def trust(results: Results) -> Iterator[str]:
-    """Yield how far forecasts as issued were trusted as the days began."""
-    for case, found in results.items():
-        if case.form == ISSUED and case.trusts and found["trust"][0] is not None:
-            days = np.array(found["trust"])
-            yield (
-                f"- {case.name}: fully trusted on {(days == 1).sum()} of {len(days)} days, at "
-                f"least by {days.min():.0%}"
+def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield the tables of each half, whose forecasts the other half dresses."""
+    weeks = _weeks(results)
+    if any(case.form == CROSSED for case in weeks):
+        for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
+            yield f"\n{words}, {chosen.sum()} weeks: "
+            yield from _rows(weeks, (ISSUED, CROSSED), chosen)
+
+
+def present_hour(results: Results) -> Iterator[str]:
+    """Yield what it costs not to know the present hour to its end."""
+    weeks = _weeks(results)
+    for case, own in weeks.items():
+        if not case.hour:
+            known = next(
+                found for other, found in weeks.items()
+                if other.hour and (other.source, other.form) == (case.source, case.form)
             )
+            yield f"- {case.name}: {ratio(own, known)} of the run that knows it"
 
 
 def of_owner(results: Results) -> Iterator[str]:
     """Yield the table of what an owner sees, with intervals from blocks of weeks."""
-    yield head(["forecast", *OWNERS])
+    yield from _head(["forecast", *OWNERS, *STORMS.values()])
     for case, found in results.items():
-        sums = _weekly_sums(found["until"])
-        cells = [case.name]
+        sums = _weekly_sums(found)
+        cells = []
         for form, above, below in OWNERS.values():
             weeks = len(sums[above])
             other = sums[below] if below else np.full(weeks, 1 / weeks)
             cells.append("{} ({} to {})".format(*map(form.format, interval(sums[above], other))))
-        yield row(cells)
+        cells += [f"{found['metrics'][name]:.2f}" for name in STORMS]
+        yield f"| {case.name} | {' | '.join(cells)} |"
 
 
-def _weekly_sums(until: list[dict[str, float]]) -> dict[str, Array]:
+def _weekly_sums(found: dict[str, Any]) -> dict[str, Array]:
     """Return what each week added to metrics that are sums, and to those that ratios are of."""
+    until: list[dict[str, float]] = found["until"]
 
     def added(metric: Callable[[dict[str, float]], float]) -> Array:
         return np.diff([0.0, *map(metric, until)])
@@ -120,7 +176,7 @@ def _weekly_sums(until: list[dict[str, float]]) -> dict[str, Array]:
         "deviated": added(lambda one: one["total_deviation_m3"] / one["mean_deviation_mm"]),
         "asked": added(lambda one: one["evapotranspiration_m3"] / one["evapotranspiration_ratio"]),
         "lost": added(lambda one: (
-            one["drainage_m3"] - (1 - one.get("rain_kept_share", 0.0)) * one["rain_roof_m3"]
+            one["drainage_m3"] - (1 - one["rain_kept_share"]) * one["rain_roof_m3"]
         )),
-        "kept": added(lambda one: one.get("rain_kept_share", 0.0) * one["rain_roof_m3"]),
+        "kept": added(lambda one: one["rain_kept_share"] * one["rain_roof_m3"]),
     }

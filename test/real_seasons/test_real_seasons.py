@@ -1,10 +1,57 @@
-"""The campaign's own part: intervals."""
+"""The campaign's own parts: halves that share no storm, and intervals."""
 
 from __future__ import annotations
 
+from datetime import timedelta
+
 import numpy as np
 import pytest
+from real_seasons.inputs import BLOCK_WEEKS, SERVICES, YEAR, Inputs
 from real_seasons.tables import interval
+
+from greenroof_ros.common.times import hours_since_1970
+
+HOUR = timedelta(hours=1)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+    """The inputs of made-up rain: a storm each third day, heavy in every other month."""
+    directory = tmp_path_factory.mktemp("archives")
+    begin = YEAR.start.replace(hour=0)
+    hours = round(YEAR.hours) + 24
+    rain = [
+        f"{(3.0 if time.month % 2 else 1.0) * (hour % 72 < 4):g}"
+        for hour in range(hours) for time in [begin + hour * HOUR]
+    ]
+    stamps = [f"{begin + hour * HOUR:%Y-%m-%d %H:%M:%S}" for hour in range(hours)]
+    heads = ",".join(f"precipitation_previous_day{day}" for day in range(1, 6))
+    forecast = "\n".join(f"{at},{','.join([mm] * 5)}" for at, mm in zip(stamps, rain, strict=True))
+    for name in SERVICES.values():
+        (directory / f"{name}_previous_runs.csv").write_text(f"datetime,{heads}\n{forecast}\n")
+    observed = "\n".join(f"{at},{mm}" for at, mm in zip(stamps, rain, strict=True))
+    (directory / "gauge_2024.csv").write_text(f"datetime,rain_mm\n{observed}\n")
+    return Inputs(directory, tmp_path_factory.mktemp("scratch"))
+
+
+def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
+    """What dresses an issue is of the other half, all hours of it, and a week away or more."""
+    wet = inputs.wet_weeks(YEAR)
+    assert 0.3 < wet.mean() < 0.6
+    changes = np.flatnonzero(np.diff(wet.astype(int))) + 1
+    assert (changes % BLOCK_WEEKS == 0).all()  # whole blocks of weeks
+    by = inputs.by_half("measured", "GEM", YEAR)
+    for is_wet, dressing in by.items():
+        assert len(dressing.issued) > 100
+        for issued in dressing.issued[::7]:
+            first = YEAR.start + (int(issued) - hours_since_1970(YEAR.start)) * HOUR
+            last = first + (dressing.hours - 1) * HOUR
+            assert inputs.is_wet(YEAR, first) is inputs.is_wet(YEAR, last) is is_wet
+    for issue in inputs.issued["GEM"].issues[::97]:
+        one = by[not inputs.is_wet(YEAR, issue.issued)]
+        apart = np.abs(one.issued[one.usable(hours_since_1970(issue.issued))]
+                       - hours_since_1970(issue.issued))
+        assert apart.min() >= 7 * 24
 
 
 def test_intervals_of_sums_over_weeks() -> None:
