@@ -24,8 +24,6 @@ LONGEST = (
     "test_pump_drivers.py", "test_calibrate.py", "test_fit.py", "test_error_model.py",
     "test_report_page.py", "test_report.py",
 )
-# What waits for the paper's study waits in one worker.
-_OF_THE_PAPER = "test_fidelity.py"
 
 # A thousand processes that import the package need not compile it each, whatever the user has set.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -59,8 +57,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if graph:
             item.add_marker(pytest.mark.graph)
         if "papers" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.xdist_group(_OF_THE_PAPER))
-            files.setdefault(_OF_THE_PAPER, len(files))
+            # What waits for the paper's study waits in one worker.
+            item.add_marker(pytest.mark.xdist_group("test_fidelity.py"))
             files.setdefault(item.path.name, len(files))
         elif graph or item.path.parent.name == "study":
             alone[item.nodeid] = len(alone)

@@ -212,7 +212,7 @@ def begin_to_listen(executor: Any, node: Any) -> None:
     """Give a node to an executor, and hand it the messages that came before it listened.
 
     rmw_fastrtps counts the messages that wait, and listens for others after that; of one that comes
-    in between nothing is said until the next, which in lockstep never comes: 3 times in 20,000.
+    in between nothing is said until the next, which in lockstep never comes.
 
     Args:
         executor: that is to serve the node.

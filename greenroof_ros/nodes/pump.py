@@ -187,12 +187,12 @@ class _Drive:
         raise OSError(f"{what}; {rest}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
-        """Return why it is not run before the plant has said at what speed; empty where it may be.
+        """Return why it is not run in lockstep before the plant has said at what speed; or empty.
 
         Levels without a plant are made up, and may pass at any speed.
         """
         why = self.snapshot.no_simulator
-        if self._live or run is not None or why == "":
+        if run is not None or why == "":
             return ""
         return (
             "no plant has said at what speed the time of its levels passes (/run), and "
