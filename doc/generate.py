@@ -324,15 +324,28 @@ def pump_settings() -> str:
     )
 
 
-def interlocks() -> str:
-    """Return what keeps the pump off, in its order."""
-    meanings = read_conditions()
+def interlocks() -> str | None:
+    """Return what keeps the pump off, in its order; None without a ROS 2."""
+    if importlib.util.find_spec("rclpy") is None:
+        return None
+    from greenroof_ros.graph.parameters import default_site
+    from greenroof_ros.nodes import pump, weather
+
+    meanings, site = read_conditions(), default_site()
+    limits = {one.name: one for node in (weather, pump) for one in node.parameters(site)}
+
+    def limit(name: str) -> str:
+        one = limits[name]
+        unit = "" if one.unit in ("", "1") else f" {one.unit}"
+        return f"`{name}` {number(one.default).strip('`')}{unit}"
+
     return markdown(
-        ("code", "active when", "evaluated in", "limit (parameter)", "kind"),
+        ("code", "active when", "evaluated in", "limit (parameter, default)", "kind", "cleared by"),
         (
             (
                 f"`{code}`", meanings[code].meaning, f"`{entry.source}`",
-                ", ".join(f"`{name}`" for name in entry.limit.split(", ") if name), entry.kind,
+                ", ".join(limit(name) for name in entry.limit.split(", ") if name), entry.kind,
+                re.sub(r"~/\w+", r"`\g<0>`", entry.clears_by),
             )
             for code, entry in INTERLOCKS.items()
         ),

@@ -91,7 +91,7 @@ class LiveSite:
              "--forecast FILE.csv", None,
              f"is missing: live, it is what {self.controller.name} knows of the weather to "
              "come; or --weather external, where a node of your own publishes it; or --controller "
-             "onoff, which needs none"),
+             "onoff or lookahead, which can do without"),
             (not others_weather and not has_forecast and arguments.thermometer is None,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can say whether there is "

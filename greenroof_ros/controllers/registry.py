@@ -107,6 +107,11 @@ class ControllerChoice:
         return bool(getattr(self.kind, "needs_forecast", True))
 
     @property
+    def uses_forecast(self) -> bool:
+        """Whether a forecast matters to it: it needs one, or its ``horizon`` says how far."""
+        return self.needs_forecast or "horizon" in self.parameters
+
+    @property
     def outputs(self) -> dict[str, str]:
         """Topics that its node publishes beside the command, each with its attribute."""
         return dict(getattr(self.kind, "outputs", {}))

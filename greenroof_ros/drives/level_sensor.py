@@ -8,6 +8,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from greenroof_ros.common.times import suspended_time
 from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known, decode
 from greenroof_ros.drives.sensor_file import Sensor
 
@@ -26,8 +27,8 @@ class Reading(Known):
 class LevelSensor(DeviceThread[Reading]):
     """Reads a sensor once a period. It connects when it must, and again after every failure.
 
-    A value that is refused, or a failure, empties the filter: the next level comes from new
-    readings alone.
+    A value that is refused, a failure, or a suspend of the machine empties the filter: the next
+    level comes from new readings alone.
     """
 
     def __init__(self, sensor: Sensor, timeout_s: float = 0.5) -> None:
@@ -44,7 +45,7 @@ class LevelSensor(DeviceThread[Reading]):
         self._sensor, self._timeout_s = sensor, timeout_s
         self._line = sensor.line(timeout_s)
         self._readings: deque[float] = deque(maxlen=sensor.median)
-        self._due = time.monotonic()
+        self._due, self._suspended = time.monotonic(), suspended_time()
 
     def close(self) -> None:
         """End; at most a timeout or two later the connection is closed."""
@@ -92,6 +93,9 @@ class LevelSensor(DeviceThread[Reading]):
             self._done = True
             self._line.close()
         else:
+            before, self._suspended = self._suspended, suspended_time()
+            if self._suspended - before > self._sensor.period:
+                self._readings.clear()
             self._readings.append(self.read())
             level = statistics.median_low(self._readings)
             self._update(level=level, read_at=time.monotonic(), problem="")

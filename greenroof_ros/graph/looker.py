@@ -138,7 +138,7 @@ class Looker:
         return self._call("page_stop", timeout_s, data=False)
 
     def clear_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear the pump's latched fault, if that needs nobody to look; the rest as above."""
+        """Clear the pump's latched fault, if it is one that the page may clear; else as above."""
         return self._call("page_clear", timeout_s)
 
     def _call(self, service: str, timeout_s: float, **request: bool) -> str:

@@ -244,24 +244,32 @@ class ControllerNode(LinkedNode):
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty where the controller can decide."""
-        if not self._choice.needs_forecast:
-            return ""
+        return self._bad_forecasts() if self._choice.needs_forecast else ""
+
+    def _bad_forecasts(self) -> str:
         return "; ".join(
             one.problem for one in (self._rain, self._evapotranspiration) if not one.good
         )
 
     def _say_forecast(self) -> None:
-        """Say what is wrong with the forecasts, and let on/off command where that lasts."""
-        if not self._choice.needs_forecast:
+        """Say what is wrong with the forecasts, and let on/off command where that lasts.
+
+        A controller that can do without one commands on. Of a site that never had any, nothing is
+        wrong then.
+        """
+        needs = self._choice.needs_forecast
+        if not needs and not (self._choice.uses_forecast and self._rain.heard):
             return
-        problem = self._forecast_problem()
+        problem = self._bad_forecasts()
         if not problem:
             self._missing_since, self._without_since = math.inf, ""
             self.diagnose("forecast", OK, "the forecast is good")
             return
         now = time.monotonic()
         self._missing_since = min(self._missing_since, now)
-        if not self._without_since and now - self._missing_since >= self._give_up_after:
+        if not needs:
+            problem = f"it commands without a forecast: {problem}"
+        elif not self._without_since and now - self._missing_since >= self._give_up_after:
             wall = from_epoch_ns(self.get_clock().now().nanoseconds)
             self._without_since = to_people(wall.replace(microsecond=0))
         if self._without_since:

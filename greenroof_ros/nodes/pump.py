@@ -5,7 +5,7 @@ communication timeout; *activate* lets the pump run, unless that timeout is off,
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
 page has services of its own, ``~/page_stop`` and ``~/page_clear``, which release what was stopped
-by the first alone, and clear once in 24 h what needs nobody to look. In
+by the first alone, and clear once in 24 h a speed that was not followed. In
 any state the flow is said: in lockstep once for each command, live every tau. Between them the
 drive is stopped by wall time, and /pump/state says why the pump stands.
 """

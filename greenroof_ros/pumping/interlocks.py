@@ -3,14 +3,13 @@
 An interlock is active as long as there is a reason for it, and no pump runs while one is. Its kind
 says what follows:
 
-- *latched*: a fault of pump, pipes or drive. It stays until somebody resets it (``~/reset``; some,
-  :data:`CLEARED_ON_PAGE`, on the page, too), and is kept over restarts.
-- *inhibit*: the site, its operator or a limit forbids pumping. It clears by itself, but for an
-  operator's stop and a record that cannot be read, which end by ``~/stop`` with false; a stop on
-  the page ends there, too.
-- *enable*: a condition for running the pump at all is missing. It clears by itself once that is
-  there again: ``not_active`` by *activate*, where somebody had asked for another state,
-  ``drive_local`` and ``drive_timeout`` by a person at the panel.
+- *latched*: a fault of pump, pipes or drive. It stays until somebody resets it, and is kept over
+  restarts.
+- *inhibit*: the site, its operator or a limit forbids pumping.
+- *enable*: a condition for running the pump at all is missing.
+
+Inhibits and enables clear by themselves when their cause has gone, but for those whose row says
+otherwise.
 
 What each code means, and what to do about it, is in ``msg_defs/conditions.yaml``
 (:mod:`greenroof_ros.common.interface`).
@@ -26,6 +25,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 LATCHED, INHIBIT, ENABLE = "latched", "inhibit", "enable"
+_CLEARS = {LATCHED: "~/reset", INHIBIT: "itself", ENABLE: "itself"}
 
 
 class Interlock(NamedTuple):
@@ -37,30 +37,40 @@ class Interlock(NamedTuple):
         limit: the parameters that set when; empty where there is none.
         follows: whether it is left out where an earlier one of its kind is active, as it may only
             follow from that.
+        by: what clears it, where that is not as for its kind: a person, a service or a transition.
+        on_page: whether the page can clear it, too.
     """
 
     kind: str
     source: str
     limit: str = ""
     follows: bool = False
+    by: str = ""
+    on_page: bool = False
+
+    @property
+    def clears_by(self) -> str:
+        """What clears it."""
+        return (self.by or _CLEARS[self.kind]) + (" or the page" if self.on_page else "")
 
 
 _CONTROL, _LIMITS, _NODE = "pump_control", "limits", "nodes/pump"
 _FOLLOWING = "follow_time, follow_tolerance, drive_ramp"
 _OF_LEVEL = "level_limit, frozen_movement, jump_tolerance, recovery_time"
+_RELEASE, _AT_PANEL = "~/stop with false", "somebody at the drive's panel"
 INTERLOCKS = {
     "turns_backwards": Interlock(LATCHED, _CONTROL),
     "runs_on": Interlock(LATCHED, _CONTROL, _FOLLOWING),
     "drive_fault": Interlock(LATCHED, _CONTROL, follows=True),
-    "speed_not_followed": Interlock(LATCHED, _CONTROL, _FOLLOWING),
+    "speed_not_followed": Interlock(LATCHED, _CONTROL, _FOLLOWING, on_page=True),
     "delivery": Interlock(
         LATCHED, _CONTROL,
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
     ),
     "fault_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
-    "operator_stop": Interlock(INHIBIT, _CONTROL),
-    "page_stop": Interlock(INHIBIT, _CONTROL),
-    "record_unknown": Interlock(INHIBIT, _CONTROL, "state_file"),
+    "operator_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE),
+    "page_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE, on_page=True),
+    "record_unknown": Interlock(INHIBIT, _CONTROL, "state_file", by=_RELEASE),
     "cistern_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
     "cistern_low": Interlock(INHIBIT, _LIMITS, "level_offset, suction_hysteresis"),
     "roof_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
@@ -69,13 +79,16 @@ INTERLOCKS = {
     "longest_run": Interlock(INHIBIT, _LIMITS, "greatest_run"),
     "daily_volume": Interlock(INHIBIT, _LIMITS, "greatest_volume_per_day"),
     "daily_run": Interlock(INHIBIT, _LIMITS, "greatest_run_per_day"),
-    "not_active": Interlock(ENABLE, _NODE, "autostart"),
+    "not_active": Interlock(
+        ENABLE, _NODE, "autostart", by="itself; activate, where somebody asked for another state",
+    ),
     "drive_lost": Interlock(ENABLE, _NODE, "exchange_period"),
-    "drive_local": Interlock(ENABLE, _NODE),
+    "drive_local": Interlock(ENABLE, _NODE, by=_AT_PANEL),
     "second_master": Interlock(ENABLE, _NODE),
     "drive_timeout": Interlock(
         ENABLE, _NODE,
         "drive_timeout_limit, local_settings_stop_the_pump, activate_without_drive_timeout",
+        by=_AT_PANEL,
     ),
     "drive_guards_later": Interlock(ENABLE, _NODE),
     "no_run": Interlock(ENABLE, _NODE),
@@ -89,10 +102,6 @@ INTERLOCKS = {
     "drive_not_ready": Interlock(ENABLE, _CONTROL, follows=True),
 }
 """by their codes, which are short and stable"""
-
-CLEARED_ON_PAGE = ("turns_backwards", "runs_on", "speed_not_followed")
-"""Faults that the page may clear: neither one of the delivery, nor one of the drive, nor one that
-is not known: those need somebody who has looked."""
 
 
 def evaluate(reasons: Mapping[str, str]) -> dict[str, str]:

@@ -10,7 +10,6 @@ from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
 from greenroof_ros.pumping.interlocks import (
-    CLEARED_ON_PAGE,
     ENABLE,
     INHIBIT,
     INTERLOCKS,
@@ -19,11 +18,6 @@ from greenroof_ros.pumping.interlocks import (
 )
 from greenroof_ros.pumping.ledger import PAGE_STOPPED, SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
-
-# Words that others look for in /pump/state: a stop by hand, and a pump that is off and may turn.
-OPERATOR_STOPPED = "an operator stopped it"
-STILL_TURNS = "the pump still turns"
-STANDS_UNKNOWN = "whether the pump stands is not known"
 
 # A measured flow above so many times the maximum flow is no flow of this pump.
 _GREATEST_FLOW = 1.5
@@ -140,7 +134,7 @@ class PumpControl:
 
         It takes effect with the next step.
         """
-        self._ledger.stop(OPERATOR_STOPPED if on else "")
+        self._ledger.stop("an operator stopped it" if on else "")
 
     def stop_on_page(self, on: bool) -> None:
         """Keep the pump off for the page, or release what the page stopped, and nothing else."""
@@ -160,7 +154,8 @@ class PumpControl:
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
-        if record.fault_code not in CLEARED_ON_PAGE:
+        row = INTERLOCKS.get(record.fault_code)
+        if row is None or not row.on_page:
             return "such a fault is cleared at the pump node, by somebody who has looked"
         wait = record.page_clears_from - record.elapsed
         if wait > 0:
@@ -274,12 +269,12 @@ class PumpControl:
         elif state == "off" and turning:
             state = "stopping"
         elif state in ("fault", "held") and turning:
-            why += f"; {STILL_TURNS}, at {seen.speed:.2f} of its speed"
+            why += f"; the pump still turns, at {seen.speed:.2f} of its speed"
         if seen.speed is None:
             # One that is heard, and says what cannot be, is not silent enough for its own timeout.
             stands = not heard and self._must_stand()
             if not stands and not backwards:
-                why += f"; {STANDS_UNKNOWN}"
+                why += "; whether the pump stands is not known"
                 state = "unknown" if state == "off" else state
         else:
             stands = asked is None and not turning

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
+from itertools import chain, repeat
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives import level_sensor
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.sensor_file import Sensor, read_sensors
 
@@ -84,6 +86,13 @@ def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_re
     data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
     said = "says 0xFFFF, which means that there is no reading"
     assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, said, 3.0, 3.0]
+
+
+def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine slept for an hour between the third reading and the fourth."""
+    slept = chain([0.0] * 4, repeat(3600.0))  # the first is asked for when nothing is read yet
+    monkeypatch.setattr(level_sensor, "suspended_time", lambda: next(slept))
+    assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
 
 def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:

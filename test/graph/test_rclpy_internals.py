@@ -15,6 +15,7 @@ from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
@@ -27,7 +28,7 @@ from greenroof_ros.graph.lifecycle import (  # noqa: E402
     transition,
 )
 from greenroof_ros.graph.messages import qos_profile  # noqa: E402
-from greenroof_ros.graph.rclpy_internals import waiting_in  # noqa: E402
+from greenroof_ros.graph.rclpy_internals import ClockSetByHand, waiting_in  # noqa: E402
 
 
 class Small(Lifecycle, Node):
@@ -54,6 +55,21 @@ def small(domain: int) -> Iterator[Small]:
     yield node
     node.destroy_node()
     context.try_shutdown()
+
+
+@pytest.mark.parametrize(("kind", "subscriptions"), [(Node, 1), (ClockSetByHand, 0)])
+def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
+    small: Small, kind: type[Node], subscriptions: int
+) -> None:
+    """rclpy alone subscribes; a clock that is set by hand has the time all the same."""
+    simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
+    node = kind("timed", context=small.context, parameter_overrides=[simulated])
+    clocks = [one for one in node.subscriptions if one.topic_name == "/clock"]
+    assert len(clocks) == subscriptions
+    if isinstance(node, ClockSetByHand):
+        node.set_time(7_000_000_000)
+        assert node.get_clock().now().nanoseconds == 7_000_000_000
+    node.destroy_node()
 
 
 class Deaf:

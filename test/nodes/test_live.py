@@ -239,6 +239,12 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.during(2)
         assert {value for _, value in commands} == {0.0}
         assert site.says("/waiting: forecast", OK)()
+    # One that can do without commands on, and says that what comes is of no use to it.
+    commands.clear()
+    with site.live("controller --controller lookahead", recovery_time=0.2):
+        without = site.says("/lookahead: forecast", WARN, "commands without a forecast")
+        site.until(without, LATE, "that it has none")
+        site.until(lambda: newest(commands), LATE, "its commands")
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:

@@ -275,7 +275,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
 
 
 # Longer than a recorder waits for a flush (s), and for one that lasts.
-HANG_S = 16
+HANG_S = 30
 
 
 def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
