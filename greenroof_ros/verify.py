@@ -58,8 +58,8 @@ CRPS   error of the whole distribution (mm), the fair one, alike for any number 
        single forecast the mean error
 
 Of an ensemble the first five are of member 0, the last two of all members.
---dress scores sums from each issue on: as issued, dressed without the ten days around it, and by
-climate, all that fell in the record.
+--dress scores sums from each issue on: as issued, dressed without past issues within the length of a
+member and five days of it, and by climate, all that fell in the record.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
@@ -74,6 +74,9 @@ exit codes: 0 done, 2 bad usage, configuration or file
 # What is scored unless something else is asked for: hours, and mm of an event in them.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
+# How far ahead is looked (h); and how long a member of a dressed issue is, so that half a day after
+# the issue a live site still has as much of it as it looks ahead.
+_HORIZON, _MEMBER = 120, 132
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -107,8 +110,9 @@ def make_parser() -> argparse.ArgumentParser:
         "%(default)s, days)",
     )
     parser.add_argument(
-        "--horizon", type=whole, default=120, metavar="H",
-        help="how far ahead is looked (default: %(default)s)",
+        "--horizon", type=whole, metavar="H",
+        help=f"how far ahead is looked (default: {_HORIZON}; with --dress {_MEMBER}, so that "
+        f"forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} h)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
@@ -149,7 +153,7 @@ def _verify(arguments: argparse.Namespace) -> int:
             from greenroof_ros.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site, weather = _site_and_weather(arguments)
-    forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
+    forecasts = issued_forecasts(choice, weather, site, arguments.horizon or _HORIZON)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
             f"must be a multiple of {forecasts.finest_lead} h, which is all that {forecasts.name} "
@@ -220,7 +224,7 @@ def _dress(arguments: argparse.Namespace) -> int:
         )
     site, weather = _site_and_weather(arguments)
     archive = chosen_archive(choice, site)
-    dressing = learn(archive, weather, arguments.horizon)
+    dressing = learn(archive, weather, arguments.horizon or _MEMBER)
     with _bar("dressing", len(archive.issues), "issues") as done:
         rows = worth(archive, dressing, weather, done)
     output.write_text(dressing_text(dressing), encoding="utf-8")

@@ -158,7 +158,11 @@ class LiveSite:
         yield LiveNode(
             self.controller.name, "greenroof_ros.nodes.controller",
             ("--controller", self.controller.reference),
-            {**common, **self.parameters, "state_file": str(state / "controller.json")},
+            {
+                **common, **self.parameters,
+                # What one controller has learned is nothing to another.
+                "state_file": str(state / f"{self.controller.name}.json"),
+            },
         )
         if self.drive is not None:
             drive = replace(self.drive, file=kept["drive"])

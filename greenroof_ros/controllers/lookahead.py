@@ -22,7 +22,7 @@ from greenroof_ros.controllers.order_up_to import (
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust, leave
+from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
 from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -283,7 +283,7 @@ class Lookahead:
 
     def _plan_of(self, policy: Policy, *inputs: Any) -> Array:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
-        flows, roofs = self._program.follow(policy, *inputs)
+        flows, roofs = self._program.follow(policy, *inputs, self.trust)
         rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
         horizon = self._after.edges[self._after.steps]
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
@@ -307,18 +307,12 @@ class Lookahead:
             x2: on each roof (m3).
             trusted: share of the room for forecast rain that each leaves (1).
         """
-        policy, target = self._policy, self._site.x2_star
+        policy = self._policy
         if policy is None:
-            return target + 0.0 * x2
+            return self._site.x2_star + 0.0 * x2
         step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
-
-        def planned(x2: Any) -> Any:
-            water = self._program.stored(x1, x2) if len(policy.water) > 1 else 0.0
-            return policy.level(step, 0, x2, water)
-
-        if isinstance(trusted, float) and trusted == 1:
-            return planned(x2)
-        return leave(trusted, planned(x2), float(planned(0.0)), target)
+        usable = self._program.usable(x1)
+        return self._program.levels(policy, step, 0, usable, x2, trusted)
 
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float

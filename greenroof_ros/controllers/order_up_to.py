@@ -173,9 +173,30 @@ class OrderUpTo:
         self._per_node = below**2 / self._target, above**2 / most
         self._contents = self._content(self._nodes)
 
-    def stored(self, x1: float, x2: Any) -> Any:
-        """Return s (m3) of a cistern with x1 and a roof with x2 (m3)."""
-        return self._cistern.usable(x1) + self._content(x2)
+    def levels(
+        self, policy: Policy, step: int, group: Any, usable: Any, x2: Any, share: Any = 1.0
+    ) -> Any:
+        """Return what roofs are filled to, or held at (m3); a fuller roof is left alone.
+
+        Args:
+            policy: that :meth:`solve` found.
+            step: index of a step of it.
+            group: index of the group in it of each roof, or of all.
+            usable: water in the cistern (m3), likewise.
+            x2: on each roof (m3).
+            share: of the room for forecast rain that each leaves (1), as :func:`leave`.
+        """
+        def planned(x2: Any) -> Any:
+            water = usable + self._content(x2) if len(policy.water) > 1 else 0.0
+            return policy.level(step, group, x2, water)
+
+        if isinstance(share, float) and share == 1:
+            return planned(x2)
+        return leave(share, planned(x2), planned(0.0), self._target)
+
+    def usable(self, x1: float) -> float:
+        """Return what can be pumped of a cistern's x1 (m3)."""
+        return self._cistern.usable(x1)
 
     def solve(
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
@@ -227,7 +248,8 @@ class OrderUpTo:
             )
             fill_to.append(levels)
             group_of.append(of_members)
-        now = self._at(value, np.full((1, 1, 1), x2), np.full((1, 1, 1), self.stored(x1, x2)))
+        stored = np.full((1, 1, 1), self.usable(x1) + self._content(x2))
+        now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
             edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
             float(now.mean()) / float(edges[-1]),
@@ -235,7 +257,7 @@ class OrderUpTo:
 
     def follow(
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
-        flow: Array,
+        flow: Array, share: float,
     ) -> tuple[Array, Array]:
         """Return what a policy pumps in each step (m3/s) and the roof at its end (m3).
 
@@ -246,28 +268,27 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), shape (n,).
+            share: of the room for forecast rain that is left (1).
 
         Returns:
             Two arrays of shape (members, n).
         """
         roof = np.full(len(rain), x2)
-        water = np.full(len(rain), self._cistern.usable(x1))
+        water = np.full(len(rain), self.usable(x1))
+        mains = self._site.mains_flow or 0.0
         pumped, left = np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            level = policy.level(
-                step, policy.group_of[step], roof, water + self._content(roof)
-            )
+            level = self.levels(policy, step, policy.group_of[step], water, roof, share)
+            most = np.minimum(flow[step], water / seconds + mains)
             roof, took = self.move(
-                level, roof, rain[:, step], float(evapotranspiration[step]), float(flow[step]),
-                seconds,
+                level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
             )
-            took = np.minimum(took, water)
             water = self._cistern.after(water - took, rain[:, step], seconds)
             pumped[:, step], left[:, step] = took / seconds, roof
         return pumped, left
 
     def move(
-        self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: float,
+        self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: Any,
         seconds: float,
     ) -> tuple[Array, Array]:
         """Move roofs on by a step in which each is filled to a level and held there.
@@ -277,7 +298,7 @@ class OrderUpTo:
             roof: what it holds (m3).
             rain: in the step (m/s), for each or for all.
             evapotranspiration: off the whole bed (m3/s).
-            flow: most that is pumped (m3/s).
+            flow: most that is pumped (m3/s), likewise.
             seconds: the step's length.
 
         Returns:
@@ -419,6 +440,19 @@ def _lowest_from_here_up(values: Array) -> Indices:
     least = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == least, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
+
+
+def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
+    """Return what a roof is filled to, or held at, that leaves a share of a plan's room (m3).
+
+    Args:
+        share: of the room (1).
+        level: that the plan has for what the roof holds (m3), -1 where it is left alone.
+        lowest: that the plan has for an empty roof (m3), likewise.
+        target: x2* (m3).
+    """
+    there = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
+    return np.where(np.asarray(share) == 1, level, target - share * (target - there))
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:

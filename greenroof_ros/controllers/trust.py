@@ -110,7 +110,7 @@ class Trust:
         Args:
             flow: most that can be pumped (m3/s).
             levels: returns what roofs of these volumes (m3) are filled to or held at (m3) where
-                they leave these shares of the room, as :func:`leave`; an array of their shape.
+                they leave these shares of the room; an array of their shape.
         """
         seconds = self._seconds
         wanted = levels(self.roofs, SHARES)
@@ -126,16 +126,3 @@ class Trust:
         if more > _LESS and apart < _ALIKE * self._target:
             self._followed = best
         self._seconds = self._rain = self._evaporated = 0.0
-
-
-def leave(share: Array | float, level: Array | float, lowest: float, target: float) -> Array:
-    """Return what a roof is filled to, or held at, that leaves a share of a plan's room (m3).
-
-    Args:
-        share: of the room (1).
-        level: that the plan has for what the roof holds (m3), -1 where it is left alone.
-        lowest: that the plan has for an empty roof (m3), likewise.
-        target: x2* (m3).
-    """
-    there = np.where(np.asarray(level) >= 0, level, max(lowest, 0.0))
-    return np.where(np.asarray(share) == 1, level, target - share * (target - there))

@@ -197,8 +197,9 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--dressed", type=Path, metavar="FILE",
         help="a file: instead of each forecast an ensemble of what fell after similar ones, by "
-        "FILE.csv that 'greenroof verify --dress' made of an archive and a record; forecasts less "
-        "than ten days from an issue are left out, so that none is dressed by its own weather",
+        "FILE.csv that 'greenroof verify --dress' made of an archive and a record; past issues "
+        "within the length of a member and five days of an issue are left out, so that none is "
+        "dressed by its own weather",
     )
 
 

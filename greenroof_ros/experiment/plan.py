@@ -84,8 +84,7 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
     policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
 
     def wanted(k: int, x1: float, x2: float) -> float:
-        stored = program.stored(x1, x2) if len(policy.water) > 1 else 0.0
-        level = float(policy.level(k // block, 0, x2, stored))
+        level = float(program.levels(policy, k // block, 0, program.usable(x1), x2))
         return level - BELOW_M3 if level >= x2 else -math.inf
 
     return carry_out(run, wanted, max_command)

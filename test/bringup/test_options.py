@@ -52,6 +52,17 @@ def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
     raise AssertionError("it was not refused")
 
 
+@pytest.mark.parametrize("controller", ["lookahead", "anticipating_onoff"])
+def test_a_controller_keeps_what_it_learned_in_its_own_file(
+    controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another one would not understand it, and write over it."""
+    monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", controller])
+    nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
+    (kept,) = (node.parameters["state_file"] for node in nodes if node.name == controller)
+    assert kept == str(tmp_path / f"{controller}.json")
+
+
 def test_plant_external_is_live(tmp_path: Path) -> None:
     """Bringup starts all three ways to run: the option leads to live's own command line."""
     done = bringup(tmp_path, "--plant", "external", "--pump", "external")

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from paper import site_with
+from paper import lookahead, site_with
 from places import CONFIG
 
 from greenroof_ros.controllers.lookahead import Lookahead
+from greenroof_ros.controllers.order_up_to import leave
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.controllers.trust import SHARES, leave
+from greenroof_ros.controllers.trust import SHARES
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import read_site
@@ -161,3 +162,13 @@ def test_what_is_left_for_rain() -> None:
     assert leave(SHARES, 1.0, 0.5, 4.0).tolist() == [4.0, 3.0, 2.0, 1.0]
     assert leave(0.5, -1.0, 1.0, 4.0) == 2.5
     assert leave(np.array([0.5, 1.0]), -1.0, -1.0, 4.0).tolist() == [2.0, -1.0]
+
+
+@pytest.mark.parametrize("share", SHARES[:-1])
+def test_the_plan_leaves_the_room_that_the_command_leaves(share: float) -> None:
+    """It is held there until the next step of a plan may raise it."""
+    controller, steps = lookahead(horizon=HORIZON), len(ENDS) - 1
+    controller.learned = {**controller.learned, "trust": share}
+    controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [3e-6] * steps)
+    ends, _, levels = controller.plan.T
+    assert levels[ends == 120] == pytest.approx(controller.fill_to, abs=1e-5)

@@ -292,12 +292,12 @@ def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None
     assert levels[1] > PAPER_SITE.z_veg - 0.5 * missing
 
 
-@pytest.mark.parametrize("max_command", [1.0, 1e-3])
-def test_what_it_plans_is_what_happens(max_command: float) -> None:
-    """Of strong and of weak pumps: the plan's flows lead the plant through the plan's levels."""
+@pytest.mark.parametrize(("max_command", "x1"), [(1.0, 57.0), (1e-3, 57.0), (1.0, 18.85)])
+def test_what_it_plans_is_what_happens(max_command: float, x1: float) -> None:
+    """The plan's flows lead the plant through its levels: strong, weak pumps, 0.1 m3 of water."""
     rain = rain_in((5, 7), 0.01)
     controller = lookahead(max_command=max_command)
-    plant, levels = Plant(PAPER_SITE, 57.0, 2.6), []
+    plant, levels = Plant(PAPER_SITE, x1, 2.0), []
     controller.command(*plant.levels(), [rain], [3e-6] * STEPS)
     plan = controller.plan
     for falls, (flow, seconds) in zip(

@@ -10,7 +10,7 @@ time.
 - **dressed**: by the same record, without the days around each issue.
 - **by the other half**: the period's blocks of four weeks are parted by their rain into a wetter
   and a drier half. Each is dressed by what fell in the other, and judged by itself. No storm is on
-  both sides, since nothing within ten days of an issue dresses it.
+  both sides, since no issue within the length of a member and five days of another dresses it.
 - **the hour as forecast**: of the present hour only what falls in this minute is known.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that

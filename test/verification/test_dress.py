@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from commands import run_command
 
+from greenroof_ros.forecast.dressing import read_dressing
+
 FIRST = datetime.fromisoformat("2024-03-01T00:00+00:00")
 DAYS = 100
 
@@ -77,6 +79,16 @@ def test_what_it_is_worth(site: Path) -> None:
         day = list(csv.DictReader(stream))[-1]
     assert day["sum_hours"] == "24"
     assert float(day["bias"]) == pytest.approx(1.0, abs=0.25)  # of one member
+
+
+def test_a_member_outlasts_half_a_day_of_waiting(site: Path) -> None:
+    """So that a live site's default horizon fits, whatever the forecast's length."""
+    done = command(
+        site, "verify", "--dress", "archive.csv", "--weather", "gauge.csv", "-o", "long.csv"
+    )
+    assert done.returncode == 0, done.stderr
+    dressing = read_dressing(site / "long.csv")
+    assert (dressing.edges[-1], dressing.hours) == (48, 120 + 12)
 
 
 def test_a_study_with_dressed_forecasts(site: Path) -> None:
