@@ -283,7 +283,7 @@ class Lookahead:
 
     def _plan_of(self, policy: Policy, *inputs: Any) -> Array:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
-        flows, roofs = self._program.follow(policy, *inputs, self.trust)
+        flows, roofs = self._program.follow(policy, *inputs, share=self.trust)
         rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
         horizon = self._after.edges[self._after.steps]
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
