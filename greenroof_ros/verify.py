@@ -58,8 +58,8 @@ CRPS   error of the whole distribution (mm), the fair one, alike for any number 
        single forecast the mean error
 
 Of an ensemble the first five are of member 0, the last two of all members.
---dress scores sums from each issue on: as issued, dressed without past issues within the length of a
-member and five days of it, and by climate, all that fell in the record.
+--dress scores sums from each issue on: as issued, dressed without past issues within the length of
+a member and five days of it, and by climate, all that fell in the record.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv

@@ -278,10 +278,12 @@ class Lookahead:
         self._age = self._fallen = 0.0
         self.solves += 1
         self.planned_deviation = self._policy.cost
-        weather = rain, evaporated, flow
-        self._rows = functools.partial(self._plan_of, self._policy, x1, x2, *weather)
+        inputs = x1, x2, rain, evaporated, flow
+        self._rows = functools.partial(self._plan_of, self._policy, inputs)
 
-    def _plan_of(self, policy: Policy, *inputs: Any) -> Array:
+    def _plan_of(
+        self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
+    ) -> Array:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
         flows, roofs = self._program.follow(policy, *inputs, self.trust)
         rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2

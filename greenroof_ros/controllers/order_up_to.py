@@ -452,7 +452,8 @@ def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
         target: x2* (m3).
     """
     there = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
-    return np.where(np.asarray(share) == 1, level, target - share * (target - there))
+    left = target - share * (target - there)
+    return np.asarray(np.where(np.asarray(share) == 1, level, left))
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
