@@ -366,7 +366,9 @@ class _Release:
     def _question(self, key: bytes, stop: Mapping[str, Any]) -> str:
         """Return what a key asks where the pump is so; empty where it asks nothing."""
         action, here, then = self._KEYS.get(key, ("", "", ""))
-        return f"{action.capitalize()} the pump? {stop[then]} y: yes, n: no" if stop.get(here) else ""
+        if not stop.get(here):
+            return ""
+        return f"{action.capitalize()} the pump? {stop[then]} y: yes, n: no"
 
 
 @contextmanager
