@@ -8,13 +8,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
 from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.pump_curve import PumpCurve
-from greenroof_ros.model.site import edited, read_site, site_parameters
+from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml
 
 CROP_NOTE = (
     "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
@@ -97,14 +96,12 @@ def edited_site_file(file: Path, entries: Mapping[str, Entry], heading: Sequence
     Raises:
         ConfigurationError: the text would be no site, since a value is out of its range.
     """
-    yaml = YAML()
-    yaml.preserve_quotes = True
-    yaml.width = 1000
+    yaml = site_yaml()
     site: CommentedMap = yaml.load(edited(file, {}))
     site.fa.set_block_style()
     missing = [name for name in entries if name not in site]
     for name, entry in entries.items():
-        site[name] = yaml.load(f"{entry.value:.6g}")  # a number that stays as it is written
+        site[name] = f"{entry.value:.6g}"
         _comment(site, name, f"# {_UNITS[name]:<7} {entry.words}")
     if missing:
         site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured roof")
@@ -113,7 +110,7 @@ def edited_site_file(file: Path, entries: Mapping[str, Entry], heading: Sequence
             product = 1.0
             for factor in factors:
                 product *= float(site.get(factor, 1.0))
-            site[name] = product
+            site[name] = repr(product)
     stream = io.StringIO()
     yaml.dump(site, stream)
     text = "\n".join([*(f"# {line}" for line in heading), "", stream.getvalue()])

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import math
-import re
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
+
+if TYPE_CHECKING:
+    from ruamel.yaml import YAML
 
 # No parameter of any site is beyond these, and nothing computed from them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
@@ -33,8 +36,6 @@ _FOLLOW = {
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
-# A line of a site file up to the end of its number.
-_LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 _CLIMATE = "monthly_evapotranspiration"
 # Names the file that has what a site file does not say.
 _EXTENDS = "extends"
@@ -337,39 +338,61 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
         path: of a file that :func:`read_site` accepts.
         values: by their symbols; one that the file does not have is added.
     """
-    text = _whole(path)
-    given = {
-        found["key"]: float(found["value"])
-        for found in re.finditer(_LINE.format(key=r"\w+"), text, re.MULTILINE)
-    }
+    given = {key: value for key, (_, _, value) in _given(path).items()}
     new = {**given, **values}
     for volume, factors in _FOLLOW.items():
         if volume in given and volume not in values:
             ratio = math.prod(new.get(name, 1.0) / given.get(name, 1.0) for name in factors)
             new[volume] = given[volume] * ratio
-    for key, value in new.items():
-        if key not in given:
-            text = f"{text.rstrip()}\n{key}: {value!r}\n"
-        elif value != given[key]:
-            text = re.sub(
-                _LINE.format(key=key), rf"\g<before>{value!r}", text, flags=re.MULTILINE
-            )
-    return text
+    other = {key: repr(value) for key, value in new.items() if value != given.get(key)}
+    if not other and _EXTENDS not in read_yaml(path):
+        return read_text(path)
+    return _with(_whole(path), other)
+
+
+def _with(text: str, values: Mapping[str, str]) -> str:
+    """Return YAML with a line for each key, whatever its form was, and with other values."""
+    yaml, stream = site_yaml(), io.StringIO()
+    site = yaml.load(text)
+    site.fa.set_block_style()
+    site.update(values)
+    yaml.dump(site, stream)
+    return stream.getvalue()
 
 
 def _whole(path: Path) -> str:
     """Return a site file's text, with what it has from the file that it extends below its own."""
-    text, mapping = read_text(path), read_yaml(path)
+    text, mapping = _with(read_text(path), {}), read_yaml(path)
     base = mapping.get(_EXTENDS)
     if base is None:
         return text
-    own = [line for line in text.splitlines() if not line.startswith(f"{_EXTENDS}:")]
+
+    def key(line: str) -> str:
+        return line.partition(":")[0].strip("'\"")
+
+    own = [line for line in text.splitlines() if key(line) != _EXTENDS]
     further, kept = [f"# From {base}"], True
     for line in _whole(_base(path, base)).splitlines():
         if not line[:1].isspace():  # or it goes on with the one above it
-            kept = line.partition(":")[0] not in mapping
+            kept = key(line) not in mapping
         further += [line] * kept
     return "\n".join([*own, "", *further, ""])
+
+
+def site_yaml() -> YAML:
+    """Return what reads and writes YAML with its comments, and takes every value for a text."""
+    # Here, since every node reads a site and few edit one: it takes long to import.
+    from ruamel.yaml import YAML
+    from ruamel.yaml.resolver import VersionedResolver
+
+    class Texts(VersionedResolver):
+        versioned_resolver: ClassVar = {}
+
+    yaml = YAML()
+    yaml.Resolver = Texts
+    yaml.preserve_quotes = True
+    yaml.width = 10_000
+    return yaml
 
 
 def _given(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:

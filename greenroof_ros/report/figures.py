@@ -560,13 +560,18 @@ def sizing(report: Report) -> Figure:
     cases = report.of(SEASONS)
     data: dict[str, Rows] = {}
     upper, lower = [], []
-    series = list(dict.fromkeys(_series(row, cases) for row in cases))
+    apart = len({row["from"] for row in cases}) > 1
+
+    def named(row: Row) -> str:
+        return _series(row, cases) + (f", from {row['from']}" if apart else "")
+
+    series = list(dict.fromkeys(map(named, cases)))
     for area in sorted({row["roof_m2"] for row in cases}):
         name = f"sizing-{len(data) + 1}"
         here = [row for row in cases if row["roof_m2"] == area]
         data[name] = [
             {
-                "series": _series(row, cases), "volume": short(row["cistern_size_m3"]),
+                "series": named(row), "volume": short(row["cistern_size_m3"]),
                 "saved": short(row["saved_m3"]), "overflow": short(row["outflow_m3"]),
             }
             for row in sorted(here, key=lambda row: row["cistern_size_m3"])

@@ -131,7 +131,7 @@ def _told_apart(runs: Sequence[Run]) -> list[Run]:
             sources.setdefault(run.row[key], {}).setdefault(run.meant.get(key), run.source)
         for place, run in enumerate(told):
             of = sources[run.row[key]]
-            if len(of) > 1:
+            if len({*of.values()}) > 1:  # a source tells nothing apart that is all in it
                 source = of[run.meant.get(key)]
                 own = {column: f"{run.row[column]} ({source})" for column in columns}
                 told[place] = replace(run, row={**run.row, **own})

@@ -137,10 +137,19 @@ def _of_several(report: Report) -> list[str]:
     ]
 
 
-def _winners(rows: Iterable[Row]) -> str:
-    """Say in how many places which controller was the best."""
-    wins = Counter(controller_name(row["controller"]) for row in rows).most_common()
-    return _and(f"{name}'s in {count}" for name, count in wins)
+def _winners(places: Iterable[Sequence[Row]]) -> str:
+    """Say in how many places which controller was the best; where several are, none is."""
+    wins: Counter[str] = Counter()
+    for rows in places:
+        names = {controller_name(row["controller"]) for row in _best(rows)}
+        wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
+    return _and(f"{whose} in {count}" for whose, count in wins.most_common())
+
+
+def _best(rows: Sequence[Row]) -> list[Row]:
+    """Return the row with the least total deviation, or all that have it."""
+    least = min(row[TOTAL] for row in rows)
+    return [row for row in rows if row[TOTAL] == least]
 
 
 def _least(report: Report) -> str:
@@ -152,16 +161,18 @@ def _least(report: Report) -> str:
     if len(cases) > _MOST_NAMED:
         return (
             f"Of {len(cases)} windows and initial states the least total deviation was "
-            f"{_winners(found[0] for found in cases)}."
+            f"{_winners(cases)}."
         )
     parts, apart = [], report.apart()
-    for first, *others in cases:
+    for rows in cases:
+        first, best = rows[0], _best(rows)
+        others = rows[len(best):]
         where = [f"in {heading({name: first[name] for name in apart}, apart)}"] if apart else []
         where += [f"from {first['from']}"] if len(report.initials) > 1 else []
-        alike = bool(others) and others[-1][TOTAL] == first[TOTAL]
-        whose = "whatever the controller" if alike else who(first)
+        alike = len(rows) > 1 and not others
+        whose = "whatever the controller" if alike else _and(map(who, best))
         text = f"{' '.join([_deviation(first[TOTAL]), *where])} ({whose}{_over_least(first)}"
-        if others and not alike:
+        if others:
             text += f"; {who(others[0])} had {others[0][TOTAL]:.2f}"
         parts.append(f"{text})")
     return f"The least total deviation was {_and(parts)}."
@@ -170,18 +181,19 @@ def _least(report: Report) -> str:
 def _of_seeds(report: Report) -> list[str]:
     cases = report.of(SEEDS)
 
-    def named(row: Row) -> str:
-        return f"{who(row)} from {row['from']}, forecasts of skill {row['skill']}"
+    def named(row: Row, *others: Row) -> str:
+        whose = _and(map(who, (row, *others)))
+        return f"{whose} from {row['from']}, forecasts of skill {row['skill']}"
 
     groups: dict[object, list[Row]] = {}
     for row in cases:
         groups.setdefault((row["place"], row["skill"]), []).append(row)
-    best = [min(rows, key=lambda row: row[TOTAL]) for rows in groups.values()]
+    best = [_best(rows) for rows in groups.values()]
     second = (
         f"Of {len(best)} windows, initial states and skills the least mean total deviation was "
         f"{_winners(best)}." if len(best) > _MOST_NAMED else
         "The least mean total deviation over the seeds was "
-        + _and(f"{_deviation(row[TOTAL])} ({named(row)})" for row in best) + "."
+        + _and(f"{_deviation(rows[0][TOTAL])} ({named(*rows)})" for rows in best) + "."
     )
     worst = max(cases, key=lambda row: row["worst_tenth_m3"] / row[TOTAL] if row[TOTAL] else 0.0)
     return [
@@ -228,7 +240,8 @@ def _of_sizes(cases: Sequence[Row]) -> list[str]:
     def named(row: Row) -> str:
         return (
             f"{row['saved_m3']:.4g} m³ a season with a cistern of {row['cistern_size_m3']:.4g} m³ "
-            f"for {row['roof_m2']:.4g} m² of green roof ({controller_name(row['controller'])})"
+            f"for {row['roof_m2']:.4g} m² of green roof ({controller_name(row['controller'])}, "
+            f"from {row['from']})"
         )
 
     spilt = [row["outflow_m3"] for row in cases]

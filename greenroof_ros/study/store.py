@@ -17,6 +17,7 @@ from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.versions import versions
+from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.recording.results_table import parameter_columns
 from greenroof_ros.study.case_run import Outcome
 from greenroof_ros.study.grid import Case
@@ -201,17 +202,26 @@ class Store:
         return rows
 
 
+class _WithoutTexts(ast.NodeTransformer):
+    """Drops expressions that are only a constant: docstrings."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) else node
+
+
 def _numbers() -> dict[str, str]:
     """Return the versions of what makes the numbers of a run: whether a stored one still counts.
 
-    Of this package it is the code in the folders that do, without its comments.
+    Of this package it is the code in the folders that do, without its comments and docstrings, and
+    the constants of the forecast skills that have a name.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
     for folder in ("model", "formats", "weather", "forecast", "controllers", "experiment"):
         for file in sorted((package / folder).rglob("*.py")):
-            code = ast.dump(ast.parse(file.read_bytes()))
+            code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
             digest.update(file.relative_to(package).as_posix().encode() + code.encode())
+    digest.update(repr(read_skill(REAL)).encode())
     others = {
         name: version for name, version in versions().items()
         if name in ("python", "numpy", "scipy", "osqp", "eto")

@@ -1,8 +1,8 @@
 """Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
 An alarm is a status that is not OK, a node that failed, or one that is not heard. It is known by
-the name of its status, so that a number that changes in its sentence makes no new one. What it
-means and what to do stands with its code, in the table of conditions: no sentence is read.
+the name of its status and its code, so that a number that changes in its sentence makes no new one.
+What it means and what to do stands with its code, in the table of conditions: no sentence is read.
 """
 
 from __future__ import annotations
@@ -164,10 +164,14 @@ class Alarms:
         troubles = self.registry.troubles(wall) if self.shown else {}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
-            if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):
-                self._alarms[name] = _Alarm(trouble, now, trouble.at_least)
+            if alarm is not None and alarm.over is not None and wall - alarm.over_wall > _AGAIN_S:
+                alarm = None
+            if alarm is not None and alarm.trouble.kind == trouble.kind:
+                alarm.trouble, alarm.over = trouble, None
                 continue
-            alarm.trouble, alarm.over = trouble, None
+            if alarm is not None:
+                self._note(f"{name}: {trouble.what}; before: {alarm.trouble.what}")
+            self._alarms[name] = _Alarm(trouble, now, trouble.at_least)
         for name, alarm in self._alarms.items():
             if name not in troubles and alarm.over is None:
                 alarm.over, alarm.over_wall = now, wall

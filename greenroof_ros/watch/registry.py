@@ -72,6 +72,11 @@ class Trouble:
     gist: str = ""
     at_least: bool = False
 
+    @property
+    def kind(self) -> tuple[str, str]:
+        """What makes it another trouble than one under the same name."""
+        return self.code, self.gist
+
 
 @dataclass
 class _Part:

@@ -279,7 +279,6 @@ def run(store: Store, feed: Feed) -> None:
     if console.no_color:  # not even bold
         console = Console(highlight=False, color_system=None)
     drawn = console.is_terminal and not console.is_dumb_terminal
-    document: dict[str, Any] = {"stop": {}}
     charts: dict[str, Any] = {}
     charts_at = shown_at = -math.inf
     before: object = None
@@ -293,18 +292,19 @@ def run(store: Store, feed: Feed) -> None:
             if b"q" in keys.lower():
                 break
             turned = keys.count(b" ")
-            release.press(keys, document["stop"])
             signals.check()
             now = time.monotonic()
-            document = {**document_of(store, now), "asked": release.asks}
+            document = document_of(store, now)
             unknown = document["mode"] == "none" or document["tiles"]["roof"]["number"] is None
             if unknown and now - begun < _FOUND_S:
                 continue  # that it is not known is said when that is known
+            release.press(keys, document["stop"])
+            document["asked"] = release.asks
             if now - charts_at >= _CHARTS_S:
                 charts, charts_at = _series(store), now
             size = console.size
             if live is None:
-                if now - shown_at >= _PRINT_S:
+                if keys or now - shown_at >= _PRINT_S:
                     console.print(*pages(document, charts, console, None), "")
                     shown_at = now
             elif turned or before != (document, charts, size):
@@ -339,21 +339,36 @@ class _Release:
 
     def __init__(self, feed: Feed) -> None:
         self.asks = ""
-        self._feed, self._action = feed, ""
+        self._feed, self._key = feed, b""
 
     def press(self, keys: bytes, stop: Mapping[str, Any]) -> None:
-        """Take the keys that were pressed, where the pump is so (as the document has it)."""
+        """Take the keys that were pressed, where the pump is so (as the document has it).
+
+        Those that come with the key that asks are no answer: nobody has read the question. Nor is
+        there one to a question that would be another by now.
+        """
         for key in (keys[i:i + 1] for i in range(len(keys))):
-            if key in self._KEYS and stop.get(self._KEYS[key][1]):
-                self._action, _, then = self._KEYS[key]
-                self.asks = f"{self._action.capitalize()} the pump? {stop[then]} y: yes, n: no"
-            elif self._action:
-                action, self._action, self.asks = self._action, "", ""
-                if key.lower() == b"y":
-                    try:
-                        self.asks = self._feed.ask(action)
-                    except StopFailedError as failure:
-                        self.asks = str(failure)
+            if question := self._question(key, stop):
+                self._key, self.asks = key, question
+                return
+            if self._key:
+                before, asked, self._key, self.asks = self.asks, self._key, b"", ""
+                if key.lower() != b"y":
+                    continue
+                if self._question(asked, stop) != before:
+                    self.asks = "Nothing was done: what was asked about has changed meanwhile."
+                    continue
+                try:
+                    self.asks = self._feed.ask(self._KEYS[asked][0])
+                except StopFailedError as failure:
+                    self.asks = str(failure)
+
+    def _question(self, key: bytes, stop: Mapping[str, Any]) -> str:
+        """Return what a key asks where the pump is so; empty where it asks nothing."""
+        action, here, then = self._KEYS.get(key, ("", "", ""))
+        if not stop.get(here):
+            return ""
+        return f"{action.capitalize()} the pump? {stop[then]} y: yes, n: no"
 
 
 @contextmanager

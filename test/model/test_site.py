@@ -241,6 +241,16 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     whole.write_text(edited(child, {"a2": 200.0, "z_o": 2.5}))
     assert read_site(whole) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
     assert edited(tmp_path / "my site.yaml", {}) == (tmp_path / "my site.yaml").read_text()
+    # In any other form, too.
+    for form in (
+        "{extends: ../roof.yaml, a1: 50.}", '"extends": ../roof.yaml\n"a1": +50.0  # m2\n',
+        "---\n? extends\n: ../roof.yaml\na1 : &x 5.e+1\n",
+    ):
+        child.write_text(form)
+        assert read_site(child) == site
+        for values in ({}, {"a1": 100 / 3, "z_o": 2.5}):
+            whole.write_text(edited(child, values))
+            assert read_site(whole) == replace(site, **values), form
     # One of this package's needs no copy beside.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")

@@ -36,6 +36,7 @@ from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.groups import SEEDS
 from greenroof_ros.report.pump_figures import pump_smoothing
 from greenroof_ros.report.tables import make_tables
+from greenroof_ros.report.words import sentences
 
 TOTAL = "total_deviation_m3"
 
@@ -433,6 +434,22 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     words = "nly 2 seeds: with fewer than 10, the worst tenth is a single run"
     assert words in text.partition("</header>")[0]
     assert words in text.partition('id="warnings"')[2]
+
+
+@pytest.mark.parametrize(("forecast", "seeds"), [("perfect", ("",)), ("errors", (1, 2))])
+def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...]) -> None:
+    row = {**simulate("onoff", "0.5", "low-low").row, "parameter:fraction": ""}
+    totals = {1: (5, 6), 2: (5, 6), 3: (5, 5), 4: (5, 5), 5: (7, 6)}
+    report = report_of(write_study(tmp_path / "study", [
+        ({
+            **row, "start": f"2021-07-0{day}T02:00:00-05:00", "controller": controller,
+            "forecast": forecast, "forecast_seed": seed, "total_deviation_m3": total,
+            "forecast_skill": "real" if seed else "",
+        }, None)
+        for seed in seeds for day, both in totals.items()
+        for controller, total in zip(("mpc", "onoff"), both, strict=True)
+    ]))
+    assert "MPC's in 2, shared in 2 and on/off's in 1." in sentences(report)[1]
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from greenroof_ros.report.intervals import (
     worst_tenth,
 )
 from greenroof_ros.report.tables import make_tables
+from greenroof_ros.report.words import sentences
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
@@ -285,7 +286,7 @@ weather:
   - {file: "2015_*.csv", start: 2015-05-01T00:00, hours: 192, evapotranspiration: fao56}
   - {file: "2016_*.csv", start: 2016-05-01T00:00, hours: 192, evapotranspiration: fao56}
 bound_block: 0
-initial: site
+initial: [site, {name: full, cistern_level: 3.0, roof_level: 0.039}]
 controllers: {onoff: }
 """
 
@@ -307,7 +308,11 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
     if text is SIZES:
         assert list(figures) == ["sizing"]
         # The same roof: what its cistern does not hold, the mains give.
-        small, large = cases
+        small, _, large, full = cases
+        assert {row["series"] for row in figures["sizing"].data["sizing-1"]} == {
+            "on/off, from site", "on/off, from full",
+        }
+        assert f"{full['saved_m3']:.4g} m³ a season with a cistern of 24" in sentences(report)[1]
         assert small["outflow_m3"] > large["outflow_m3"] >= 0
         for row in (small, large):
             assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])

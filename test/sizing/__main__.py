@@ -41,17 +41,18 @@ def mean(values: list[float], form: str) -> str:
 def main() -> None:
     """Print the table."""
     study = Path(sys.argv[1])
-    years: dict[tuple[float, float], list[dict[str, str]]] = defaultdict(list)
+    years: dict[tuple[str, float, float], list[dict[str, str]]] = defaultdict(list)
     with (study / "results.csv").open(encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
             site = read_site(study / "configuration" / row["site"])
-            years[site.a2, site.a1 * site.z_o].append(row)
-    heads = ["green roof (m²)", "cistern (m³)", *(head for head, _ in METRICS.values())]
+            years[row["initial"], site.a2, site.a1 * site.z_o].append(row)
+    heads = ["begins", "green roof (m²)", "cistern (m³)", *(head for head, _ in METRICS.values())]
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
-    for size in sorted(years):
-        cells = [f"{each:g}" for each in size]
+    for case in sorted(years):
+        initial, *size = case
+        cells = [initial, *(f"{each:g}" for each in size)]
         cells += [
-            mean([float(row[name]) for row in years[size]], form)
+            mean([float(row[name]) for row in years[case]], form)
             for name, (_, form) in METRICS.items()
         ]
         print(f"| {' | '.join(cells)} |")

@@ -261,14 +261,19 @@ def test_a_run_that_cannot_be_read_now_stays(finished: Path) -> None:
 def test_what_decides_whether_a_run_still_counts(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The code that makes its numbers: not that of the page, and no comment."""
+    """The code that makes its numbers, and the constants of skills: not the page, and no words."""
     package = finished / "greenroof_ros"
     shutil.copytree(Path(greenroof_ros.__file__).parent, package)
     monkeypatch.setattr(store_module, "__file__", str(package / "study" / "store.py"))
-    for file, text in (("watch/__init__.py", "A = 1\n"), ("model/plant.py", "# a comment\n")):
+    for file, text in (
+        ("watch/__init__.py", "A = 1\n"), ("model/plant.py", '# a comment\n"""and words"""\n'),
+    ):
         with (package / file).open("a") as stream:
             stream.write(text)
         assert len(store_of(finished).outcomes) == 12, file
+    with monkeypatch.context() as patch:
+        patch.setattr(store_module, "read_skill", lambda _: "other constants")
+        assert "other versions of what makes the numbers" in refusal(finished)
     with (package / "model" / "plant.py").open("a") as stream:
         stream.write("A = 1\n")
     assert "other versions of what makes the numbers" in refusal(finished)

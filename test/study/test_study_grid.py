@@ -159,8 +159,7 @@ YEARS = {
     # 3 more; on the measured one these are 3 + 1, 10 + 1 and 1.
     "seasons.yaml": (2, {10}, (5 + 2 * 11 + 3) + (5 + 4 + 11 + 1)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
-    "sizing.yaml": (18, {60}, 18),
-    "sizing_full.yaml": (18, {60}, 18),
+    "sizing.yaml": (18, {60}, 2 * 18),
     "skills.yaml": (2, {60}, 2 * (1 + 4 * 3)),
     "ticks.yaml": (4, {1, 10}, 4 * 4),
 }

@@ -72,7 +72,7 @@ def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
     assert (alarms.rows(), alarms.counts(), alarms.advice()) == ([], (0, 0, 0), "Nothing to do.")
     alarms.hear(0.25, 1005.0, pump(WRONG))
     assert alarms.counts() == (1, 0, 0)
-    alarms.hear(0.5, 1010.0, pump(("drive", ERROR, "no connection for 6 s")))
+    alarms.hear(0.5, 1010.0, pump(("drive", ERROR, "no connection for 6 s", "drive_lost")))
     (row,) = alarms.rows()
     assert (row["what"], row["level"], row["since"]) == ("no connection for 6 s", "error", 1005.0)
     assert not row["since_at_least"]
@@ -121,19 +121,21 @@ def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
 
 
 def test_two_faults_of_a_drive_are_two_alarms() -> None:
-    """By the numbers that the drive gives them, although all else is the same."""
+    """By the numbers that the drive gives them, although all else is the same: also in events."""
     alarms = Alarms()
-    for number in (2310, 2320):
+    for at, number in enumerate((2310, 2320)):
         fault = f"the drive reports: fault {number}"
         for seconds in (number, 9):
-            alarms.hear(0.0, 0.0, pump(
+            alarms.hear(at, at, pump(
                 ("drive", ERROR, f"reports a fault: {number}", "drive_fault"),
                 ("pump", ERROR, f"fault: {fault}; no connection for {seconds} s", "drive_fault"),
                 fault=fault,
             ))
             for row in alarms.rows():
-                assert row["acknowledged"] == (seconds == 9), number
+                assert (row["acknowledged"], row["since"]) == (seconds == 9, at), number
                 alarms.acknowledge(row["id"])
+    told = "/pump: drive: reports a fault: 2320; before: reports a fault: 2310"
+    assert happened(alarms).count(told) == 1
 
 
 def test_what_is_over_is_kept_for_a_while() -> None:

@@ -17,6 +17,7 @@ import time
 from contextlib import suppress
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.terminal import pages
+from greenroof_ros.watch.terminal import _Release, pages
 from greenroof_ros.watch.wire import Status
 
 
@@ -402,12 +403,25 @@ def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
         ), 1):
             terminal.press(key)
             terminal.read_until(question)
-            terminal.press(b"ny" + key + b"xy" + key)
+            terminal.press(b"ny" + key + b"y")  # what comes with the question does not confirm it
             terminal.read_until(question)
             terminal.press(b"y")
             terminal.read_until(f"asked {number} times, now for: {action}")
         terminal.process.send_signal(signal.SIGTERM)
         assert terminal.ends() == 0
+
+
+@pytest.mark.parametrize(("key", "changed"), [
+    (b"r", {"release_then": "Another."}), (b"r", {"release_here": False}),
+    (b"c", {"clear_then": "Another."}), (b"c", {"clear_here": False}),
+])
+def test_y_confirms_what_was_asked_and_nothing_else(key: bytes, changed: dict[str, object]) -> None:
+    stop = read_document(with_a_stop_of_the_page(), 100.0)["stop"]
+    release = _Release(SimpleNamespace(ask=lambda action: f"asked for: {action}"))
+    for then, said in ((stop | changed, "Nothing was done"), (stop, "asked for")):
+        release.press(key, stop)
+        release.press(b"y", then)
+        assert release.asks.startswith(said)
 
 
 def test_what_cannot_be_drawn_over_is_printed() -> None:

@@ -265,6 +265,12 @@ const showStop = (stop) => {
   const unsure = place.classList.contains("failed") || stopBefore.warning;
   if (stop.stopped !== stopBefore.stopped && (!stop.stopped || unsure)) place.hidden = true;
   stopBefore = stop;
+  // So is a question, but for whether to stop, which is right whatever else has changed.
+  const still = stop[`${asked}_here`] && stop[ACTIONS[asked].then] === byId("ask-sentence").textContent;
+  if (byId("ask").open && asked !== "stop" && !still) {
+    byId("ask").close();
+    answer("Nothing was done: what was asked about has changed meanwhile.", true);
+  }
 };
 
 const answer = (text, failed) => {
@@ -470,7 +476,7 @@ const stream = {
 // A page that nobody sees hears of alarms alone, for its title; what it shows is then of before.
 document.addEventListener("visibilitychange", () => {
   stream.close();
-  if (document.hidden) stream.lost("");
+  if (document.hidden) document.body.classList.add("lost-link");
   stream.open();
 });
 addEventListener("online", () => stream.open());
