@@ -1,8 +1,9 @@
 """Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
 An alarm is a status that is not OK, a node that failed, or one that is not heard. It is known by
-the name of its status and its code, so that a number that changes in its sentence makes no new one.
-What it means and what to do stands with its code, in the table of conditions: no sentence is read.
+the name of its status, so that a number that changes in its sentence makes no new one; a second
+fault under that name does. What it means and what to do stands with its code, in the table of
+conditions: no sentence is read.
 """
 
 from __future__ import annotations
@@ -166,7 +167,9 @@ class Alarms:
             alarm = self._alarms.get(name)
             if alarm is not None and alarm.over is not None and wall - alarm.over_wall > _AGAIN_S:
                 alarm = None
-            if alarm is not None and alarm.trouble.kind == trouble.kind:
+            before = alarm.trouble.gist if alarm is not None else ""
+            another = before and trouble.gist and before != trouble.gist
+            if alarm is not None and not another:
                 alarm.trouble, alarm.over = trouble, None
                 continue
             if alarm is not None:

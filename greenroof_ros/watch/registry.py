@@ -59,7 +59,7 @@ class Trouble:
         role: of the node, as the interface calls it; empty for another device.
         part: of the node; empty for the node itself.
         names: topics that it is about, or nodes that are waited for, where that is known.
-        gist: what makes it another trouble, where the code does not.
+        gist: the fault, of a drive or a latched one: with another one it is another alarm.
         at_least: whether it may have been so before anybody listened here.
     """
 
@@ -71,11 +71,6 @@ class Trouble:
     names: tuple[str, ...] = ()
     gist: str = ""
     at_least: bool = False
-
-    @property
-    def kind(self) -> tuple[str, str]:
-        """What makes it another trouble than one under the same name."""
-        return self.code, self.gist
 
 
 @dataclass
