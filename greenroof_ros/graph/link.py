@@ -12,10 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+from rclpy.clock import ROSClock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.time import Time
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
@@ -24,7 +28,7 @@ from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import PLANT, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.rclpy_internals import ClockSetByHand
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Reports
 from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
@@ -38,7 +42,7 @@ _FLUSH_S = 1.0
 _REPORT_S = 0.25
 
 
-class LinkedNode(ClockSetByHand):
+class LinkedNode(NoClockSubscription, Node):
     """A node of a graph, simulated or live.
 
     It opens its topics by :meth:`open_outputs` and :meth:`subscribe`, by their names in the
@@ -93,6 +97,7 @@ class LinkedNode(ClockSetByHand):
             Live(self, self.act, self.diagnose) if self.live else Lockstep(self)
         )
         self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, not self.live)])
+        self._ros_clock = cast(ROSClock, self.get_clock())
         self.reports = Reports(self, role)
         if not self.live and role != PLANT:
             run = Publishers(self, self.interface[RUN], live=False)
@@ -149,6 +154,11 @@ class LinkedNode(ClockSetByHand):
         site = read_site(file)
         self._trigger.act_every(site.tau)
         return site
+
+    def set_time(self, time_ns: int) -> None:
+        """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
+        now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
+        self._ros_clock.set_ros_time_override(now)
 
     def open_outputs(self, *names: str) -> None:
         """Open topics of the interface for :meth:`publish`."""

@@ -7,33 +7,25 @@ all of it, and fails then.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, cast
-
-from rclpy.clock import ROSClock
-from rclpy.clock_type import ClockType
-from rclpy.node import Node
-from rclpy.time import Time
+from typing import Any
 
 _CLOCK = "/clock"  # as rclpy names it
 
 
-class ClockSetByHand(Node):
-    """A node whose simulated clock is set from messages that it has already.
+class NoClockSubscription:
+    """Beside ``Node``: a node in simulated time that does not subscribe to the clock by itself.
 
     rclpy's own subscription, to ``/clock`` even in a namespace, costs 35 us of processor time a
-    tick in each node. It is opened by this method, and there is no way to do without.
+    tick in each node. It is opened by this method, and there is no public way to do without.
     """
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
         """Open a subscription, but not rclpy's own to the clock."""
         if topic == _CLOCK:
             return None
-        return super().create_subscription(msg_type, topic, *args, **options)
-
-    def set_time(self, time_ns: int) -> None:
-        """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
-        now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
-        cast(ROSClock, self.get_clock()).set_ros_time_override(now)
+        return super().create_subscription(  # type: ignore[misc]
+            msg_type, topic, *args, **options
+        )
 
 
 def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:

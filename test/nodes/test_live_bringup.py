@@ -236,7 +236,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
             "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The level",
-            "is older than 2 h. There is no forecast for now, so plain on/off waters by the level",
+            "is older than 2 h. There is no forecast for now, so the roof is watered by its level",
         ):
             process.until_said(reason)
         # What only follows from these is not in it, nor a drive that is there.
