@@ -378,6 +378,8 @@ class OrderUpTo:
             else:
                 filled = np.minimum(level, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
+                # Exact where nothing is filled: who is held then as who is left alone is no gain.
+                costs = np.where(filled > roof, costs, ours)
                 contents = self._content(filled)
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)

@@ -164,11 +164,12 @@ def test_what_is_left_for_rain() -> None:
     assert leave(np.array([0.5, 1.0]), -1.0, -1.0, 4.0).tolist() == [2.0, -1.0]
 
 
+@pytest.mark.parametrize("asked", [3e-6, 0.0])
 @pytest.mark.parametrize("share", SHARES[:-1])
-def test_the_plan_leaves_the_room_that_the_command_leaves(share: float) -> None:
-    """It is held there until the next step of a plan may raise it."""
+def test_the_plan_leaves_the_room_that_the_command_leaves(share: float, asked: float) -> None:
+    """It is held there until the next step may raise it, by night, too, when nothing dries."""
     controller, steps = lookahead(horizon=HORIZON), len(ENDS) - 1
     controller.learned = {**controller.learned, "trust": share}
-    controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [3e-6] * steps)
+    controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [asked] * steps)
     ends, _, levels = controller.plan.T
     assert levels[ends == 120] == pytest.approx(controller.fill_to, abs=1e-5)
