@@ -10,12 +10,15 @@ rule, for every node but the recorder, which only counts:
 
 Readers that are discovered late get what was said before: topics are transient local and 64 deep,
 and the plant is at most 32 ticks ahead of the recorder. Awaited are the inputs without a callback.
-A second message before its node has acted, a second publisher, and a message that does not come
-within the peer limit (before a node's first answer the start limit) each end the run; the last
-under the name of what the plant itself awaits. Only the pump node tolerates a second command, or a
-second publisher of commands, for which it stops the pump; the plant, which hears both, ends the
-run. A second message after the node has acted counts for the next tick, and is found when
-that comes too, or at the end by the count. One that only the recorder misses is found at the end.
+What ends a run:
+
+- a message that does not come within the peer limit (before a node's first answer the start limit);
+  the plant names what it awaits itself;
+- a second publisher, or a second message before its node has acted. Only the pump node tolerates
+  either of commands, and stops the pump; the plant, which hears both, ends the run;
+- a second message after the node has acted: it counts for the next tick, and is found when that
+  comes too, or at the end by the count, as is one that only the recorder misses.
+
 There are no timers and no sleeps on the way of a tick; the only wall clocks here end a run which
 hangs, and the pump node's own stop its drive.
 """
@@ -94,8 +97,8 @@ class Lockstep:
     Attributes:
         run: the one that the node takes part in; None before the plant has said it.
         tick: on which the node acts next.
-        has_begun: true: what it waits for before it is ready are its peers alone.
-        due_in: no time (s): it acts on messages.
+        has_begun: always true: to be ready it needs its peers alone, and no first act as live.
+        due_in: until it acts by the clock (s): never, it acts on messages.
     """
 
     has_begun, due_in = True, math.inf

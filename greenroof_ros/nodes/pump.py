@@ -4,10 +4,10 @@ It is a lifecycle node. *configure* connects to the drive and reads its nameplat
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
-page has services of its own, ``~/page_stop`` and ``~/page_clear``, which release what was stopped
-by the first alone, and clear once in 24 h a speed that was not followed. In
-any state the flow is said: in lockstep once for each command, live every tau. Between them the
-drive is stopped by wall time, and /pump/state says why the pump stands.
+page has services of its own: ``~/page_stop`` stops the pump, and releases what it stopped itself;
+``~/page_clear`` clears once in 24 h a speed that was not followed. In any state the flow is
+published: in lockstep once a tick, when command, levels and frost are there, live every tau.
+Between them the drive is stopped by wall time, and /pump/state says why the pump stands.
 """
 
 from __future__ import annotations
@@ -459,7 +459,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._commanded = boot_time()
 
     def on_inputs(self) -> None:
-        """Act on a command, in lockstep; in a live graph, act because it is time to."""
+        """Act on the inputs of a tick, in lockstep; in a live graph, act because it is time to."""
         now = boot_time()
         if not self.live:
             self._drive.keep_to_speed_of(self.lockstep.run)

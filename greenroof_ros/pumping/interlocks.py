@@ -15,8 +15,8 @@ What each code means, and what to do about it, is in ``msg_defs/conditions.yaml`
 (:mod:`greenroof_ros.common.interface`).
 
 To add an interlock, add its row here and its words there, and give a reason under its code in
-:mod:`.limits` (levels, weather, how long and how much), :mod:`.pump_control` (what the drive shows)
-or the pump node (what it knows itself). doc/development.md lists the rest.
+:mod:`.limits` (levels, weather, how long and how much), :mod:`.pump_control` (what the drive shows,
+and all that latches) or the pump node (what it knows itself). doc/development.md lists the rest.
 """
 
 from __future__ import annotations
