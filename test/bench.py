@@ -113,20 +113,20 @@ def _drain(leader: int) -> None:
         return
 
 
-def measure_mpc() -> float:
-    """Return a tick of ``simulate`` (s): controller, plant and metrics."""
+def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
+    """Return a tick of ``simulate`` (s), controller, plant and metrics, and its decisions' times."""
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
 
     parser = argparse.ArgumentParser()
-    add_run_arguments(parser, [])
-    run = run_from_arguments(parser.parse_args([]))
+    add_run_arguments(parser, arguments)
+    run = run_from_arguments(parser.parse_args(arguments))
     controller = run.make_controller()
     began = time.perf_counter()
     for _ in closed_loop(run, controller, Metrics()):
         pass
-    return (time.perf_counter() - began) / run.steps
+    return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
 
 
 def measure_study() -> float:
@@ -215,6 +215,8 @@ MEASURED = {
     "bare": "the same without the recorder",
     "record": "tick with / without recorder",
     "roof_tick": "tick of the whole graph, measured roof / the paper's",
+    "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
+    "p99": "the same, 99th percentile",
     "do_mpc": "do-mpc step / MPC step of `simulate`",
     "study": "study of 30 runs / (one MPC run alone x 15 / cores)",
 }
@@ -230,11 +232,14 @@ def main() -> None:
             bare = measure_graph(domain, "--no-record")
             roof_tick = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
             yardstick = (trip + measure_echo(domain)) / 2
-            step, peer = measure_mpc(), measure_do_mpc()
+            (step, mpc), peer = measure_simulated(), measure_do_mpc()
+            _, ahead = measure_simulated("--controller", "lookahead", "--forecast", "ensemble")
             rows["tick"].append(recorded / yardstick)
             rows["bare"].append(bare / yardstick)
             rows["record"].append(recorded / bare)
             rows["roof_tick"].append(roof_tick / recorded)
+            rows["mean"].append(ahead["mean_s"] / mpc["mean_s"])
+            rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
             rows["do_mpc"].append(peer / step)
             rows["study"].append(measure_study())
             print(
