@@ -114,7 +114,7 @@ def _drain(leader: int) -> None:
 
 
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
-    """Return a tick of ``simulate`` (s), controller, plant and metrics, and its decisions' times."""
+    """Return a tick of ``simulate`` (s) with plant and metrics, and its decisions' times."""
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
