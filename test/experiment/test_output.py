@@ -36,8 +36,7 @@ def test_summary_that_cannot_be_printed(
 ) -> None:
     """The run is done, exit code 1, and one sentence says where its summary is."""
     done = run_in_shell(f"$SIMULATE {redirections}", tmp_path)
-    assert done.returncode == 1
-    assert done.stdout == ""
+    assert (done.returncode, done.stdout) == (1, "")
     file = tmp_path / "run" / "summary.json"
     assert json.loads(file.read_text())["status"] == "done"
     if why is not None:

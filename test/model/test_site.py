@@ -241,7 +241,6 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     whole.write_text(edited(child, {"a2": 200.0, "z_o": 2.5}))
     assert read_site(whole) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
     assert edited(tmp_path / "my site.yaml", {}) == (tmp_path / "my site.yaml").read_text()
-    # In any other form, too.
     for form in (
         "{extends: ../roof.yaml, a1: 50.}", '"extends": ../roof.yaml\n"a1": +50.0  # m2\n',
         "---\n? extends\n: ../roof.yaml\na1 : &x 5.e+1\n",
