@@ -184,7 +184,10 @@ class Watcher:
         one = self._topics[topic]
 
         def pass_on(message: Any) -> None:
-            value = changed(message.data)
+            data = message.data
+            if isinstance(data, array):  # without what stands in front of a forecast
+                data = data[message.layout.data_offset :]
+            value = changed(data)
             if value is not None:
                 self.publish(topic, value)
 
