@@ -21,6 +21,9 @@ SAMPLE = {
     "site:danfoss_fc202/sensor/roof_silent/0": ("/roof/level", "ran again"),
     "site:danfoss_fc202/intruder/pump.command/0": ("publishers", "ran again"),
     "simulated/kill/weather/0": ("node weather ended (SIGKILL)", "exit code 1"),
+    "relayed:danfoss_fc202/off/weather.precipitation/0": (
+        "nothing came within 5 s on /weather/precipitation", "exit code 1",
+    ),
 }
 
 
