@@ -196,6 +196,6 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     time.sleep(0.5)  # until it has said its name
     refused = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     assert refused.wait(300) == 3
-    assert "ROS_DOMAIN_ID=" in refused.stderr()
+    assert "ROS_DOMAIN_ID" in refused.stderr()  # by bringup, or by the node that meets it
     weather.process.kill()
     weather.process.wait()
