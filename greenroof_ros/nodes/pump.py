@@ -5,7 +5,7 @@ communication timeout; *activate* lets the pump run, unless that timeout is off,
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
 page has services of its own: ``~/page_stop`` stops the pump, and releases what it stopped itself;
-``~/page_clear`` clears once in 24 h a speed that was not followed. In any state the flow is
+``~/page_clear`` clears the fault speed_not_followed, once in 24 h. In any state the flow is
 published: in lockstep once a tick, when command, levels and frost are there, live every tau.
 Between them the drive is stopped by wall time, and /pump/state says why the pump stands.
 """
