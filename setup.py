@@ -97,6 +97,8 @@ setup(
             # TCP and RTU; its minor releases change the interface, which has `device_id` since 3.10
             "pymodbus[serial]>=3.16,<3.17",
         ],
+        # Sensors and relays on MQTT, and the bridge to Home Assistant.
+        "mqtt": ["paho-mqtt>=2.1,<3"],  # Eclipse's own client; 2 names the reasons of failures
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
             "pebble>=5,<6",  # parallel processes; one may die without the others

@@ -1,0 +1,171 @@
+"""Where an MQTT broker is, and a client that is connected to it.
+
+MQTT 3.1.1 with a clean session: what was said while a client was away is not said to it later. A
+client connects by itself, again and again; what it is to publish meanwhile is dropped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import read_yaml
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+_ADDRESS = re.compile(
+    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
+)
+_PORT, _TLS_PORT = 1883, 8883
+# A broker that says nothing for one and a half times as long counts as gone (s).
+_KEEP_ALIVE_S = 5
+# Waits between two attempts to connect (s): the first, and the longest.
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 1, 5
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where an MQTT broker is, and how to log in.
+
+    Attributes:
+        host: name or address.
+        port: TCP port.
+        tls: whether the connection is encrypted, and the broker's certificate checked.
+        login: file with ``username`` and ``password``; None for none.
+        authority: file of the certificates that are trusted, PEM; None for the system's.
+    """
+
+    host: str
+    port: int
+    tls: bool = False
+    login: Path | None = None
+    authority: Path | None = None
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'mqtts' if self.tls else 'mqtt'}://{host}:{self.port}"
+
+
+def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> Broker:
+    """Return the broker that an address names.
+
+    Args:
+        text: ``mqtt://HOST[:PORT]``, or ``mqtts://HOST[:PORT]`` over TLS.
+        key: what the address is called in an error.
+        login: file with ``username`` and ``password``; empty for none.
+        authority: file of the certificates that are trusted (PEM); empty for the system's.
+
+    Raises:
+        ConfigurationError: it is no such address.
+    """
+    match = _ADDRESS.fullmatch(text)
+    port = int(match["port"]) if match and match["port"] else None
+    if match is None or (port is not None and not 0 < port < 65536):
+        raise ConfigurationError(
+            "must be mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS", key=key, value=text
+        )
+    tls = match["scheme"] == "mqtts"
+    if authority and not tls:
+        raise ConfigurationError(
+            "certificates are for mqtts://HOST[:PORT] alone", key=key, value=text
+        )
+    return Broker(
+        match["host"].strip("[]"), port or (_TLS_PORT if tls else _PORT), tls,
+        Path(login) if login else None, Path(authority) if authority else None,
+    )
+
+
+def parse_topic(
+    text: str, key: str, login: str = "", authority: str = ""
+) -> tuple[Broker, str]:
+    """Return the broker and the topic that ``mqtt://HOST[:PORT]/TOPIC`` names.
+
+    Args:
+        text: the address.
+        key: likewise, with the rest, see :func:`parse_broker`.
+        login: likewise.
+        authority: likewise.
+
+    Raises:
+        ConfigurationError: it is no such address.
+    """
+    scheme, mark, rest = text.partition("://")
+    place, _, topic = rest.partition("/")
+    if not topic or set(topic) & set("#+\0"):
+        raise ConfigurationError(
+            "must be mqtt://HOST[:PORT]/TOPIC, the topic without # and +", key=key, value=text
+        )
+    return parse_broker(scheme + mark + place, key, login, authority), topic
+
+
+def make_client(
+    broker: Broker, name: str,
+    on_connect: Callable[[], None],
+    on_message: Callable[[str, bytes, bool], None],
+    on_disconnect: Callable[[str], None] = lambda why: None,
+    will: tuple[str, str] | None = None,
+) -> Client:
+    """Return a client that is not connected yet: ``loop_start`` on it runs its thread.
+
+    ``connect_async`` has been called, so that the thread connects, again after each failure.
+
+    Args:
+        broker: where it connects to.
+        name: its id; the broker throws out another client of the same.
+        on_connect: called in its thread after each connection, to subscribe.
+        on_message: called in its thread with topic, payload, and whether the message was retained.
+        on_disconnect: called in its thread with why a connection ended or failed.
+        will: topic and payload that the broker publishes, retained, where the client is lost.
+
+    Raises:
+        ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+    """
+    with in_extra("mqtt"):
+        from paho.mqtt.client import Client, MQTTv311
+        from paho.mqtt.enums import CallbackAPIVersion
+    client = Client(
+        CallbackAPIVersion.VERSION2, client_id=name, clean_session=True, protocol=MQTTv311
+    )
+    if broker.login is not None:
+        client.username_pw_set(*_read_login(broker.login))
+    if broker.tls:
+        try:
+            client.tls_set(ca_certs=None if broker.authority is None else str(broker.authority))
+        except OSError as error:  # of ssl, too
+            raise ConfigurationError(
+                f"cannot be used as certificates: {error.strerror or error}", file=broker.authority
+            ) from error
+    if will is not None:
+        client.will_set(*will, qos=1, retain=True)
+
+    def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
+        if code.is_failure:
+            on_disconnect(str(code))
+        else:
+            on_connect()
+
+    def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
+        on_disconnect(str(code))
+
+    client.on_connect = connected
+    client.on_disconnect = disconnected
+    client.on_connect_fail = lambda client, data: on_disconnect(f"nobody answers at {broker}")
+    client.on_message = lambda client, data, message: on_message(
+        message.topic, bytes(message.payload), message.retain
+    )
+    client.reconnect_delay_set(_FIRST_WAIT_S, _LONGEST_WAIT_S)
+    client.connect_async(broker.host, broker.port, keepalive=_KEEP_ALIVE_S)
+    return client
+
+
+def _read_login(file: Path) -> tuple[str, str]:
+    found = read_yaml(file)
+    for name in ("username", "password"):
+        if not isinstance(found.get(name), str):
+            raise ConfigurationError("must be a text", file=file, key=name)
+    return found["username"], found["password"]

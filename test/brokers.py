@@ -1,0 +1,81 @@
+"""A real MQTT broker, Mosquitto, on a port of its own."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+_FOUND = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+needs_mosquitto = pytest.mark.skipif(_FOUND is None, reason="there is no mosquitto here")
+
+
+class Mosquitto:
+    """A broker that may be killed, stopped, and started again at the same port.
+
+    Attributes:
+        port: of loopback.
+        address: as an option takes it.
+    """
+
+    def __init__(self, directory: Path, *lines: str) -> None:
+        """Start it.
+
+        Args:
+            directory: for its configuration and log.
+            lines: of the configuration, in place of letting everybody in.
+        """
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port: int = free.getsockname()[1]
+        self.address = f"mqtt://127.0.0.1:{self.port}"
+        self._file, self._log = directory / "mosquitto.conf", directory / "mosquitto.log"
+        more = lines or ("allow_anonymous true",)
+        self._file.write_text("\n".join([f"listener {self.port} 127.0.0.1", *more, ""]))
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until it listens."""
+        with self._log.open("a") as log:
+            self.process = subprocess.Popen(
+                [str(_FOUND), "-c", str(self._file)], stdout=log, stderr=log
+            )
+        until = time.monotonic() + 10
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1).close()
+                return
+            except OSError:
+                if time.monotonic() > until or self.process.poll() is not None:
+                    raise OSError(f"no broker: {self._log.read_text()}") from None
+                time.sleep(0.05)
+
+    def kill(self) -> None:
+        """End it without a word."""
+        self.process.send_signal(signal.SIGCONT)
+        self.process.kill()
+        self.process.wait()
+
+    def pause(self) -> None:
+        """Have it answer nothing, its connections open."""
+        self.process.send_signal(signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        """Have it go on."""
+        self.process.send_signal(signal.SIGCONT)
+
+
+@contextmanager
+def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
+    """Run a broker; see :class:`Mosquitto`."""
+    broker = Mosquitto(directory, *lines)
+    try:
+        yield broker
+    finally:
+        broker.kill()

@@ -1,0 +1,85 @@
+"""Addresses of brokers and their topics, logging in, and a client that connects again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from brokers import mosquitto, needs_mosquitto
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import Broker, make_client, parse_broker, parse_topic
+
+
+def until(there: Callable[[], object], seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_an_address_names_broker_and_topic() -> None:
+    assert parse_broker("mqtt://roof.local", "broker") == Broker("roof.local", 1883)
+    assert parse_broker("mqtts://[::1]:99", "broker") == Broker("::1", 99, tls=True)
+    assert parse_topic("mqtt://h:1/a/b", "address") == (Broker("h", 1), "a/b")
+    for wrong in ("roof.local", "mqtt://", "mqtt://h:0", "mqtt://h:70000", "http://h"):
+        with pytest.raises(ConfigurationError, match=r"broker = .*: must be mqtt://HOST"):
+            parse_broker(wrong, "broker")
+    for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):
+        with pytest.raises(ConfigurationError, match=r"address = .*: must be mqtt://HOST"):
+            parse_topic(wrong, "address")
+
+
+def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
+    login = tmp_path / "login.yaml"
+    login.write_text("username: roof\npassword: 12\n")
+    broker = parse_broker("mqtt://127.0.0.1", "broker", str(login))
+    with pytest.raises(ConfigurationError, match=r"login\.yaml.*password: must be a text"):
+        make_client(broker, "a", lambda: None, lambda *message: None)
+
+
+@needs_mosquitto
+def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> None:
+    heard: list[bytes] = []
+    connected: list[int] = []
+    with mosquitto(tmp_path) as server:
+        client = make_client(
+            parse_broker(server.address, "broker"), "roof",
+            lambda: connected.append(client.subscribe("level")[1]),
+            lambda topic, payload, retained: heard.append(payload),
+        )
+        client.loop_start()
+        try:
+            until(lambda: connected)
+            client.publish("level", "1")
+            until(lambda: heard)
+            server.kill()
+            until(lambda: not client.is_connected())
+            client.publish("level", "2")
+            server.start()
+            until(lambda: len(connected) > 1)
+            client.publish("level", "3")
+            until(lambda: b"3" in heard)
+        finally:
+            client.disconnect()
+            client.loop_stop()
+    assert heard == [b"1", b"3"]
+
+
+@needs_mosquitto
+def test_a_broker_that_lets_nobody_in_is_named(tmp_path: Path) -> None:
+    why: list[str] = []
+    with mosquitto(tmp_path, "allow_anonymous false") as server:
+        client = make_client(
+            parse_broker(server.address, "broker"), "roof", lambda: why.append("let in"),
+            lambda *message: None, why.append,
+        )
+        client.loop_start()
+        try:
+            until(lambda: why)
+        finally:
+            client.disconnect()
+            client.loop_stop()
+    assert why[0] == "Not authorized"
