@@ -43,7 +43,7 @@ def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
 @needs_mosquitto
 def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> None:
     heard: list[bytes] = []
-    connected: list[int] = []
+    connected: list[int | None] = []
     with mosquitto(tmp_path) as server:
         client = make_client(
             parse_broker(server.address, "broker"), "roof",
