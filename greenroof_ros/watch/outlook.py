@@ -32,6 +32,17 @@ class Amount(NamedTuple):
     members: int
 
 
+class Pumped(NamedTuple):
+    """What a controller means to pump."""
+
+    volume: float
+    """m3"""
+    begin: float
+    """s since 1970"""
+    level: float
+    """Highest level of the roof that is expected at the end of a step with pumping (m)."""
+
+
 @dataclass(frozen=True)
 class _Steps:
     """What is to come, in steps.
@@ -107,15 +118,14 @@ class Plan(_Steps):
     flow: Values
     level: Values
 
-    def pumped(self, now: float) -> tuple[float, float | None]:
-        """Return what is to be pumped from now on to 12 h ahead (m3), and when that begins.
-
-        The begin is s since 1970, None where nothing is to be pumped.
-        """
+    def pumped(self, now: float) -> Pumped | None:
+        """Return what is to be pumped from now on to 12 h ahead; None for nothing."""
         lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
-        first = max(now, float(self.begins[pumps[0]])) if len(pumps) else None
-        return float(self.flow @ lengths), first
+        if not len(pumps):
+            return None
+        begin = max(now, float(self.begins[pumps[0]]))
+        return Pumped(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def above(self, level: float, now: float) -> tuple[float, float] | None:
         """Return from when to 12 h ahead the roof is above a level (s since 1970), and its highest.

@@ -318,13 +318,15 @@ def _planned(store: Store, plan: Plan, now: float) -> str:
     ended = store.ended
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
-    volume, begin = plan.pumped(now)
+    pumped = plan.pumped(now)
     reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
-    if begin is None:
+    if pumped is None:
         return f"{'planned not to' if ended else 'will not'} pump in the next {reach}"
-    start = "from now on" if begin <= now else f"from {store.hour(begin)} on"
-    will = "planned to" if ended else "will"
-    return f"{will} pump {words.quantity(volume, 'm3', 2)} in the next {reach}, {start}"
+    start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
+    return (
+        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm3', 2)} in the "
+        f"next {reach}, {start}, up to {roof_level(pumped.level)} if the forecast is right"
+    )
 
 
 def waiting(store: Store, idle: bool) -> str:
@@ -347,8 +349,8 @@ def waiting(store: Store, idle: bool) -> str:
     amount, plan = forecast.amount(now), store.plan
     if amount is None or amount.reach_s < SOON_S or amount.mean < site.z_veg - level:
         return ""
-    begin = None if plan is None or now >= plan.ends[-1] else plan.pumped(now)[1]
-    if begin is not None and begin < amount.fallen_at:
+    pumped = None if plan is None or now >= plan.ends[-1] else plan.pumped(now)
+    if pumped is not None and pumped.begin < amount.fallen_at:
         return ""
     by = store.hour(-(-amount.fallen_at // 3600) * 3600)
     return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"

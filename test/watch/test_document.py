@@ -237,7 +237,9 @@ def test_the_plan_in_words() -> None:
     one = watched()
     one.add_statuses(100.0, node("/lookahead", "controller"))
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
-    will = "will pump 2.40 m3 in the next 12 h, from 01:20 on"
+    will = (
+        "will pump 2.40 m3 in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
+    )
     for later, (rows, sentence) in enumerate((
         (plan, will), (np.empty((0, 3)), will),
         (plan * [1, 0, 1], "will not pump in the next 12 h"),
