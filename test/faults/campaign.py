@@ -22,6 +22,7 @@ from typing import Any
 
 import pytest
 import readers
+import service
 import simulated
 from cases import Case, all_cases
 from graphs import Process, environment, own_domain
@@ -83,6 +84,8 @@ class Bench:
                          if (one.rig, one.number) == (case.rig, case.number)]
                 self._read |= dict(readers.run_cases(block, place, SEED))
             outcome = self._read[case]
+        elif case.rig == "service":
+            service.run_case(case, place, outcome)
         else:
             self._do_to_a_rig(case, place, rng, outcome)
         self._last = {

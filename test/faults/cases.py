@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from greenroof_ros.simulators.faults import DEFAULT
+from greenroof_ros.simulators.forecast_service import FAULTS, NONE
 
 SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
 WAYS = (SIMULATED, LOOP, LIVE)
@@ -466,6 +467,12 @@ def _readers(blocks: int) -> Iterator[Case]:
                 stops=False, recovery="same"))
 
 
+def _service() -> Iterator[Case]:
+    for fault in FAULTS:
+        if fault != NONE:
+            yield Case("service", "six hours", fault, 0, Expected(stops=False))
+
+
 def all_cases() -> list[Case]:
     """Return the whole campaign."""
     every = tuple(_DRIVE)
@@ -486,6 +493,7 @@ def all_cases() -> list[Case]:
         *_loop(2),
         *_relayed(2),
         *_readers(4),
+        *_service(),
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases

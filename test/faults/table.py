@@ -27,6 +27,7 @@ _KINDS = {
     "sensor line": "the line of a level sensor",
     "sensor": "a level sensor",
     "forecast file": "the forecast file",
+    "six hours": "a forecast service that fails for six hours",
     "site": "a burst pipe, a closed valve, a leak",
     "dry": "a cistern that runs empty",
     "stuck for ever": "a command that never changes",
