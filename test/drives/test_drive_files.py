@@ -11,9 +11,15 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.drive_file import Codes, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
-from greenroof_ros.drives.modbus_line import Address, decode, parse_address, parse_drive_address
+from greenroof_ros.drives.modbus_line import (
+    Address,
+    decode,
+    limits,
+    parse_address,
+    parse_drive_address,
+)
 
 SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 
@@ -146,6 +152,23 @@ def test_no_addresses(text: str, message: str) -> None:
 )
 def test_values_of_all_types(kind: str, order: str, words: list[int], value: object) -> None:
     assert decode(words, kind, order) == value
+
+
+@pytest.mark.parametrize(("kind", "low", "high"), [
+    ("uint16", 0, 0xFFFF), ("int16", -0x8000, 0x7FFF),
+    ("uint32", 0, 0xFFFF_FFFF), ("int32", -0x8000_0000, 0x7FFF_FFFF),
+])
+def test_limits_are_those_of_the_type(kind: str, low: int, high: int) -> None:
+    assert limits(kind) == (low, high)
+
+
+@pytest.mark.parametrize(("kind", "raw", "only"), [
+    ("code", 7, True), ("code", 6, False), ("bits", 0x82, True), ("bits", 0x80, True),
+    ("bits", 0x83, False), ("bits", 0, False),
+])
+def test_a_fault_that_is_the_timeout_and_no_other(kind: str, raw: int, only: bool) -> None:
+    """Code 7, or bits 1 and 7: with no bit at all there is no such fault."""
+    assert Codes("fault", kind, {}).only(raw, (7,) if kind == "code" else (1, 7)) is only
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
