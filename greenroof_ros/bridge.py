@@ -19,10 +19,10 @@ from greenroof_ros.watch.store import Store
 _GIVE_WAY = 10
 
 _DESCRIPTION = """\
-Say on MQTT what the page of greenroof watch says: levels, pump, rain, frost, what the controller
-plans, and alarms by code. Home Assistant finds it there by itself. Beside any graph that runs in
-this ROS domain, simulated, with a drive in the loop or live. It may start late and stop: nothing
-waits for it.
+Publish on MQTT what the page of greenroof watch shows: levels, pump, rain, frost, what the
+controller plans, and alarms by code. Home Assistant discovers it by itself. It works beside any
+graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
+and stop: nothing waits for it.
 
 Whoever may write to the broker can stop the pump. Nothing can be released or started over MQTT.
 """
@@ -32,8 +32,8 @@ examples:
   greenroof bridge --broker mqtts://home.example --login login.yaml
   greenroof bridge --broker mqtt://127.0.0.1 --namespace north     topics: greenroof/north/...
 
-A login file has two lines, username: NAME and password: WORD, and is for you alone (chmod 600).
-Without a broker it goes on trying, and says so. Ctrl-C ends it.
+A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
+If the broker is not there, it says so and keeps trying. Ctrl-C ends it.
 
 exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
@@ -54,11 +54,11 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--login", default="", metavar="FILE",
-        help="YAML file with username and password (default: no login)",
+        help="YAML file with username and password (default: none, no login)",
     )
     parser.add_argument(
         "--authority", default="", metavar="FILE",
-        help="certificates that are trusted, PEM, with mqtts:// (default: the system's)",
+        help="trusted certificates for mqtts://, PEM (default: the system's)",
     )
     parser.add_argument(
         "--prefix", default="homeassistant", metavar="NAME",
@@ -67,15 +67,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as bringup was given it; the site's name on MQTT, which is roof "
-        "without one. Two sites at one broker need two (default: none)",
+        help="of the graph, as bringup was given it, and the site's name on MQTT, which is roof "
+        "if there is none. Two sites on one broker need two (default: none)",
     )
     return parser
 
 
 @command
 def main() -> int:
-    """Say how a site is until asked to end."""
+    """Publish a site until asked to end."""
     arguments = make_parser().parse_args()
     if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""A site on MQTT: says what the page says, and has the pump stopped; see :class:`Bridge`."""
+"""A site on MQTT: what the page shows, and a stop; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime, timezone
 from typing import Any
 
@@ -28,21 +29,22 @@ from greenroof_ros.watch.home_assistant import (
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.words import UNKNOWN, display_of
 
-# How often it looks, and how often it says the same again: three times before that expires (s).
+# How often it looks, and how often it repeats what has not changed: three times before it expires
+# in Home Assistant (s).
 _LOOK_S, _AT_LEAST_S = 1.0, 10.0
-# Home Assistant takes a state of so many characters, and its records attributes of 16 kB.
+# Home Assistant takes so many characters as a state, and records 16 kB of attributes.
 _MOST_TEXT, _MOST_ALARMS = 255, 10
-# How long the last word may take to be sent (s).
-_LAST_WORD_S = 1.0
+# How long the last message may take (s).
+_LAST_S = 1.0
 
 
 class Bridge:
-    """Says how a site is, and has its pump stopped; nothing else can be asked.
+    """Publishes a site, and stops its pump when asked; nothing else can be asked.
 
-    Under ``greenroof/SITE/`` are ``state``, ``alarms``, ``availability`` and, to be written to,
-    ``stop``. A state is not retained: who comes later would take an old value for one of now. It
-    comes with each change, and at least every 10 s. A stop counts when it was sent just now: one
-    that is retained would stop the pump at each connection, and none is queued for this client.
+    The topics are ``state``, ``alarms``, ``availability`` and, to be written to, ``stop``, all
+    under ``greenroof/SITE/``. State and alarms are not retained: a later reader would take an old
+    value for a present one. They come with each change, and at least every 10 s. A retained stop is
+    ignored, since it would stop the pump at each connection; none is queued for this client.
     """
 
     def __init__(
@@ -51,9 +53,9 @@ class Bridge:
         """Be connected to nothing yet.
 
         Args:
-            store: what is said.
+            store: what is published.
             feed: stops the pump.
-            broker: where the site is said.
+            broker: where to.
             prefix: of Home Assistant's topics.
 
         Raises:
@@ -64,16 +66,16 @@ class Bridge:
         self._base, self._status = base_of(site), f"{prefix}/status"
         self._discovery = discovery(site, prefix)
         self._stop, self._again = threading.Event(), threading.Event()
-        self._why = ""  # the connection is not there
-        self._said: dict[str, str] = {}
-        self._said_at = 0.0
+        self._why, self._ending = "", False  # why there is no connection
+        self._sent: dict[str, str] = {}
+        self._sent_at = 0.0
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
             will=(f"{self._base}/availability", OFFLINE),
         )
 
     def run(self, signals: Signals) -> None:
-        """Say how the site is until a signal comes.
+        """Publish the site until a signal comes.
 
         Args:
             signals: that end it.
@@ -88,11 +90,12 @@ class Bridge:
                 if self._stop.wait(_LOOK_S):
                     self._stop.clear()
                     self._stop_pump()
-                self._say_state()
+                self._publish_state()
         finally:
-            if self._client.is_connected():
-                last = self._client.publish(f"{self._base}/availability", OFFLINE, retain=True)
-                last.wait_for_publish(_LAST_WORD_S)
+            self._ending = True
+            last = self._client.publish(f"{self._base}/availability", OFFLINE, retain=True)
+            with suppress(RuntimeError):  # there is no broker
+                last.wait_for_publish(_LAST_S)
             self._client.disconnect()
             self._client.loop_stop()
 
@@ -102,18 +105,18 @@ class Bridge:
         except StopFailedError as failure:
             say(f"stop, over MQTT: {failure}")
 
-    def _say_state(self) -> None:
+    def _publish_state(self) -> None:
         shown = document(self._store, time.monotonic())
         with self._store.lock:
             messages = {"state": state_of(self._store, shown), "alarms": alarms_of(shown)}
         now, again = time.monotonic(), self._again.is_set()
         self._again.clear()
-        if now - self._said_at >= _AT_LEAST_S or again:
-            self._said, self._said_at = {}, now
+        if now - self._sent_at >= _AT_LEAST_S or again:
+            self._sent, self._sent_at = {}, now
         for name, content in messages.items():
             text = json.dumps(content, allow_nan=False)
-            if self._said.get(name) != text:
-                self._said[name] = text
+            if self._sent.get(name) != text:
+                self._sent[name] = text
                 self._client.publish(f"{self._base}/{name}", text)
 
     # --- in the client's thread -----------------------------------------------------------------
@@ -126,15 +129,15 @@ class Bridge:
         self._introduce()
 
     def _introduce(self) -> None:
-        """Say all again: to a broker that is there again, or a Home Assistant that has started."""
+        """Publish all of it: the broker is there again, or Home Assistant has started."""
         for topic, text in self._discovery.items():
             self._client.publish(topic, text, retain=True)
         self._client.publish(f"{self._base}/availability", ONLINE, retain=True)
         self._again.set()
 
     def _on_disconnect(self, why: str) -> None:
-        if why != self._why:
-            say(f"not connected to {self._broker}: {why}; it goes on trying")
+        if why != self._why and not self._ending:
+            say(f"not connected to {self._broker}: {why}; trying again")
         self._why = why
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
@@ -144,7 +147,7 @@ class Bridge:
         elif payload != STOP.encode():
             say(f"{topic}: ignored, since it is not {STOP}")
         elif retained:
-            say(f"{topic}: ignored, since the broker has kept it: send it without 'retain'")
+            say(f"{topic}: ignored, since it is retained; a stop must not be")
         else:
             self._stop.set()
 

@@ -1,8 +1,9 @@
-"""``greenroof bridge`` beside real runs and a real broker: what it says, and what it obeys."""
+"""``greenroof bridge`` beside real runs and a real broker: what it publishes and obeys."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -10,9 +11,11 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -144,7 +147,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
     assert len(ids) == len(messages) == 13
 
 
-# --- what is said ---------------------------------------------------------------------------------
+# --- what is published ----------------------------------------------------------------------------
 
 
 def state(one: Store, wall: float = 0.0) -> dict[str, Any]:
@@ -216,11 +219,16 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
     with mosquitto(tmp_path) as broker, phone(broker.address) as heard:
         bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
         run = Process(
-            domain, "bringup", "--controller", "lookahead", "--hours", "0.2", "--speed", "30",
-            "--output", "run", cwd=tmp_path,
+            domain, "bringup", "--controller", "lookahead", "--hours", "0.4", "--speed", "30",
+            "--cistern", "57", "--roof", "0", "--output", "run", cwd=tmp_path,
         )
+
+        def states() -> list[dict[str, Any]]:
+            return [json.loads(text) for text, _ in heard.heard["greenroof/roof/state"]]
+
         wait_for(
-            lambda: heard.state().get("planned_volume") is not None, 60, "a plan"
+            lambda: heard.state().get("planned_volume") is not None
+            and len({one["roof_level"] for one in states()}) > 3, 60, "a plan, and water",
         )
         assert heard.state()["mode"] == "simulated" and not heard.state()["can_stop"]
         assert "pump" in heard.state()["plan"]
@@ -242,10 +250,29 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
             ("roof_level", "/roof/level", 1), ("cistern_level", "/cistern/level", 0),
         )
     }
-    said = [json.loads(text) for text, _ in heard.heard["greenroof/roof/state"]]
     for key, values in recorded.items():
-        found = {one[key] for one in said if one[key] is not None}
-        assert len(found) > 1 and found <= values
+        assert {one[key] for one in states()} - {None} <= values
+
+
+@contextmanager
+def running_pump(domain: int, cwd: Path) -> Iterator[tuple[Process, Simulator]]:
+    """Run a site in the loop, in the namespace site1, whose pump soon runs."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    pytest.importorskip("pymodbus", reason="drives are on Modbus")
+    at, bench = free_ports(2)
+    options = ("--drive", guarding("danfoss_fc202", cwd / "drives"), "--speed", "10")
+    with Simulator(
+        "drive_simulator", *options, "--port", str(at), "--workbench", str(bench)
+    ) as drive:
+        run = Process(
+            domain, "bringup", *options, "--drive-at", drive.ready.split()[2].rstrip(","),
+            "--controller", "onoff", "--hours", "2", "--namespace", "site1",
+            "--cistern", "57", "--roof", "0", "--output", "run", cwd=cwd,
+        )
+        yield run, drive
+        assert run.process.poll() is None
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait(300) == 130
 
 
 @needs_mosquitto
@@ -253,23 +280,12 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
     domain: int, tmp_path: Path
 ) -> None:
     """One that the broker kept, one in other words, and any other wish are ignored."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    pytest.importorskip("pymodbus", reason="drives are on Modbus")
-    at, bench = free_ports(2)
-    options = ("--drive", guarding("danfoss_fc202", tmp_path / "drives"), "--speed", "10")
     stop, availability = "greenroof/site1/stop", "greenroof/site1/availability"
     with (
         mosquitto(tmp_path) as broker, phone(broker.address) as heard,
-        Simulator(
-            "drive_simulator", *options, "--port", str(at), "--workbench", str(bench)
-        ) as drive,
+        running_pump(domain, tmp_path) as (run, drive),
     ):
         heard.say(stop, "STOP", retain=True)
-        run = Process(
-            domain, "bringup", *options, "--drive-at", drive.ready.split()[2].rstrip(","),
-            "--controller", "onoff", "--hours", "2", "--namespace", "site1",
-            "--cistern", "57", "--roof", "0", "--output", "run", cwd=tmp_path,
-        )
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
         )
@@ -277,7 +293,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         def state() -> dict[str, Any]:
             return heard.state("site1")
 
-        bridge.until_said("ignored, since the broker has kept it")
+        bridge.until_said("ignored, since it is retained")
         wait_for(
             lambda: state().get("can_stop") and state()["pump"] == "running", 60, "a running pump"
         )
@@ -308,9 +324,6 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         assert state()["pump"] == "held"
         end(bridge)
         wait_for(lambda: heard.last(availability) == "offline", 10, "its last word")
-        assert run.process.poll() is None
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait(300) == 130
 
 
 # --- the broker -----------------------------------------------------------------------------------
@@ -371,3 +384,116 @@ def test_wrong_input_is_one_message(
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     assert message in line
     assert "Traceback" not in done.stderr
+
+
+# --- Home Assistant itself ------------------------------------------------------------------------
+
+HASS = os.environ.get("GREENROOF_ROS_TEST_HOME_ASSISTANT")
+
+
+class HomeAssistant:
+    """Its program ``hass``, without its pages, asked over its REST interface."""
+
+    def __init__(self, directory: Path) -> None:
+        assert HASS is not None
+        (port,) = free_ports(1)
+        directory.mkdir()
+        (directory / "configuration.yaml").write_text(
+            f"http:\n  server_host: 127.0.0.1\n  server_port: {port}\n"
+        )
+        self._at, self._token = f"http://127.0.0.1:{port}", ""
+        with (directory / "log").open("w") as log:
+            self.process = subprocess.Popen([HASS, "-c", str(directory)], stdout=log, stderr=log)
+
+    def ask(self, path: str, content: dict[str, Any] | None = None) -> Any:
+        """Post what is given, otherwise get."""
+        data, kind = None, "application/json"
+        if content is not None:
+            data = json.dumps(content).encode()
+            if path == "/auth/token":
+                data, kind = urlencode(content).encode(), "application/x-www-form-urlencoded"
+        headers = {"Content-Type": kind, "Authorization": f"Bearer {self._token}"}
+        with urlopen(Request(self._at + path, data, headers), timeout=30) as answer:
+            return json.load(answer)
+
+    def there(self) -> bool:
+        with suppress(OSError):
+            return bool(self.ask("/api/onboarding"))
+        return False
+
+    def set_up(self, broker_port: int) -> None:
+        """Make its user, and add the integration MQTT, as its pages do."""
+        wait_for(self.there, 600, "Home Assistant")
+        user = {"name": "a", "username": "a", "password": "a", "language": "en"}
+        client = f"{self._at}/"
+        code = self.ask("/api/onboarding/users", {"client_id": client, **user})["auth_code"]
+        self._token = self.ask("/auth/token", {
+            "grant_type": "authorization_code", "code": code, "client_id": client,
+        })["access_token"]
+        flow = "/api/config/config_entries/flow"
+        begun = self.ask(flow, {"handler": "mqtt"})
+        done = self.ask(f"{flow}/{begun['flow_id']}", {"broker": "127.0.0.1", "port": broker_port})
+        assert done["type"] == "create_entry", done
+
+    def states(self) -> dict[str, dict[str, Any]]:
+        found = {one["entity_id"]: one for one in self.ask("/api/states")}
+        return {key: one for key, one in found.items() if ".green_roof_site1_" in key}
+
+
+@needs_mosquitto
+@pytest.mark.skipif(
+    HASS is None, reason="GREENROOF_ROS_TEST_HOME_ASSISTANT does not name Home Assistant's hass"
+)
+def test_home_assistant_shows_the_site_and_stops_its_pump(domain: int, tmp_path: Path) -> None:
+    """Each entity once, with its unit; a stop; and all unavailable when the bridge is killed."""
+    with (
+        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
+        running_pump(domain, tmp_path),
+    ):
+        bridge = Process(
+            domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
+        )
+        home = HomeAssistant(tmp_path / "home")
+        try:
+            home.set_up(broker.port)
+            wait_for(lambda: len(home.states()) == 13, 60, "13 entities")
+
+            def shown(entity: str) -> str:
+                return str(home.states()[entity]["state"])
+
+            wait_for(
+                lambda: shown("sensor.green_roof_site1_pump") == "running", 60, "a running pump"
+            )
+            said, states = heard.state("site1"), home.states()
+            for entity, unit, kind in (
+                ("roof_level", "mm", "distance"), ("cistern_level", "mm", "distance"),
+                ("rain", "mm/h", "precipitation_intensity"),
+                ("pump_flow", "L/min", "volume_flow_rate"), ("pump_command", "%", None),
+            ):
+                one = states[f"sensor.green_roof_site1_{entity}"]
+                attributes = one["attributes"]
+                assert (
+                    attributes["unit_of_measurement"], attributes.get("device_class")
+                ) == (unit, kind)
+                float(one["state"])
+            assert abs(float(shown("sensor.green_roof_site1_cistern_level"))
+                       - said["cistern_level"]) < 50
+            assert shown("binary_sensor.green_roof_site1_frost") == "off"
+            assert "summary" in states["binary_sensor.green_roof_site1_alarm"]["attributes"]
+            home.ask(
+                "/api/services/button/press", {"entity_id": "button.green_roof_site1_stop_the_pump"}
+            )
+            wait_for(lambda: shown("sensor.green_roof_site1_pump") == "held", 60, "a held pump")
+            assert shown("sensor.green_roof_site1_condition") == "page_stop"
+            (tmp_path / "states.json").write_text(json.dumps(home.states(), indent=1))
+            bridge.process.kill()
+            wait_for(
+                lambda: {one["state"] for one in home.states().values()} == {"unavailable"}, 60,
+                "all unavailable",
+            )
+        finally:
+            home.process.terminate()
+            home.process.wait(60)
+    log = (tmp_path / "home" / "log").read_text()
+    wrong = [line for line in log.splitlines() if re.search(r"(WARNING|ERROR).*mqtt", line)]
+    assert not wrong
