@@ -87,7 +87,7 @@ def _entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
         },
         ("sensor", "plan"): {"name": "Controller"},
         ("sensor", "planned_volume"): {
-            "name": "Planned in 12 h", "unit_of_measurement": "L", "state_class": "measurement",
+            "name": "Planned volume", "unit_of_measurement": "L", "state_class": "measurement",
         },
         ("sensor", "planned_start"): {"name": "Next planned start", "device_class": "timestamp"},
         ("sensor", "condition"): {"name": "Condition"},
