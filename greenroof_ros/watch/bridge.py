@@ -47,9 +47,7 @@ class Bridge:
     ignored, since it would stop the pump at each connection; none is queued for this client.
     """
 
-    def __init__(
-        self, store: Store, feed: Feed, broker: Broker, prefix: str = "homeassistant"
-    ) -> None:
+    def __init__(self, store: Store, feed: Feed, broker: Broker, prefix: str) -> None:
         """Be connected to nothing yet.
 
         Args:
@@ -109,9 +107,9 @@ class Bridge:
         shown = document(self._store, time.monotonic())
         with self._store.lock:
             messages = {"state": state_of(self._store, shown), "alarms": alarms_of(shown)}
-        now, again = time.monotonic(), self._again.is_set()
-        self._again.clear()
-        if now - self._sent_at >= _AT_LEAST_S or again:
+        now = time.monotonic()
+        if self._again.is_set() or now - self._sent_at >= _AT_LEAST_S:
+            self._again.clear()
             self._sent, self._sent_at = {}, now
         for name, content in messages.items():
             text = json.dumps(content, allow_nan=False)

@@ -538,7 +538,8 @@ def test_home_assistant_shows_the_site_and_stops_its_pump(domain: int, tmp_path:
             assert abs(float(shown("sensor.green_roof_site1_cistern_level"))
                        - said["cistern_level"]) < 50
             assert shown("binary_sensor.green_roof_site1_frost") == "off"
-            assert "summary" in states["binary_sensor.green_roof_site1_alarm"]["attributes"]
+            alarm = "binary_sensor.green_roof_site1_alarm"
+            wait_for(lambda: "summary" in home.states()[alarm]["attributes"], 20, "the summary")
             home.ask(
                 "/api/services/button/press", {"entity_id": "button.green_roof_site1_stop_the_pump"}
             )
