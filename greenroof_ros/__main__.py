@@ -34,6 +34,7 @@ GROUPS = {
     },
     "see what it does, or did": {
         "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
+        "bridge": Command("bridge", "a site on MQTT, for Home Assistant; with a stop"),
         "report": Command("report.__main__", "figures and tables of runs, studies and bags"),
         "recover": Command("recover", "a whole bag, where a crash or a full disk left none"),
     },

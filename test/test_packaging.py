@@ -28,7 +28,7 @@ NODES = (
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
     "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
-    "verify", "study", "report", "watch",
+    "verify", "bridge", "study", "report", "watch",
 )
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.

@@ -33,7 +33,7 @@ from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
 
 DAY_S = 86_400.0
-PAGE_STOPPED = "somebody stopped it on the page"
+PAGE_STOPPED = "somebody stopped it on the page or over MQTT"
 # Length of a line (bytes): a page, a block of most disks.
 _LINE = 4096
 # So much of a text (bytes), and so many starts, have room in it, whatever is in the text.
@@ -53,7 +53,7 @@ class Record:
 
     Attributes:
         operator_stop: why the pump is stopped by somebody by the service; empty where it is not.
-        page_stop: whether somebody stopped it on the page, which may be released there.
+        page_stop: whether somebody stopped it on the page or over MQTT, which the page may release.
         page_clears_from: when the page may clear a fault again (s, as ``elapsed``).
         unknown: why it is not known whether there was a stop or a fault; empty where it is.
         fault: the latched fault; empty where there is none.

@@ -73,8 +73,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--allow-release", action="store_true",
-        help="what was stopped on the page may be released there, and the fault speed_not_followed "
-        "be cleared, once in 24 h; the page then needs its token on this machine, too",
+        help="what was stopped on the page or over MQTT may be released there, and the fault "
+        "speed_not_followed be cleared, once in 24 h; the page then needs its token on this "
+        "machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",

@@ -1,0 +1,94 @@
+"""A site on MQTT, for Home Assistant among others: ``greenroof bridge``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from contextlib import suppress
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, namespace
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import parse_broker
+from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.watch.bridge import Bridge
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.store import Store
+
+# As of the page: a tenth of a core where the others want all (nice).
+_GIVE_WAY = 10
+
+_DESCRIPTION = """\
+Publish on MQTT what the page of greenroof watch shows: levels, pump, rain, frost, what the
+controller plans, and alarms by code. Home Assistant discovers it by itself. It works beside any
+graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
+and stop: nothing waits for it.
+
+Whoever may write to the broker can stop the pump. Nothing can be released or started over MQTT.
+"""
+_EPILOG = """\
+examples:
+  greenroof bridge --broker mqtt://127.0.0.1
+  greenroof bridge --broker mqtts://home.example --login login.yaml
+  greenroof bridge --broker mqtt://127.0.0.1 --namespace north     topics: greenroof/north/...
+
+A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
+If the broker is not there, it says so and keeps trying. Ctrl-C ends it.
+
+exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
+"""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof bridge",
+        usage="%(prog)s --broker mqtt://HOST[:PORT] [options]",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "--broker", required=True, metavar="ADDRESS",
+        help="mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS (ports 1883 and 8883)",
+    )
+    parser.add_argument(
+        "--login", default="", metavar="FILE",
+        help="YAML file with username and password (default: none, no login)",
+    )
+    parser.add_argument(
+        "--authority", default="", metavar="FILE",
+        help="trusted certificates for mqtts://, PEM (default: the system's)",
+    )
+    parser.add_argument(
+        "--prefix", default="homeassistant", metavar="NAME",
+        help="what Home Assistant's discovery topics begin with, as its MQTT integration has it "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="of the graph, as bringup was given it, and the site's name on MQTT, which is roof "
+        "if there is none. Two sites on one broker need two (default: none)",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Publish a site until asked to end."""
+    arguments = make_parser().parse_args()
+    if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
+        raise ConfigurationError(
+            "must be letters, digits, _ and -, such as homeassistant", key="--prefix",
+            value=arguments.prefix,
+        )
+    broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
+    os.nice(_GIVE_WAY)
+    store, signals = Store(arguments.namespace), Signals()
+    with suppress(InterruptedRun), Feed(store) as feed:
+        Bridge(store, feed, broker, arguments.prefix).run(signals)
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()

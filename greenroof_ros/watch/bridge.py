@@ -1,0 +1,204 @@
+"""A site on MQTT: what the page shows, and a stop; see :class:`Bridge`."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime, timezone
+from typing import Any
+
+from greenroof_ros.common.mqtt import Broker, make_client
+from greenroof_ros.common.processes import Signals
+from greenroof_ros.common.standard_error import say
+from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.watch.document import document
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.home_assistant import (
+    NUMBERS,
+    OFF,
+    OFFLINE,
+    ON,
+    ONLINE,
+    STOP,
+    base_of,
+    discovery,
+)
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.words import UNKNOWN, display_of
+
+# How often it looks, and how often it repeats what has not changed: three times before it expires
+# in Home Assistant (s).
+_LOOK_S, _AT_LEAST_S = 1.0, 10.0
+# Home Assistant takes so many characters as a state, and records 16 kB of attributes.
+_MOST_TEXT, _MOST_ALARMS = 255, 10
+# How long the last message may take (s).
+_LAST_S = 1.0
+
+
+class Bridge:
+    """Publishes a site, and stops its pump when asked; nothing else can be asked.
+
+    The topics are ``state``, ``alarms``, ``availability`` and, to be written to, ``stop``, all
+    under ``greenroof/SITE/``. State and alarms are not retained: a later reader would take an old
+    value for a present one. They come with each change, and at least every 10 s. A retained stop is
+    ignored, since it would stop the pump at each connection; none is queued for this client.
+    """
+
+    def __init__(self, store: Store, feed: Feed, broker: Broker, prefix: str) -> None:
+        """Be connected to nothing yet.
+
+        Args:
+            store: what is published.
+            feed: stops the pump.
+            broker: where to.
+            prefix: of Home Assistant's topics.
+
+        Raises:
+            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+        """
+        site = store.namespace.strip("/").replace("/", "_") or "roof"
+        self._store, self._feed, self._broker = store, feed, broker
+        self._base, self._status = base_of(site), f"{prefix}/status"
+        self._discovery = discovery(site, prefix)
+        self._stop, self._again = threading.Event(), threading.Event()
+        self._why, self._ending = "", False  # why there is no connection
+        self._sent: dict[str, str] = {}
+        self._sent_at = 0.0
+        self._client = make_client(
+            broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
+            will=(f"{self._base}/availability", OFFLINE),
+        )
+
+    def run(self, signals: Signals) -> None:
+        """Publish the site until a signal comes.
+
+        Args:
+            signals: that end it.
+
+        Raises:
+            InterruptedRun: one came.
+        """
+        self._client.loop_start()
+        try:
+            while True:
+                signals.check()
+                if self._stop.wait(_LOOK_S):
+                    self._stop.clear()
+                    self._stop_pump()
+                self._publish_state()
+        finally:
+            self._ending = True
+            last = self._client.publish(f"{self._base}/availability", OFFLINE, retain=True)
+            with suppress(RuntimeError):  # there is no broker
+                last.wait_for_publish(_LAST_S)
+            self._client.disconnect()
+            self._client.loop_stop()
+
+    def _stop_pump(self) -> None:
+        try:
+            say(f"stop, over MQTT: {self._feed.ask('stop')}")
+        except StopFailedError as failure:
+            say(f"stop, over MQTT: {failure}")
+
+    def _publish_state(self) -> None:
+        shown = document(self._store, time.monotonic())
+        with self._store.lock:
+            messages = {"state": state_of(self._store, shown), "alarms": alarms_of(shown)}
+        now = time.monotonic()
+        if self._again.is_set() or now - self._sent_at >= _AT_LEAST_S:
+            self._again.clear()
+            self._sent, self._sent_at = {}, now
+        for name, content in messages.items():
+            text = json.dumps(content, allow_nan=False)
+            if self._sent.get(name) != text:
+                self._sent[name] = text
+                self._client.publish(f"{self._base}/{name}", text)
+
+    # --- in the client's thread -----------------------------------------------------------------
+
+    def _on_connect(self) -> None:
+        self._why = ""
+        say(f"connected to {self._broker}; topics: {self._base}/")
+        for topic in (f"{self._base}/stop", self._status):
+            self._client.subscribe(topic)
+        self._introduce()
+
+    def _introduce(self) -> None:
+        """Publish all of it: the broker is there again, or Home Assistant has started."""
+        for topic, text in self._discovery.items():
+            self._client.publish(topic, text, retain=True)
+        self._client.publish(f"{self._base}/availability", ONLINE, retain=True)
+        self._again.set()
+
+    def _on_disconnect(self, why: str) -> None:
+        if why != self._why and not self._ending:
+            say(f"not connected to {self._broker}: {why}; trying again")
+        self._why = why
+
+    def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+        if topic == self._status:
+            if payload == ONLINE.encode():
+                self._introduce()
+        elif payload != STOP.encode():
+            say(f"{topic}: ignored, since it is not {STOP}")
+        elif retained:
+            say(f"{topic}: ignored, since it is retained; a stop must not be")
+        else:
+            self._stop.set()
+
+
+def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state's fields, in the page's units; None is *unknown*.
+
+    Args:
+        store: what is known, whose lock the caller has.
+        shown: the document of that store.
+    """
+    tiles, pump = shown["tiles"], shown["tiles"]["pump"]
+    here, now, plan = store.mode not in ("none", "ended"), store.now, store.plan
+    planned: tuple[float | None, float | None] = None, None
+    if here and plan is not None and now is not None and now < plan.ends[-1]:
+        planned = plan.pumped(now)
+    volume, begin = planned
+    numbers = {
+        "roof_level": tiles["roof"]["number"], "cistern_level": tiles["cistern"]["number"],
+        "rain": tiles["rain"]["number"], "flow": pump["number"],
+        "command": store.known("/pump/command"),
+    }
+    frost, serious = store.known("/weather/frost"), tiles["summary"]["level"] == "error"
+    present = [row for row in shown["alarms"] if row["over"] is None]
+    return {
+        "mode": store.mode,
+        **{key: _number(NUMBERS[key][0], one if here else None) for key, one in numbers.items()},
+        "pump": pump["value"] if here else UNKNOWN,
+        "plan": tiles["controller"]["sentence"][:_MOST_TEXT] if here else UNKNOWN,
+        "planned_volume": None if volume is None else round(volume * 1e3),
+        "planned_start": None if begin is None or begin == now  # it pumps
+        else datetime.fromtimestamp(begin, timezone.utc).isoformat(timespec="seconds"),
+        "frost": None if frost is None or not here else ON if frost else OFF,
+        "condition": (present[0]["code"] or UNKNOWN) if present else "none" if here else UNKNOWN,
+        "problem": ON if serious else OFF if here else None,
+        "can_stop": shown["stop"]["possible"],
+    }
+
+
+def _number(topic: str, value: float | None) -> float | None:
+    display = display_of(topic)
+    return None if value is None else round(value * display.factor, display.decimals or None)
+
+
+def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how things are, what to do, and the alarms of now, as the document has them."""
+    summary = shown["tiles"]["summary"]
+    return {
+        "summary": f"{summary['word']} {summary['sentence']}",
+        "advice": shown["advice"],
+        "alarms": [
+            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", "since")}
+            for row in shown["alarms"] if row["over"] is None
+        ][:_MOST_ALARMS],
+        "notes": shown["notes"],
+    }

@@ -1,0 +1,103 @@
+"""What Home Assistant must know to show a site: a discovery message for each entity.
+
+An entity takes its value from a field of one message, ``greenroof/SITE/state``. There is a message
+for each entity, and not one for the whole device, since releases before 2024.11 know only these.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from greenroof_ros import __version__
+from greenroof_ros.watch.tiles import PUMP_STATES
+from greenroof_ros.watch.words import display_of
+
+ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
+STOP = "STOP"
+"""What a message that stops the pump says, and nothing else."""
+
+EXPIRES_S = 30
+"""A value that is older is not shown (s)."""
+
+NUMBERS = {
+    "roof_level": ("/roof/level", "distance"),
+    "cistern_level": ("/cistern/level", "distance"),
+    "rain": ("/weather/precipitation", "precipitation_intensity"),
+    "flow": ("/pump/flow", "volume_flow_rate"),
+    "command": ("/pump/command", None),
+}
+"""Fields with a number: the topic whose label and unit it has, and Home Assistant's class of it."""
+
+
+def base_of(site: str) -> str:
+    """Return what the topics of a site begin with."""
+    return f"greenroof/{site}"
+
+
+def discovery(site: str, prefix: str) -> dict[str, str]:
+    """Return the discovery messages by their topics.
+
+    Args:
+        site: its name in topics and ids: letters, digits and _.
+        prefix: of Home Assistant's topics, as its MQTT integration has it.
+    """
+    base, node = base_of(site), f"greenroof_{site}"
+    bridge = {"topic": f"{base}/availability"}
+    messages = {}
+    for (component, key), own in _entities(base).items():
+        config = {
+            "unique_id": f"{node}_{key}",
+            "availability": [bridge],
+            "device": {
+                "identifiers": [node], "name": f"Green roof {site}",
+                "manufacturer": "greenroof_ros", "sw_version": __version__,
+            },
+            "origin": {"name": "greenroof_ros", "sw_version": __version__},
+            **own,
+        }
+        if component == "button":
+            # Where there is no pump node, there is nothing to press.
+            template = "{{ 'online' if value_json.can_stop else 'offline' }}"
+            config["availability"] = [
+                bridge, {"topic": f"{base}/state", "value_template": template}
+            ]
+            config["availability_mode"] = "all"
+        else:
+            config |= {
+                "state_topic": f"{base}/state", "value_template": f"{{{{ value_json.{key} }}}}",
+                "expire_after": EXPIRES_S,
+            }
+        messages[f"{prefix}/{component}/{node}/{key}/config"] = json.dumps(config)
+    return messages
+
+
+def _entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return what is an entity's own, by component and field."""
+    entities: dict[tuple[str, str], dict[str, Any]] = {}
+    for key, (topic, kind) in NUMBERS.items():
+        display = display_of(topic)
+        entities["sensor", key] = {
+            "name": display.label, "unit_of_measurement": display.unit,
+            "state_class": "measurement", **({"device_class": kind} if kind else {}),
+        }
+    entities |= {
+        ("sensor", "pump"): {
+            "name": "Pump", "device_class": "enum", "options": list(PUMP_STATES),
+        },
+        ("sensor", "plan"): {"name": "Controller"},
+        ("sensor", "planned_volume"): {
+            "name": "Planned volume", "unit_of_measurement": "L", "state_class": "measurement",
+        },
+        ("sensor", "planned_start"): {"name": "Next planned start", "device_class": "timestamp"},
+        ("sensor", "condition"): {"name": "Condition"},
+        ("binary_sensor", "frost"): {"name": display_of("/weather/frost").label,
+                                     "device_class": "cold"},
+        ("binary_sensor", "problem"): {
+            "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
+        },
+        ("button", "stop"): {
+            "name": "Stop the pump", "command_topic": f"{base}/stop", "payload_press": STOP,
+        },
+    }
+    return entities
