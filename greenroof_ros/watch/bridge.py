@@ -159,10 +159,12 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]
     here, now, plan = store.mode not in ("none", "ended"), store.now, store.plan
-    planned: tuple[float | None, float | None] = None, None
+    volume: float | None = None
+    begin: float | None = None
     if here and plan is not None and now is not None and now < plan.ends[-1]:
         planned = plan.pumped(now)
-    volume, begin = planned
+        volume = 0.0 if planned is None else planned.volume
+        begin = None if planned is None else planned.begin
     numbers = {
         "roof_level": tiles["roof"]["number"], "cistern_level": tiles["cistern"]["number"],
         "rain": tiles["rain"]["number"], "flow": pump["number"],
