@@ -140,13 +140,13 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     assert refused(
         monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too")
+    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the sensor roof, too")
 
 
 NODES = {
     name: f"greenroof_ros.nodes.{module}" for name, module in {
         "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
-        "recorder": "live_recorder", "roof_sensor": "level_sensor",
+        "recorder": "live_recorder", "roof_sensor": "sensor",
     }.items()
 }
 

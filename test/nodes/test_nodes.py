@@ -158,7 +158,7 @@ REFUSED = {
         ("forecast of weather = 'persistence': must be a",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), and two readings must fit into that.
-    "level_sensor --tank cistern --ros-args -p sensors_file:=sensors.yaml":
+    "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
     f"pump {DRIVE} -p live:=true -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
@@ -205,7 +205,7 @@ def section(text: str, heading: str) -> dict[str, str]:
 
 def test_help_starts_no_node(tmp_path: Path) -> None:
     """The help of the others is held against the nodes."""
-    for command in ("live_recorder", "controller", "level_sensor"):
+    for command in ("live_recorder", "controller", "sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
 
 

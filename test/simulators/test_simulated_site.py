@@ -15,8 +15,8 @@ from places import CONFIG
 from simulators import Simulator, refusal, until
 
 from greenroof_ros import site_simulator
-from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import Address
+from greenroof_ros.drives.modbus_sensor import ModbusReader
 from greenroof_ros.drives.sensor_file import Sensors, read_sensors
 from greenroof_ros.simulators.faults import DEFAULT
 from greenroof_ros.simulators.simulated_site import SiteBench
@@ -85,7 +85,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
-            said = [LevelSensor(each).read() for each in (sensors.cistern, sensors.roof)]
+            said = [ModbusReader(each, "m").read() for each in (sensors.cistern, sensors.roof)]
             now = rows()[-1]
             site.inject("burst_pipe")
             time.sleep(0.1)
