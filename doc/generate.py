@@ -209,7 +209,10 @@ _DRIVE_PARTS = {
 
 def _kind(key: Key) -> str:
     """Return what a key of a file holds."""
-    names = {str: "text", int: "whole number", float: "number", Word: "word", tuple: "list"}
+    names = {
+        str: "text", int: "whole number", float: "number", Word: "word", tuple: "list",
+        bool: "true or false",
+    }
     union = get_origin(key.kind) in (Union, types.UnionType)
     kinds = get_args(key.kind) if union else (key.kind,)
     return " or ".join(dict.fromkeys(

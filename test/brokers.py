@@ -6,12 +6,15 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from greenroof_ros.common.mqtt import make_client, parse_broker
 
 _FOUND = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 needs_mosquitto = pytest.mark.skipif(_FOUND is None, reason="there is no mosquitto here")
@@ -79,3 +82,27 @@ def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
         yield broker
     finally:
         broker.kill()
+
+
+class Talker:
+    """Says things on a broker, each heard by it before the next; ``with`` connects it."""
+
+    def __init__(self, broker: Mosquitto) -> None:
+        self._connected = threading.Event()
+        self._client = make_client(
+            parse_broker(broker.address, "broker"), f"talker_{id(self)}", self._connected.set,
+            lambda topic, payload, retained: None,
+        )
+
+    def __enter__(self) -> Talker:
+        self._client.loop_start()
+        assert self._connected.wait(20)
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def say(self, topic: str, message: str, *, retain: bool = False) -> None:
+        """Say something, and wait until the broker has it."""
+        self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)
