@@ -22,7 +22,7 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     """Return the number in a message.
 
     Args:
-        payload: JSON, of which a plain number is the shortest.
+        payload: JSON; a plain number is that, too.
         sensor: that says where the number is.
 
     Raises:

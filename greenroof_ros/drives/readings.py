@@ -31,7 +31,7 @@ class Reading(Known):
 
 
 class Readings:
-    """The last values of a sensor, of which the median counts.
+    """The last values of a sensor, whose median counts.
 
     A median, not a first-order filter: it leaves single wrong readings out, where the other spreads
     them over many; and it follows a level that moves steadily, later by half its readings, without

@@ -311,7 +311,7 @@ def _mqtt_mistakes(
     if set(sensor.available) & set("#+"):
         yield "available", "must be a topic without # and +"
     if sensor.available == topic:
-        yield "available", "must be another topic than that of the readings"
+        yield "available", "must be another topic than for the readings"
     for key in ("login", "authority"):
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
