@@ -122,6 +122,21 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
+@pytest.mark.parametrize(("options", "said"), [
+    # What has a thermometer of its own needs no other one: only the drive is missing.
+    (("--drive", "no_such_drive", "--drive-at", "tcp://127.0.0.1:1"), "no_such_drive"),
+    (("--pump", "external", "--thermometer", "external"),
+     "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer"),
+])
+def test_a_thermometer_in_the_sensor_file(
+    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+) -> None:
+    sensors = str(CHECKOUT / "config" / "sensors_mqtt.yaml")
+    assert said in refused(
+        monkeypatch, "live", "--sensors", sensors, "--controller", "onoff", *options
+    )
+
+
 @pytest.mark.parametrize("name", ["site 1", "a//b"])
 def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):

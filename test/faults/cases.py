@@ -239,7 +239,12 @@ def _brokers(repeats: int) -> Iterator[Case]:
         for fault in ("cistern_silent", "roof_silent", "cistern_absurd", "roof_absurd"):
             yield Case(rig, "sensor", fault, number, Expected(
                 bound="level", alarm="has said nothing for|which is not from"))
+        yield Case(rig, "broker", "hostile", number, Expected(
+            stops=None, bound="level", alarm="no JSON|no number|is not from"))
         yield Case(rig, "kill", "site_simulator", number, replace(level, alarm="is not there: "))
+        yield Case(
+            rig, "stop long", "cistern_sensor", number, _process("cistern_sensor", "stop long")
+        )
 
 
 def _dry(repeats: int) -> Iterator[Case]:

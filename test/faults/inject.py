@@ -92,7 +92,7 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             _on_wire(rig.lines[tank].inject, fault, undo)
         case "broker":
             assert isinstance(rig, MqttRig)
-            _broker(rig, case.target, undo)
+            _broker(rig, case.target, rng, undo)
         case "full disk":
             assert isinstance(rig, FullDiskRig)
             rig.fill()
@@ -157,7 +157,7 @@ def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None
     undo.callback(ended.set)
 
 
-def _broker(rig: MqttRig, fault: str, undo: ExitStack) -> None:
+def _broker(rig: MqttRig, fault: str, rng: random.Random, undo: ExitStack) -> None:
     """Do something to the sensors' broker, or the cable to it."""
     broker = rig.broker
     match fault:
@@ -173,6 +173,8 @@ def _broker(rig: MqttRig, fault: str, undo: ExitStack) -> None:
         case "half_open":
             rig.line.cut = True
             undo.callback(setattr, rig.line, "cut", False)
+        case "hostile":
+            rig.say_nonsense(10_000, rng)
         case "retained":
             # The sensor dies, and who connects again gets its last word.
             rig.say_retained()

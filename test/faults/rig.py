@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
+import random
 import re
 import signal
 import subprocess
@@ -48,6 +49,8 @@ PUMP_SHORTENED = {
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
 CONTROLLER = "onoff"
+_CISTERN_TOPIC = "cistern/sensor/level/state"
+_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", '"2.5"', "{", "[2.5]", "[" * 30_000)
 
 
 class BrokenError(Exception):
@@ -394,7 +397,13 @@ class MqttRig(SiteRig):
     def say_retained(self) -> None:
         """Say the cistern's level once more, for the broker to keep."""
         with Talker(self.broker) as talker:
-            talker.say("cistern/sensor/level/state", f"{self.levels()[0]:.4f}", retain=True)
+            talker.say(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
+
+    def say_nonsense(self, count: int, rng: random.Random) -> None:
+        """Say so many things that are no level, as somebody else who may write there."""
+        with Talker(self.broker) as talker:
+            for _ in range(count):
+                talker.say(_CISTERN_TOPIC, rng.choice(_NONSENSE))
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)

@@ -160,6 +160,12 @@ REFUSED = {
     # A level counts for 5 s (level_limit), and two readings must fit into that.
     "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
+    "sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
+        ("line 16: cistern.max_age = 5.0: must be at most 4 s, level_limit",),
+    "sensor --of rain_gauge --ros-args -p sensors_file:=gauge.yaml":
+        ("gauge.yaml: rain_gauge: is missing",),
+    "sensor --of cistern --ros-args -p sensors_file:=login.yaml":
+        ("/no/greenroof/broker.yaml: ",),
     f"pump {DRIVE} -p live:=true -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
     f"pump {DRIVE} -p folow_time:=9.0":
@@ -173,6 +179,9 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
+        ("sensors.yaml", "gauge.yaml", "", ""),
+        ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
+        ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
     done = run_command(*f"nodes.{command}".split(), cwd=tmp_path, env=environment(domain))
