@@ -73,7 +73,7 @@ class ModbusReader(DeviceThread[Reading]):
             self._done = True
             self._line.close()
         else:
-            self._readings.was_suspended()
+            self._readings.forget_after_suspend()
             self._update(value=self.read(), read_at=time.monotonic(), problem="")
 
     def _lost(self, error: Exception, problem: str) -> None:

@@ -135,7 +135,7 @@ class MqttReader:
             raise ValueError(
                 f"is not there: {self._sensor.available} has not said {self._sensor.online!r}"
             )
-        if self._readings.was_suspended():
+        if self._readings.forget_after_suspend():
             self._deaf_until = now + _DEAF_S
         if now < self._deaf_until:
             raise ValueError("may have said this before the machine was suspended")

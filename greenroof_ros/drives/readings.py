@@ -55,8 +55,8 @@ class Readings:
         self._values.clear()
         self._total = None
 
-    def was_suspended(self) -> bool:
-        """Tell whether the machine was suspended since the last call; forget all of before that."""
+    def forget_after_suspend(self) -> bool:
+        """Forget all if the machine was suspended since the last call; tell whether it was."""
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
             return False
@@ -74,14 +74,14 @@ class Readings:
             ValueError: it is no number, or out of range.
         """
         sensor = self._sensor
-        value: float | None = sensor.scale * raw + sensor.offset
-        assert value is not None
+        value = sensor.scale * raw + sensor.offset
         if not math.isfinite(value):
             raise ValueError(f"says {raw}, which is no number")
         if sensor.counts:
-            value = self._rate(value)
-        if value is None:
-            return None
+            rate = self._rate(value)
+            if rate is None:
+                return None
+            value = rate
         if not sensor.low <= value <= sensor.high:
             raise ValueError(
                 f"says {value:.6g} {self._unit} (raw {raw:g}), which is not from {sensor.low:g} to "

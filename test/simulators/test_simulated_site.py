@@ -61,7 +61,14 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     cistern, roof = free_ports(2)
     file, table = tmp_path / "sensors.yaml", tmp_path / "levels.csv"
     text = (CONFIG / "sensors.yaml").read_text()
-    file.write_text(text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}"))
+    # And a flow meter in L/min, behind the cistern's port.
+    meter = (
+        f"flow_meter: {{address: 'tcp://127.0.0.1:{cistern}', device_id: 2, register: 4, "
+        "kind: input, type: float32, word_order: high first, scale: 1.6666667e-5, low: 0, "
+        "high: 1}\n"
+    )
+    text = text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
+    file.write_text(text + meter)
     sensors = read_sensors(file)
 
     def rows() -> list[dict[str, float]]:
@@ -88,7 +95,10 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
-            said = [ModbusReader(each, "m").read() for each in (sensors.cistern, sensors.roof)]
+            said = [
+                ModbusReader(each, "m").read() for each in sensors.by_section.values()
+                if isinstance(each, ModbusSensor)
+            ]
             now = rows()[-1]
             site.inject("burst_pipe")
             time.sleep(0.1)
@@ -114,6 +124,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     # A tick or two may lie between reading them and the table.
     assert said[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
     assert said[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
+    assert said[2] == pytest.approx(6.1261e-3, rel=1e-3)
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
