@@ -26,6 +26,8 @@ class Mosquitto:
     Attributes:
         port: of loopback.
         address: as an option takes it.
+        login: file that an option takes, too; empty for none.
+        authority: likewise.
     """
 
     def __init__(self, directory: Path, *lines: str) -> None:
@@ -38,6 +40,7 @@ class Mosquitto:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
         self.address = f"mqtt://127.0.0.1:{self.port}"
+        self.login = self.authority = ""
         self._file, self._log = directory / "mosquitto.conf", directory / "mosquitto.log"
         more = lines or ("allow_anonymous true",)
         self._file.write_text("\n".join([f"listener {self.port} 127.0.0.1", *more, ""]))
@@ -95,8 +98,8 @@ class Talker:
     def __init__(self, broker: Mosquitto) -> None:
         self._connected = threading.Event()
         self._client = make_client(
-            parse_broker(broker.address, "broker"), f"talker_{id(self)}", self._connected.set,
-            lambda topic, payload, retained: None,
+            parse_broker(broker.address, "broker", broker.login, broker.authority),
+            f"talker_{id(self)}", self._connected.set, lambda topic, payload, retained: None,
         )
 
     def __enter__(self) -> Talker:

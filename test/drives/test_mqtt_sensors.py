@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import getpass
+import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from itertools import chain, repeat
 from pathlib import Path
 
@@ -230,6 +232,47 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
             assert reader.snapshot.code == "broker_lost"
             broker.start()
             until(lambda: "has said nothing yet" in reader.snapshot.problem, 20)
+
+
+def test_login_and_encryption(tmp_path: Path) -> None:
+    """A broker with a password, and a certificate of the test's own."""
+    key, certificate, passwords = (tmp_path / name for name in ("key.pem", "ca.pem", "passwords"))
+    for command in (
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
+         certificate, "-days", "2", "-subj", "/CN=127.0.0.1", "-addext",
+         "subjectAltName=IP:127.0.0.1"],
+        ["mosquitto_passwd", "-b", "-c", passwords, "roof", "secret"],
+    ):
+        subprocess.run(command, check=True, capture_output=True)
+    login, wrong = tmp_path / "login.yaml", tmp_path / "wrong.yaml"
+    login.write_text("username: roof\npassword: secret\n")
+    wrong.write_text("username: roof\npassword: guess\n")
+    lines = (
+        f"certfile {certificate}", f"keyfile {key}", "allow_anonymous false",
+        f"password_file {passwords}", f"user {getpass.getuser()}",
+    )
+    with mosquitto(tmp_path, *lines) as broker, ExitStack() as stack:
+
+        def reader(**files: str) -> MqttReader:
+            sensor = MqttSensor(
+                address=f"mqtts://127.0.0.1:{broker.port}/{TOPIC}", scale=1.0, low=0.0, high=6.0,
+                median=1, max_age=30.0, **files,
+            )
+            found = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
+            found.start()
+            return found
+
+        let_in = reader(login=str(login), authority=str(certificate))
+        refused = reader(login=str(wrong), authority=str(certificate))
+        distrustful = reader(login=str(login))
+        until(lambda: let_in.snapshot.code == "sensor_lost", 20)
+        until(lambda: "to the broker: Not authorized" in refused.snapshot.problem, 20)
+        until(lambda: "to the broker: nobody answers" in distrustful.snapshot.problem, 20)
+        broker.login, broker.authority = str(login), str(certificate)
+        broker.address = f"mqtts://127.0.0.1:{broker.port}"
+        with Talker(broker) as talker:
+            begin(let_in, talker, "1")
+            assert after(let_in, talker, "2") == [2.0]
 
 
 # --- totals ---------------------------------------------------------------------------------------
