@@ -37,18 +37,18 @@ class Quantity(NamedTuple):
 
     Attributes:
         node: name of the node that publishes it.
-        name: of its topic in the interface, which has its unit and range.
+        topic_name: in the interface, where its unit and range are.
         limit: the parameter that is its greatest age.
     """
 
     node: str
-    name: str
+    topic_name: str
     limit: str
 
     @property
     def topic(self) -> Topic:
         """Its topic."""
-        return read_topics()[self.name]
+        return read_topics()[self.topic_name]
 
 
 # By the section of the file.

@@ -40,7 +40,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     sensors = Parameter(
         "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where"
     )
-    limits = dict.fromkeys(LIMITS[quantity.name] for quantity in QUANTITIES.values())
+    limits = dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values())
     return [sensors, *limits]
 
 
@@ -65,7 +65,7 @@ class SensorNode(LinkedNode):
             raise ConfigurationError(
                 "is missing: it says where the sensor is", file=file, key=section
             )
-        self._topic, unit = quantity.name, quantity.topic.unit
+        self._topic, unit = quantity.topic_name, quantity.topic.unit
         # Without a level the pump stands, without the others it need not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)

@@ -22,6 +22,9 @@ from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 
+from greenroof_ros.drives.sensor_file import QUANTITIES
+from greenroof_ros.graph.live import LIMITS
+
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
 
 
@@ -216,6 +219,13 @@ def test_help_starts_no_node(tmp_path: Path) -> None:
     """The help of the others is held against the nodes."""
     for command in ("live_recorder", "controller", "sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
+
+
+def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
+    """Who checks the sensor file names the parameter that the readers of the topic have."""
+    assert {one.topic_name: one.limit for one in QUANTITIES.values()} == {
+        one.topic_name: LIMITS[one.topic_name].name for one in QUANTITIES.values()
+    }
 
 
 def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
