@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 _ADDRESS = re.compile(
-    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
+    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*|\[[0-9A-Fa-f:]+\])"
+    r"(:(?P<port>\d{1,5}))?/?"
 )
 _PORT, _TLS_PORT = 1883, 8883
 # A broker that says nothing for one and a half times as long counts as gone (s).
