@@ -10,7 +10,7 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # What ``ros2 run greenroof_ros NAME`` starts in a workspace: the nodes ...
-NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "level_sensor")
+NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "sensor")
 # ... the node of one of this package's controllers, without ``--controller`` ...
 CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
@@ -92,7 +92,7 @@ setup(
             "ros-jazzy-lifecycle-msgs>=2.0,<3",  # the pump node's states
             "ros-jazzy-std-srvs>=5.3,<6",  # the pump node's services
         ],
-        # The pump node's drives and level sensors, and their simulators.
+        # The pump node's drives and sensors on Modbus, and their simulators.
         "pump": [
             # TCP and RTU; its minor releases change the interface, which has `device_id` since 3.10
             "pymodbus[serial]>=3.16,<3.17",

@@ -209,13 +209,16 @@ _DRIVE_PARTS = {
 
 def _kind(key: Key) -> str:
     """Return what a key of a file holds."""
-    names = {str: "text", int: "whole number", float: "number", Word: "word", tuple: "list"}
+    names = {
+        str: "text", int: "whole number", float: "number", Word: "word", tuple: "list",
+        bool: "true or false",
+    }
     union = get_origin(key.kind) in (Union, types.UnionType)
     kinds = get_args(key.kind) if union else (key.kind,)
-    return " or ".join(
+    return " or ".join(dict.fromkeys(
         names.get(get_origin(kind) or kind, "mapping") for kind in kinds
         if kind is not types.NoneType
-    )
+    ))
 
 
 def drive_files() -> str:
@@ -224,8 +227,12 @@ def drive_files() -> str:
 
 
 def sensors_file() -> str:
-    """Return every key of a file of level sensors."""
-    return _keys({"the file": sensor_file.Sensors, "`cistern`, `roof`": sensor_file.Sensor})
+    """Return every key of a file of sensors."""
+    return _keys({
+        "the file": sensor_file.Sensors,
+        "a sensor on Modbus": sensor_file.ModbusSensor,
+        "a sensor on MQTT": sensor_file.MqttSensor,
+    })
 
 
 def skill_file() -> str:
@@ -503,16 +510,16 @@ def nodes() -> str | None:
     from greenroof_ros.graph.parameters import default_site, type_name
     from greenroof_ros.nodes import (
         controller,
-        level_sensor,
         live_recorder,
         plant,
         pump,
         recorder,
+        sensor,
         weather,
     )
 
     site = default_site()
-    modules = (plant, weather, recorder, live_recorder, pump, level_sensor)
+    modules = (plant, weather, recorder, live_recorder, pump, sensor)
     declared = {node.__name__.rpartition(".")[2]: node.parameters(site) for node in modules}
     declared["controllers"] = controller.parameters(None)
     of_nodes: dict[tuple[str, ...], list[str]] = {}

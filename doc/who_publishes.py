@@ -25,7 +25,7 @@ class Way:
         live: whether it runs on the system's clock.
         devices: what is no node, on the right.
         exchanges: what goes over Modbus: text, from, to.
-        perhaps: nodes of somebody else's, which may be absent.
+        perhaps: nodes that may be absent.
     """
 
     name: str
@@ -47,14 +47,17 @@ WAYS = {
     ),
     "graph-live": Way(
         "live",
-        ("gauge", "weather", "controller", "recorder", "pump", "cistern_sensor", "roof_sensor"),
+        (
+            "rain_gauge", "thermometer", "weather", "controller", "recorder", "pump",
+            "cistern_sensor", "roof_sensor",
+        ),
         live=True,
         devices=("drive", "sensors"),
         exchanges=(
             *_DRIVE, ("cistern level", "sensors", "cistern_sensor"),
             ("roof level", "sensors", "roof_sensor"),
         ),
-        perhaps=("gauge",),
+        perhaps=("rain_gauge", "thermometer"),
     ),
 }
 

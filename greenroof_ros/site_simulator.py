@@ -1,4 +1,4 @@
-"""Cistern and roof behind Modbus level sensors: ``greenroof simulators site``."""
+"""Cistern and roof behind sensors on Modbus or MQTT: ``greenroof simulators site``."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
-        description="Simulate cistern and roof in real time and answer as their level sensors, "
-        "over Modbus.\nThe pump is a drive simulator's: its true speed makes the flow.",
+        description="Simulate cistern and roof in real time and answer as their sensors, over "
+        "Modbus, or publish on\nMQTT. The pump is a drive simulator's: its true speed makes the "
+        "flow. It is 15 degC.",
         epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
         "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
         f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"

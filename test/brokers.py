@@ -6,12 +6,15 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from greenroof_ros.common.mqtt import make_client, parse_broker
 
 _FOUND = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 needs_mosquitto = pytest.mark.skipif(_FOUND is None, reason="there is no mosquitto here")
@@ -23,6 +26,8 @@ class Mosquitto:
     Attributes:
         port: of loopback.
         address: as an option takes it.
+        login: file that an option takes, too; empty for none.
+        authority: likewise.
     """
 
     def __init__(self, directory: Path, *lines: str) -> None:
@@ -35,6 +40,7 @@ class Mosquitto:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
         self.address = f"mqtt://127.0.0.1:{self.port}"
+        self.login = self.authority = ""
         self._file, self._log = directory / "mosquitto.conf", directory / "mosquitto.log"
         more = lines or ("allow_anonymous true",)
         self._file.write_text("\n".join([f"listener {self.port} 127.0.0.1", *more, ""]))
@@ -62,6 +68,11 @@ class Mosquitto:
         self.process.kill()
         self.process.wait()
 
+    def end(self) -> None:
+        """End it in good order: with a place for that, it keeps what is retained."""
+        self.process.terminate()
+        self.process.wait()
+
     def pause(self) -> None:
         """Have it answer nothing, its connections open."""
         self.process.send_signal(signal.SIGSTOP)
@@ -79,3 +90,27 @@ def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
         yield broker
     finally:
         broker.kill()
+
+
+class Talker:
+    """Says things on a broker, each heard by it before the next; ``with`` connects it."""
+
+    def __init__(self, broker: Mosquitto) -> None:
+        self._connected = threading.Event()
+        self._client = make_client(
+            parse_broker(broker.address, "broker", broker.login, broker.authority),
+            f"talker_{id(self)}", self._connected.set, lambda topic, payload, retained: None,
+        )
+
+    def __enter__(self) -> Talker:
+        self._client.loop_start()
+        assert self._connected.wait(20)
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def say(self, topic: str, message: str, *, retain: bool = False) -> None:
+        """Say something, and wait until the broker has it."""
+        self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)

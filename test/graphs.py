@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 from mcap.reader import make_reader
 
 from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.drives.sensor_file import QUANTITIES
 
 
 @contextmanager
@@ -185,8 +186,8 @@ class Process:
             for word in words:
                 if word.startswith("greenroof_ros.nodes."):
                     name = word.removeprefix("greenroof_ros.nodes.")
-                    if name == "level_sensor":
-                        name = f"{words[words.index('--tank') + 1]}_sensor"
+                    if name == "sensor":
+                        name = QUANTITIES[words[words.index('--of') + 1]].node
                     found[name] = int(pid)
         return found
 

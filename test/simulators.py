@@ -74,6 +74,7 @@ class Simulator:
     """A simulator that is ready; ``with`` ends it by Ctrl-C and looks at how it ends."""
 
     def __init__(self, module: str, *options: str) -> None:
+        self._module = module
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -99,7 +100,7 @@ class Simulator:
         return self._on_workbench(lambda bench: bench.speed())
 
     def _on_workbench(self, task: Callable[[Workbench], T]) -> T:
-        known = SITE_FAULTS if len(self.ports) == 3 else DRIVE_FAULTS
+        known = SITE_FAULTS if self._module == "site_simulator" else DRIVE_FAULTS
         bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
         try:
             return task(bench)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from brokers import needs_mosquitto
 from graphs import environment
 from places import CHECKOUT
 
@@ -19,6 +20,7 @@ SAMPLE = {
     "site:danfoss_fc202/kill/pump/0": ("pump: ended (SIGKILL)", "ran again"),
     "site:danfoss_fc202/drive/drive_fault/0": ("the drive reports", "~/reset (cleared:"),
     "site:danfoss_fc202/sensor/roof_silent/0": ("/roof/level", "ran again"),
+    "mqtt:danfoss_fc202/broker/killed/0": ("no connection to the broker", "ran again"),
     "site:danfoss_fc202/intruder/pump.command/0": ("publishers", "ran again"),
     "simulated/kill/weather/0": ("node weather ended (SIGKILL)", "exit code 1"),
     "relayed:danfoss_fc202/off/weather.precipitation/0": (
@@ -41,6 +43,7 @@ def campaign(domain: int, results: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@needs_mosquitto
 def test_a_sample_of_the_campaign(domain: int, tmp_path: Path) -> None:
     """Each stops the pump within its bound, is named, and goes on as specified."""
     done = campaign(domain, tmp_path)

@@ -23,7 +23,7 @@ import greenroof_ros
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
-    "recorder", "live_recorder", "pump", "level_sensor",
+    "recorder", "live_recorder", "pump", "sensor",
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",

@@ -19,7 +19,7 @@ from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.modbus_line import parse_address
-from greenroof_ros.drives.sensor_file import TANKS, read_sensors
+from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.supervision import PUMP, RECORDER
@@ -54,6 +54,7 @@ class LiveSite:
         controller: which.
         parameters: its parameters, all of them.
         sensors: sensor file; None where the levels come from somebody else's nodes.
+        sensed: what that file says.
         weather: whether the weather node is bringup's, and not somebody else's.
         forecast: forecast file, or ``open-meteo`` where it is fetched from there; None where there
             is none, or the weather is somebody else's.
@@ -92,17 +93,24 @@ class LiveSite:
              f"is missing: live, it is what {self.controller.name} knows of the weather to "
              "come; or --weather external, where a node of your own publishes it; or --controller "
              "onoff or lookahead, which can do without"),
-            (not others_weather and not has_forecast and arguments.thermometer is None,
+        )
+        self.sensors = None
+        self.sensed: Sensors | None = None
+        if arguments.sensors != EXTERNAL:
+            self.sensors = _readable(arguments.sensors, "--sensors")
+            self.sensed = read_sensors(self.sensors)
+            if drive is not None:
+                _refuse_shared_line(drive, self.sensed)
+        own = self.sensed is not None and self.sensed.thermometer is not None
+        refuse(
+            (not others_weather and not has_forecast and arguments.thermometer is None and not own,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
              "frost; let a node of your own publish /gauge/temperature (degC) and give "
-             "--thermometer external, or give a forecast"),
+             "--thermometer external, name one in the file of --sensors, or give a forecast"),
+            (own and arguments.thermometer is not None, "--thermometer", EXTERNAL,
+             "contradicts the file of --sensors, which has a thermometer"),
         )
-        self.sensors = None
-        if arguments.sensors != EXTERNAL:
-            self.sensors = _readable(arguments.sensors, "--sensors")
-            if drive is not None:
-                _refuse_shared_line(drive, self.sensors)
         self.weather = not others_weather
         self.forecast = _forecast(arguments)
         self.fetch_model: str = arguments.fetch_model
@@ -138,10 +146,10 @@ class LiveSite:
         """
         kept = {name: place / name / file.name for name, file in self.files().items()}
         common = {"live": True, "site_file": str(kept["site"])}
-        if self.sensors is not None:
-            for tank in TANKS:
+        if self.sensed is not None:
+            for section in self.sensed.by_section:
                 yield LiveNode(
-                    f"{tank}_sensor", "greenroof_ros.nodes.level_sensor", ("--tank", tank),
+                    QUANTITIES[section].node, "greenroof_ros.nodes.sensor", ("--of", section),
                     {"sensors_file": str(kept["sensors"])},
                 )
         if self.weather:
@@ -204,7 +212,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="sensor file of the level sensors (see config/sensors.yaml); external: somebody "
+        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: somebody "
         "else's nodes publish the levels",
     )
     group.add_argument(
@@ -228,8 +236,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: a node of your own publishes /gauge/temperature (degC); without --forecast "
-        "nothing else can say whether there is frost",
+        help="external: a node of your own publishes /gauge/temperature (degC), where the file of "
+        "--sensors has no thermometer; without --forecast nothing else can say whether there is "
+        "frost",
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
@@ -266,18 +275,17 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     return _readable(arguments.forecast, "--forecast")
 
 
-def _refuse_shared_line(drive: DriveChoice, sensors: Path) -> None:
+def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
     """Refuse a serial line that a sensor shares with the drive: one program alone can open it.
 
     Raises:
-        ConfigurationError: it is shared, or a file or the address is wrong.
+        ConfigurationError: it is shared, or the drive's file or address is wrong.
     """
     _, address = drive.read()
-    levels = read_sensors(sensors)
-    for tank in TANKS:
-        if address.shares_line(parse_address(getattr(levels, tank).address)):
+    for section, sensor in sensors.by_section.items():
+        if isinstance(sensor, ModbusSensor) and address.shares_line(parse_address(sensor.address)):
             raise ConfigurationError(
-                f"is the serial line of the {tank}'s sensor, too, which one program alone can "
+                f"is the serial line of the sensor {section}, too, which one program alone can "
                 "open: put a Modbus TCP gateway on it, or take another line",
                 key="--drive-at", value=drive.at,
             )

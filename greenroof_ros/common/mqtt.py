@@ -19,13 +19,16 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 _ADDRESS = re.compile(
-    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
+    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*|\[[0-9A-Fa-f:]+\])"
+    r"(:(?P<port>\d{1,5}))?/?"
 )
 _PORT, _TLS_PORT = 1883, 8883
 # A broker that says nothing for one and a half times as long counts as gone (s).
 _KEEP_ALIVE_S = 5
 # Waits between two attempts to connect (s): the first, and the longest.
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 1, 5
+# The reason code of a connection that ends without one.
+_UNSPECIFIED = 0x80
 
 
 @dataclass(frozen=True)
@@ -143,14 +146,19 @@ def make_client(
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
 
+    let_in = False
+
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
+        nonlocal let_in
+        let_in = not code.is_failure
         if code.is_failure:
             on_disconnect(str(code))
         else:
             on_connect()
 
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        on_disconnect(str(code))
+        if let_in:  # otherwise the reason has been said
+            on_disconnect("it broke off" if code.value == _UNSPECIFIED else str(code))
 
     client.on_connect = connected
     client.on_disconnect = disconnected

@@ -2,7 +2,9 @@
 
 Frozen dataclasses are read from YAML, each error with file, line, key and value. A dataclass says
 with `entry`, as the default of each field, what the key means and which values it may have; what
-reads a file and what writes its documentation both go by that.
+reads a file and what writes its documentation both go by that. Where a key may hold one of several
+dataclasses, those after the first have a static method ``fits`` that says of a mapping whether it
+is theirs.
 """
 
 from __future__ import annotations
@@ -234,8 +236,10 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
             return None
         if isinstance(value, str) and str in inner and value in entry.among:
             return value
-        kinds = [each for each in inner if each not in (types.NoneType, str)]
-        return _value(kinds[0] if kinds else str, value, entry, parts)
+        kinds = [each for each in inner if each not in (types.NoneType, str)] or [str]
+        if isinstance(value, YamlMapping):
+            kinds = [*(each for each in kinds[1:] if each.fits(value)), *kinds]
+        return _value(kinds[0], value, entry, parts)
     if is_dataclass(kind):
         return _record(kind, value, parts)
     if origin is tuple:

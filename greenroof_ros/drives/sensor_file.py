@@ -1,14 +1,19 @@
-"""The level sensors of a site: ``config/sensors.yaml``, as frozen dataclasses."""
+"""The sensors of a site: ``config/sensors.yaml``, as frozen dataclasses."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.mqtt import Broker, parse_topic
 from greenroof_ros.common.parameter import Word, entry, error_at, read_record
 from greenroof_ros.drives.modbus_line import (
     WIDTHS,
@@ -23,16 +28,59 @@ from greenroof_ros.drives.modbus_line import (
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
 _MODBUS_PORT = 502
+_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+_PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """A level sensor. The level is scale x raw + offset (m), the median of some readings.
+class Quantity(NamedTuple):
+    """What a sensor measures.
 
-    A median, not a first-order filter: it leaves single wrong readings out, where the other spreads
-    them over many; and it follows a level that moves steadily, later by half its readings, without
-    rounding off where it begins to move. Levels of tanks are slow enough for that.
+    Attributes:
+        node: name of the node that publishes it.
+        topic_name: in the interface, where its unit and range are.
+        limit: the parameter that is its greatest age.
     """
+
+    node: str
+    topic_name: str
+    limit: str
+
+    @property
+    def topic(self) -> Topic:
+        """Its topic."""
+        return read_topics()[self.topic_name]
+
+
+# By the section of the file.
+QUANTITIES = {
+    "cistern": Quantity("cistern_sensor", "/cistern/level", "level_limit"),
+    "roof": Quantity("roof_sensor", "/roof/level", "level_limit"),
+    "flow_meter": Quantity("flow_meter", "/pump/meter", "flow_limit"),
+    "rain_gauge": Quantity("rain_gauge", "/gauge/precipitation", "gauge_limit"),
+    "thermometer": Quantity("thermometer", "/gauge/temperature", "gauge_limit"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """What every sensor has. The value is scale x raw + offset, the median of some readings."""
+
+    scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
+    low: float = entry("least value that is accepted, in the quantity's unit", -100, 100)
+    high: float = entry("greatest value that is accepted, likewise", -100, 100)
+    offset: float = entry("value where raw is 0, likewise", -1e3, 1e3, default=0.0)
+    median: int = entry(
+        "readings of which the median is taken, an odd number; 1: no filter", 1, 99, default=5
+    )
+    counts: bool = entry(
+        "scale x raw is a running total (m or m3), whose growth in a second is the value; median: "
+        "1 goes with it", default=False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusSensor(Sensor):
+    """A sensor that is asked over Modbus."""
 
     address: str = entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")
     device_id: int = entry("unit identifier or slave address", 0, 255)
@@ -41,23 +89,25 @@ class Sensor:
         "input registers (function 4) or holding (3)", choices=("input", "holding")
     )
     type: str = entry("how the value is coded", choices=tuple(WIDTHS))
-    scale: float = entry("level = scale x raw + offset; m per count", -1e3, 1e3)
-    low: float = entry("least level that is accepted (m)", -10, 100)
-    high: float = entry("greatest level that is accepted (m)", -10, 100)
-    offset: float = entry("level where raw is 0 (m)", -100, 100, default=0.0)
     word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
     missing: Word | None = entry("the raw value that says 'no reading'", default=None)
-    median: int = entry(
-        "readings of which the median is taken, an odd number; 1: no filter", 1, 99, default=5
-    )
     period: float = entry(
-        "from one reading to the next (s); at most half of level_limit", 0.05, 3600, default=1.0
+        "from one reading to the next (s); at most half of the greatest age of the quantity", 0.05,
+        3600, default=1.0,
     )
     baud_rate: int = entry("of a serial line: bits per second", 1200, 1_000_000, default=19200)
     parity: str = entry(
         "of a serial line: parity bit", choices=("even", "odd", "none"), default="even"
     )
     stop_bits: int = entry("of a serial line: stop bits", 1, 2, default=1)
+
+    def __str__(self) -> str:
+        return f"{self.address}, device {self.device_id}"
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        """What no other sensor has."""
+        return self.address, self.device_id, self.kind, self.register
 
     @property
     def serial(self) -> Serial:
@@ -81,12 +131,70 @@ class Sensor:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class MqttSensor(Sensor):
+    """A sensor whose messages a broker hands on."""
+
+    address: str = entry("mqtt://HOST[:PORT]/TOPIC; mqtts:// over TLS")
+    value: str = entry(
+        "where the number is in the JSON of a message, such as ANALOG.Range1 or "
+        "sensors[0].distance; left out: the message is the number", default="",
+    )
+    max_age: float = entry(
+        "for how long the sensor may say nothing (s); at most the greatest age of the quantity",
+        0.1, 3600,
+    )
+    available: str = entry("topic that says whether the sensor is there", default="")
+    online: str = entry("what that topic says where it is", default="online")
+    login: str = entry("file with username and password, an absolute path", default="")
+    authority: str = entry(
+        "file of the certificates that are trusted (PEM), an absolute path; left out: the "
+        "system's", default="",
+    )
+
+    def __str__(self) -> str:
+        return self.address
+
+    @staticmethod
+    def fits(section: Mapping[str, Any]) -> bool:
+        """Whether a section of the file is of such a sensor: its address says so."""
+        return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        """What no other sensor has."""
+        return self.address, self.value
+
+    @property
+    def steps(self) -> list[str | int]:
+        """The names and numbers by which the value is reached."""
+        return [int(index) if index else name for index, name in _STEP.findall(self.value)]
+
+    def broker_and_topic(self) -> tuple[Broker, str]:
+        """Return where the broker is, and the topic.
+
+        Raises:
+            ConfigurationError: the address is wrong.
+        """
+        return parse_topic(self.address, "address", self.login, self.authority)
+
+
 @dataclass(frozen=True)
 class Sensors:
-    """The sensors of both tanks."""
+    """The sensors of a site."""
 
-    cistern: Sensor = entry("level sensor of the cistern")
-    roof: Sensor = entry("level sensor of the roof")
+    cistern: ModbusSensor | MqttSensor = entry("level of the cistern (m)")
+    roof: ModbusSensor | MqttSensor = entry("level of the roof (m)")
+    flow_meter: ModbusSensor | MqttSensor | None = entry("flow of the pump (m3/s)", default=None)
+    rain_gauge: ModbusSensor | MqttSensor | None = entry("rain (m/s)", default=None)
+    thermometer: ModbusSensor | MqttSensor | None = entry(
+        "temperature of the air (degC)", default=None
+    )
+
+    @property
+    def by_section(self) -> dict[str, ModbusSensor | MqttSensor]:
+        """Return those that there are."""
+        return {name: one for name in QUANTITIES if (one := getattr(self, name)) is not None}
 
 
 def default_sensors() -> Path:
@@ -94,12 +202,13 @@ def default_sensors() -> Path:
     return shared_directory() / "config" / "sensors.yaml"
 
 
-def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
+def read_sensors(path: Path, greatest_ages: Mapping[str, float] | None = None) -> Sensors:
     """Read a file of sensors and check it.
 
     Args:
         path: the file.
-        level_limit: age beyond which nobody takes a level (s); two readings must fit into it.
+        greatest_ages: ages beyond which nobody takes a quantity (s), as far as they are known, by
+            the names of their parameters; two readings must fit into it.
 
     Raises:
         ConfigurationError: something in it is missing, unknown, impossible, or contradicts
@@ -107,55 +216,108 @@ def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
     """
     content = read_yaml(path)
     sensors = read_record(Sensors, path, content)
-    for key, expected in _mistakes(sensors, level_limit):
+    for key, expected in _mistakes(sensors, greatest_ages or {}):
         raise error_at(path, content, key, expected)
     return sensors
 
 
-def _mistakes(sensors: Sensors, level_limit: float) -> Iterator[tuple[str, str]]:
+def _mistakes(
+    sensors: Sensors, greatest_ages: Mapping[str, float]
+) -> Iterator[tuple[str, str]]:
     """Yield each key that contradicts another one, and why; what follows goes by those before."""
-    for tank in TANKS:
-        for key, expected in _sensor_mistakes(getattr(sensors, tank), level_limit):
-            yield f"{tank}.{key}", expected
-    cistern, roof = sensors.cistern, sensors.roof
-    if parse_address(roof.address).shares_line(parse_address(cistern.address)):
-        yield "roof.address", (
-            "is the cistern's serial line, which one program alone can open: put a Modbus TCP "
-            "gateway on it (tcp://HOST:PORT), or take another line"
+    for section, sensor in sensors.by_section.items():
+        quantity = QUANTITIES[section]
+        greatest_age = greatest_ages.get(quantity.limit, math.inf)
+        own = (
+            _modbus_mistakes(sensor, quantity, greatest_age) if isinstance(sensor, ModbusSensor)
+            else _mqtt_mistakes(sensor, quantity, greatest_age)
         )
-    places = {(each.address, each.device_id, each.kind, each.register) for each in (cistern, roof)}
-    if len(places) == 1:
-        yield "roof.register", "is the cistern's: both sensors would be the same"
+        for key, expected in (*_sensor_mistakes(sensor, section), *own):
+            yield f"{section}.{key}", expected
+    for (first, one), (second, other) in combinations(sensors.by_section.items(), 2):
+        of = first.replace("_", " ")
+        if one.place == other.place:
+            key = "register" if isinstance(other, ModbusSensor) else "address"
+            yield f"{second}.{key}", f"is the {of}'s: both sensors would be the same"
+        if isinstance(one, ModbusSensor) and isinstance(other, ModbusSensor) and parse_address(
+            other.address
+        ).shares_line(parse_address(one.address)):
+            yield f"{second}.address", (
+                f"is the {of}'s serial line, which one program alone can open: put a Modbus TCP "
+                "gateway on it (tcp://HOST:PORT), or take another line"
+            )
 
 
-def _sensor_mistakes(sensor: Sensor, level_limit: float) -> Iterator[tuple[str, str]]:
-    try:
-        parse_address(sensor.address)
-    except ConfigurationError as error:
-        yield "address", str(error).rpartition(": ")[2]
-    yield from coding_mistakes(sensor.type, sensor.word_order)
-    if sensor.register + sensor.registers > 65536:
-        yield "register", "leaves no room for a second register"
+def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
+    topic = QUANTITIES[section].topic
     if sensor.scale == 0:
         yield "scale", "must not be 0"
     if sensor.low >= sensor.high:
-        yield "high", f"must be above low, {sensor.low:g} m"
-    ends = sorted(sensor.scale * raw + sensor.offset for raw in limits(sensor.type))
-    if ends[0] > sensor.low + abs(sensor.scale) or ends[1] < sensor.high - abs(sensor.scale):
-        yield "scale", (
-            f"cannot give the levels from {sensor.low:g} to {sensor.high:g} m: {sensor.type} with "
-            f"offset {sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} m"
-        )
+        yield "high", f"must be above low, {sensor.low:g} {topic.unit}"
+    if sensor.high > topic.high:
+        yield "high", f"must be at most {topic.high:g} {topic.unit}: nobody takes more"
     if sensor.median % 2 == 0:
         yield "median", "must be odd, so that it is one of the readings"
-    late = sensor.median // 2 * sensor.period
+    if sensor.counts and section not in ("flow_meter", "rain_gauge"):
+        yield "counts", "is for a flow meter or a rain gauge"
+    if sensor.counts and sensor.median > 1:
+        yield "counts", "goes with median: 1, for a median leaves out what comes now and then"
+
+
+def _late(sensor: Sensor, interval: float) -> Iterator[tuple[str, str]]:
+    late = sensor.median // 2 * interval
     if late > _LONGEST_FILTER_S:
         yield "median", (
-            f"is late by {late:g} s with a period of {sensor.period:g} s; at most "
-            f"{_LONGEST_FILTER_S:g} s are sensible"
+            f"is late by {late:g} s where it is {interval:g} s from one reading to the next; at "
+            f"most {_LONGEST_FILTER_S:g} s are sensible"
         )
-    if sensor.period > level_limit / 2:
+
+
+def _modbus_mistakes(
+    sensor: ModbusSensor, quantity: Quantity, greatest_age: float
+) -> Iterator[tuple[str, str]]:
+    try:
+        parse_address(sensor.address)
+    except ConfigurationError as error:
+        yield "address", f"{str(error).rpartition(': ')[2]}; or mqtt://HOST[:PORT]/TOPIC"
+    yield from coding_mistakes(sensor.type, sensor.word_order)
+    if sensor.register + sensor.registers > 65536:
+        yield "register", "leaves no room for a second register"
+    ends = sorted(sensor.scale * raw + sensor.offset for raw in limits(sensor.type))
+    step, unit = abs(sensor.scale), quantity.topic.unit
+    if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
+        yield "scale", (
+            f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
+            f"{sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} {unit}"
+        )
+    yield from _late(sensor, sensor.period)
+    if sensor.period > greatest_age / 2:
         yield "period", (
-            f"must be at most {level_limit / 2:g} s, half of level_limit: beyond that age nobody "
-            "takes the level, and the pump stands"
+            f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: nobody takes what "
+            "is older"
+        )
+
+
+def _mqtt_mistakes(
+    sensor: MqttSensor, quantity: Quantity, greatest_age: float
+) -> Iterator[tuple[str, str]]:
+    try:
+        _, topic = sensor.broker_and_topic()
+    except ConfigurationError as error:
+        yield "address", str(error).rpartition(": ")[2]
+        return
+    if sensor.value and not _PATH.fullmatch(sensor.value):
+        yield "value", "must be names and numbers, such as ANALOG.Range1 or sensors[0].distance"
+    if set(sensor.available) & set("#+"):
+        yield "available", "must be a topic without # and +"
+    if sensor.available == topic:
+        yield "available", "must be another topic than for the readings"
+    for key in ("login", "authority"):
+        file = getattr(sensor, key)
+        if file and not Path(file).is_absolute():
+            yield key, "must be an absolute path: a copy of this file is read"
+    yield from _late(sensor, sensor.max_age)
+    if sensor.max_age > greatest_age:
+        yield "max_age", (
+            f"must be at most {greatest_age:g} s, {quantity.limit}: nobody takes what is older"
         )

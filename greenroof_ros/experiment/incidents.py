@@ -49,7 +49,8 @@ _RULES = {
     **dict.fromkeys(("recording", "disk"), Rule(stops_pump=False)),
     "sensor": Rule(lasts_s=3.0),
     **dict.fromkeys(
-        ("forecast", "rain gauge", "thermometer"), Rule(_NOT_GOOD, 3.0, stops_pump=False)
+        ("forecast", "rain gauge", "thermometer", "gauge"),
+        Rule(_NOT_GOOD, 3.0, stops_pump=False),
     ),
     **dict.fromkeys(("levels", "inputs", "command", "frost"), Rule(lasts_s=30.0, follows=True)),
     "no_forecast": Rule(_NOT_GOOD, 30.0, follows=True, stops_pump=False),

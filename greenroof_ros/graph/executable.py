@@ -60,7 +60,7 @@ def node_command(
         make: returns the node.
         help_of: returns the text of ``--help``; like ``make`` it is called with the value of the
             option, which may be missing for a help, if there is an option.
-        option: that the node must have, such as ``--tank``; empty for none.
+        option: that the node must have, such as ``--of``; empty for none.
         choices: what its value may be; empty for anything.
         value: what it is where the command line has no such option.
     """

@@ -29,6 +29,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, REPORT_PIPE, Permit, read_report
 
@@ -59,6 +60,10 @@ _LONGEST_WAIT_S = 10.0
 _WINDOW_S = 600.0
 # A node that was killed is one of two publishers for so long (s) when it is started again.
 _LIVE_LEASE_S = "3"
+# Nodes without which the pump may run: what else needs a gauge says so itself.
+_NOT_REQUIRED = {
+    RECORDER, *(one.node for section, one in QUANTITIES.items() if section not in TANKS)
+}
 
 # A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
 # would be waited for; each line is flushed when it is written.
@@ -521,7 +526,7 @@ class LiveSupervisor(Supervisor):
         while kept.restarts and now - kept.restarts[0] > _WINDOW_S:
             kept.restarts.popleft()
         too_often = len(kept.restarts) >= self._restarts
-        if name != RECORDER:
+        if name not in _NOT_REQUIRED:
             if not kept.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
                 raise NodeFailed(f"node {name} {what}", self.quoted(name), code)
             if too_often:
@@ -539,8 +544,8 @@ class LiveSupervisor(Supervisor):
 
     @property
     def all_ready(self) -> bool:
-        """Whether every node runs and has all that it needs; a recorder is not waited for."""
-        return self._kept.keys() - {RECORDER} <= self.ready
+        """Whether every node that the pump needs runs and has all that it needs."""
+        return self._kept.keys() - _NOT_REQUIRED <= self.ready
 
     @property
     def ready(self) -> set[str]:
@@ -557,7 +562,7 @@ class LiveSupervisor(Supervisor):
         """Return why the pump may not run; empty where it may."""
         reasons = []
         for name, kept in self._kept.items():
-            if name in (PUMP, RECORDER):
+            if name == PUMP or name in _NOT_REQUIRED:
                 continue
             if kept.starts_again is not None or self.nodes[name].process.poll() is not None:
                 reasons.append(f"{name} is missing")

@@ -1,20 +1,22 @@
-"""The two tanks behind Modbus level sensors, in real time or faster."""
+"""The two tanks behind sensors on Modbus and MQTT, in real time or faster."""
 
 from __future__ import annotations
 
 import asyncio
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, encode, parse_address
-from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
+from greenroof_ros.drives.sensor_file import ModbusSensor, Sensors
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.mqtt_sensor import SimulatedMqttSensor
 from greenroof_ros.simulators.server import Bench, Device, Server
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
@@ -22,6 +24,7 @@ _LOOKS = 20
 _LEAST_PAUSE_S = 0.02
 _DRIVE_ANSWERS_S = 1.0
 _PER_MINUTE = 60.0
+_TEMPERATURE = 15.0
 COLUMNS = (
     "time_s", "cistern_level_m", "roof_level_m", "speed", "pump_flow_m3_per_s", "pumped_m3",
     "precipitation_m_per_s", "evapotranspiration_m3_per_s", "fault",
@@ -29,12 +32,13 @@ COLUMNS = (
 
 
 class SiteBench(Bench):
-    """Runs two tanks on their sensors' ports and lines; time is counted in ticks.
+    """Runs two tanks on their sensors' ports, lines and topics; time is counted in ticks.
 
     Attributes:
         plant: the tanks.
         tick: how many have passed.
         pumped: what has left the cistern through the pump (m3).
+        rained: what has fallen (m).
     """
 
     def __init__(
@@ -56,59 +60,74 @@ class SiteBench(Bench):
             precipitation: of its ticks (m/s); after the last it stays as it is.
             evapotranspiration: of its ticks, off the whole bed (m3/s); likewise.
             volumes: in cistern and roof at the beginning (m3).
-            sensors: where they are and what they speak.
+            sensors: where they are and what they speak; a thermometer says 15 degC.
             workbench: TCP port of the workbench; port 0 takes a free one.
             drive: workbench of the drive that turns the pump; None for a pump that never runs.
             factor: simulated per real time.
             output: where a line of CSV goes for each tick.
 
         Raises:
-            ConfigurationError: both sensors answer to the same register.
+            ConfigurationError: two sensors answer to the same register, or the library for MQTT or
+                a file for its login is missing.
         """
         super().__init__(faults.SITE_FAULTS, workbench)
         self._site = site
         self._weather = precipitation, evapotranspiration
         self.plant = Plant(site, *volumes)
-        self.tick, self.pumped = 0, 0.0
-        self._sensors: dict[str, Sensor] = {tank: getattr(sensors, tank) for tank in TANKS}
+        self.tick, self.pumped, self.rained, self._flowing = 0, 0.0, 0.0, 0.0
+        self._sensors = sensors.by_section
         self._drive = None if drive is None else ModbusLine(
             drive, port=0, device_id=faults.DEVICE_ID, timeout_s=_DRIVE_ANSWERS_S
         )
         self._drive_gone, self._output = False, output
         self._tick_s = site.tau / factor
         self._fault_since = 0
-        self._frozen: dict[str, list[int]] = {}
+        self._frozen: dict[str, float] = {}
         self._random = random.Random(0)  # noqa: S311 - noise, not a secret
-        places: dict[str, dict[int, list[str]]] = {}
-        for tank, sensor in self._sensors.items():
-            places.setdefault(sensor.address, {}).setdefault(sensor.device_id, []).append(tank)
-        for address, tanks in places.items():
-            devices = {device_id: self._device(each) for device_id, each in tanks.items()}
-            line = self._sensors[next(iter(tanks.values()))[0]].serial
-            self.servers.append(Server(parse_address(address), devices, line))
+        places: dict[str, dict[int, dict[str, ModbusSensor]]] = {}
+        self._publishers = []
+        for section, sensor in self._sensors.items():
+            if isinstance(sensor, ModbusSensor):
+                devices = places.setdefault(sensor.address, {})
+                devices.setdefault(sensor.device_id, {})[section] = sensor
+            else:
+                self._publishers.append(
+                    SimulatedMqttSensor(section, sensor, partial(self._published, section))
+                )
+        for address, by_id in places.items():
+            line = next(iter(next(iter(by_id.values())).values())).serial
+            self.servers.append(Server(
+                parse_address(address),
+                {device_id: self._device(each) for device_id, each in by_id.items()}, line,
+            ))
 
-    def _device(self, tanks: Sequence[str]) -> Device:
-        """Return the device that the sensors of some tanks are."""
+    def _device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
+        """Return the device that some sensors are."""
         ranges = {
-            tank: range(sensor.register, sensor.register + sensor.registers)
-            for tank, sensor in self._sensors.items() if tank in tanks
+            section: range(sensor.register, sensor.register + sensor.registers)
+            for section, sensor in sensors.items()
         }
+
+        def words(section: str, sensor: ModbusSensor) -> list[int]:
+            if self._has_fault(section, "absurd"):
+                return [self.fault.parameter] * sensor.registers
+            return encode(self._raw(section), sensor.type, sensor.word_order)
 
         def read() -> dict[int, int]:
             return {
-                register: word for tank, registers in ranges.items()
-                for register, word in zip(registers, self._reading(tank), strict=True)
+                register: word for section, sensor in sensors.items()
+                for register, word in zip(ranges[section], words(section, sensor), strict=True)
             }
 
         def hears(register: int) -> bool:
             return not any(
-                self.fault.name == f"{tank}_silent" and register in registers
-                for tank, registers in ranges.items()
+                self._has_fault(section, "silent") and register in registers
+                for section, registers in ranges.items()
             )
 
         if len(read()) < sum(map(len, ranges.values())):
             raise ConfigurationError(
-                "both sensors answer to the same register: this cannot be simulated, input and "
+                "two sensors answer to the same register: this cannot be simulated, input and "
                 "holding registers are one here",
                 key="register", value=max(registers[0] for registers in ranges.values()),
             )
@@ -117,10 +136,7 @@ class SiteBench(Bench):
     @property
     def place(self) -> str:
         """Where the sensors are."""
-        return ", ".join(
-            f"{tank} sensor {sensor.address}, device {sensor.device_id}"
-            for tank, sensor in self._sensors.items()
-        )
+        return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
 
     def inject(self, name: str, parameter: int) -> bool:
         """Let a fault stand instead of the present one."""
@@ -128,22 +144,33 @@ class SiteBench(Bench):
         self._frozen.clear()
         return super().inject(name, parameter)
 
-    def _reading(self, tank: str) -> list[int]:
-        """Return the registers of a tank's sensor."""
-        sensor, level = self._sensors[tank], self.plant.levels()[TANKS.index(tank)]
-        fault, parameter = self.fault.name.removeprefix(f"{tank}_"), self.fault.parameter
-        if fault == "frozen" and tank in self._frozen:
-            return self._frozen[tank]
-        if fault == "noisy":
-            level += self._random.gauss(0.0, parameter * faults.LEVEL_UNIT)
-        elif fault == "drifting":
+    def _has_fault(self, section: str, name: str) -> bool:
+        return self.fault.name == f"{section}_{name}"
+
+    def _raw(self, section: str) -> float:
+        """Return the raw value of a sensor, absurd ones aside."""
+        sensor, parameter = self._sensors[section], self.fault.parameter
+        if self._has_fault(section, "frozen") and section in self._frozen:
+            return self._frozen[section]
+        cistern, roof = self.plant.levels()
+        value = {
+            "cistern": cistern, "roof": roof, "thermometer": _TEMPERATURE,
+            "flow_meter": self.pumped if sensor.counts else self._flowing,
+            "rain_gauge": self.rained if sensor.counts else self._present_weather()[0],
+        }[section]
+        if self._has_fault(section, "noisy"):
+            value += self._random.gauss(0.0, parameter * faults.LEVEL_UNIT)
+        elif self._has_fault(section, "drifting"):
             minutes = (self.tick - self._fault_since) * self._site.tau / _PER_MINUTE
-            level += minutes * parameter * faults.LEVEL_UNIT
-        words = encode((level - sensor.offset) / sensor.scale, sensor.type, sensor.word_order)
-        if fault == "absurd":
-            words = [parameter] * len(words)
-        self._frozen[tank] = words
-        return words
+            value += minutes * parameter * faults.LEVEL_UNIT
+        self._frozen[section] = (value - sensor.offset) / sensor.scale
+        return self._frozen[section]
+
+    def _published(self, section: str) -> float | None:
+        """Return what a sensor on MQTT says; None where it says nothing."""
+        if self._has_fault(section, "silent"):
+            return None
+        return self.fault.parameter if self._has_fault(section, "absurd") else self._raw(section)
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -158,12 +185,14 @@ class SiteBench(Bench):
             )
         if self._output is not None:
             print(*COLUMNS, sep=",", file=self._output, flush=True)
+        publishing = [asyncio.create_task(each.run(ended)) for each in self._publishers]
         began = time.monotonic()
         speed = await self._speed()
         while not ended.is_set():
             due = began + (self.tick + 1) * self._tick_s
             flow, speed = await self._mean_flow(speed, due)
             self._step(speed, flow)
+        await asyncio.gather(*publishing)
         if self._drive is not None:
             self._drive.close()
 
@@ -240,6 +269,8 @@ class SiteBench(Bench):
         elif self.fault.name == "leak":
             plant.x1 = max(0.0, plant.x1 - tau * self.fault.parameter * 1e-6)
         self.pumped += tau * flows.pump
+        self.rained += tau * rain
+        self._flowing = flows.pump
         self.tick += 1
         if self._output is not None:
             cistern, roof = plant.levels()

@@ -59,11 +59,12 @@ _SAYS_MORE = {
 _SENSORS = ("cistern_sensor", "roof_sensor", "plant")
 _TAKES_IN = {
     "levels": _SENSORS, "command": ("controller",), "frost": ("weather",),
-    "forecast": ("weather",), "inputs": (*_SENSORS, "weather", "controller"), "refused": (),
+    "forecast": ("weather",), "rain gauge": ("rain_gauge",), "thermometer": ("thermometer",),
+    "inputs": (*_SENSORS, "weather", "controller"), "refused": (),
 }
 _ABSENT = {
     "input_waiting", "input_silent", "input_refused", "no_command", "no_forecast",
-    "temperature_unknown", "values_refused", "not_heard",
+    "temperature_unknown", "gauge_bad", "values_refused", "not_heard",
 }
 
 

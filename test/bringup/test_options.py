@@ -122,6 +122,21 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
+@pytest.mark.parametrize(("options", "said"), [
+    # What has a thermometer of its own needs no other one: only the drive is missing.
+    (("--drive", "no_such_drive", "--drive-at", "tcp://127.0.0.1:1"), "no_such_drive"),
+    (("--pump", "external", "--thermometer", "external"),
+     "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer"),
+])
+def test_a_thermometer_in_the_sensor_file(
+    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+) -> None:
+    sensors = str(CHECKOUT / "config" / "sensors_mqtt.yaml")
+    assert said in refused(
+        monkeypatch, "live", "--sensors", sensors, "--controller", "onoff", *options
+    )
+
+
 @pytest.mark.parametrize("name", ["site 1", "a//b"])
 def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
@@ -140,13 +155,13 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     assert refused(
         monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too")
+    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the sensor roof, too")
 
 
 NODES = {
     name: f"greenroof_ros.nodes.{module}" for name, module in {
         "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
-        "recorder": "live_recorder", "roof_sensor": "level_sensor",
+        "recorder": "live_recorder", "roof_sensor": "sensor",
     }.items()
 }
 

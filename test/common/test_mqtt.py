@@ -24,7 +24,7 @@ def test_an_address_names_broker_and_topic() -> None:
     assert parse_broker("mqtt://roof.local", "broker") == Broker("roof.local", 1883)
     assert parse_broker("mqtts://[::1]:99", "broker") == Broker("::1", 99, tls=True)
     assert parse_topic("mqtt://h:1/a/b", "address") == (Broker("h", 1), "a/b")
-    for wrong in ("roof.local", "mqtt://", "mqtt://h:0", "mqtt://h:70000", "http://h"):
+    for wrong in ("roof.local", "mqtt://", "mqtt://no..where", "mqtt://h:0", "mqtt://h:70000", "http://h"):
         with pytest.raises(ConfigurationError, match=r"broker = .*: must be mqtt://HOST"):
             parse_broker(wrong, "broker")
     for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):

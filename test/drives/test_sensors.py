@@ -1,4 +1,4 @@
-"""The file of level sensors, and a client that refuses what cannot be a level."""
+"""The file of sensors, and a client on Modbus that refuses what cannot be a level."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives import level_sensor
-from greenroof_ros.drives.level_sensor import LevelSensor
-from greenroof_ros.drives.sensor_file import Sensor, read_sensors
+from greenroof_ros.drives import readings
+from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.sensor_file import ModbusSensor, read_sensors
 
 SHIPPED = (CONFIG / "sensors.yaml").read_text()
 
 
-def sensor(at: str, **changed: object) -> Sensor:
+def sensor(at: str, **changed: object) -> ModbusSensor:
     """A sensor of 0.1 mm per count up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": at, "device_id": 1, "register": 16, "kind": "input", "type": "uint16",
         "scale": 1e-4, "low": 0.0, "high": 6.0, "median": 1, "period": 0.05,
     }
-    return Sensor(**{**values, **changed})  # type: ignore[arg-type]
+    return ModbusSensor(**{**values, **changed})  # type: ignore[arg-type]
 
 
 def levels(readings: list[str], **changed: object) -> list[float | str]:
@@ -44,14 +44,14 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
 
     found: list[float | str] = []
     with closing(Wire(answer)) as wire, closing(
-        LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
+        ModbusReader(sensor(wire.at, **changed), "m", timeout_s=0.3)
     ) as client:
         before = client.snapshot
         client.start()
         while len(found) < len(readings):
             now = client.snapshot
             if now is not before:
-                found.append(now.problem.removeprefix(f"{wire.at}, device 1: ") or now.level or 0.0)
+                found.append(now.problem.removeprefix(f"{wire.at}, device 1: ") or now.value or 0.0)
             before = now
             time.sleep(0.001)
     return found
@@ -91,18 +91,18 @@ def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_re
 def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine slept for an hour between the third reading and the fourth."""
     slept = chain([0.0] * 4, repeat(3600.0))  # the first is asked for when nothing is read yet
-    monkeypatch.setattr(level_sensor, "suspended_time", lambda: next(slept))
+    monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
 
 def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
     """Nobody there, then a sensor, then silence, then the sensor again; threads raise nothing."""
     port = free_ports(1)[0]
-    with closing(LevelSensor(sensor(f"tcp://127.0.0.1:{port}"), timeout_s=0.2)) as exchange:
+    with closing(ModbusReader(sensor(f"tcp://127.0.0.1:{port}"), "m", timeout_s=0.2)) as exchange:
         assert exchange.snapshot.problem == "not yet read"
         exchange.start()
         until(lambda: "cannot connect" in exchange.snapshot.problem)
-        assert exchange.snapshot.level is None
+        assert exchange.snapshot.value is None
         silent = False
 
         def answer(request: bytes) -> Answer:
@@ -110,23 +110,23 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
             return [] if silent else [(0.0, whole)]
 
         with closing(Wire(answer, port=port)):
-            until(lambda: exchange.snapshot.level == 1.0)
+            until(lambda: exchange.snapshot.value == 1.0)
             assert exchange.snapshot.problem == ""
             assert time.monotonic() - exchange.snapshot.read_at < 0.5
             silent = True
             until(lambda: "no valid answer within 0.2 s" in exchange.snapshot.problem)
-            assert exchange.snapshot.level is None
+            assert exchange.snapshot.value is None
             silent = False
-            until(lambda: exchange.snapshot.level == 1.0)
+            until(lambda: exchange.snapshot.value == 1.0)
 
 
 def test_no_error_ends_the_reading_for_good() -> None:
     """A host's name with an empty part is a UnicodeError: it is said, and tried again."""
-    with closing(LevelSensor(sensor("tcp://no..where:502"), timeout_s=0.2)) as exchange:
+    with closing(ModbusReader(sensor("tcp://no..where:502"), "m", timeout_s=0.2)) as exchange:
         exchange.start()
         until(lambda: "tcp://no..where:502: reading failed: Unicode" in exchange.snapshot.problem)
         first = exchange.snapshot
-        assert first.level is None
+        assert first.value is None
         until(lambda: exchange.snapshot.read_at > first.read_at)
 
 
@@ -146,7 +146,7 @@ def test_the_shipped_file_is_read() -> None:
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
         (["  median: 5", "  median: 99"], 21, "cistern.median = 99: is late by 49 s"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
-        (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give the"),
+        (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
         (["5031", "5030"], 27, "roof.register = 0: is the cistern's: both sensors would be"),
         # One process for each sensor, and one alone can open the line, by whichever of its names.
         (

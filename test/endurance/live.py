@@ -32,6 +32,7 @@ from processes import (
 )
 from rich.progress import Progress
 
+from greenroof_ros.drives.sensor_file import QUANTITIES
 from greenroof_ros.model.site import Site, read_site
 
 _SAMPLE_S = 15.0
@@ -246,7 +247,7 @@ def _nodes(bringup: int) -> dict[str, int]:
         if module is None:
             continue
         name = module.rpartition(".")[2].removeprefix("live_")
-        if name == "level_sensor":
-            name = f"{words[words.index('--tank') + 1]}_sensor"
+        if name == "sensor":
+            name = QUANTITIES[words[words.index("--of") + 1]].node
         found[name] = int(pid)
     return found

@@ -223,6 +223,31 @@ def _sensors(repeats: int) -> Iterator[Case]:
             bound="undelivered", alarm="delivery: ", recovery="latches"), leak)
 
 
+def _brokers(repeats: int) -> Iterator[Case]:
+    """Sensors on MQTT: what comes to them through a broker, or does not."""
+    level = Expected(bound="level", alarm="/cistern/level|cistern_sensor: mqtt://")
+    for number in range(repeats):
+        rig = f"mqtt:{DRIVES[number % 4]}"
+        for fault, expected in (
+            ("killed", replace(level, alarm="no connection to the broker")),
+            # It may be back before the level is too old.
+            ("restarted", Expected(stops=None, alarm="no connection to the broker")),
+            ("paused", level),
+            ("half_open", level),
+            ("retained", replace(level, alarm="has said nothing yet")),
+        ):
+            yield Case(rig, "broker", fault, number, expected)
+        for fault in ("cistern_silent", "roof_silent", "cistern_absurd", "roof_absurd"):
+            yield Case(rig, "sensor", fault, number, Expected(
+                bound="level", alarm="has said nothing for|which is not from"))
+        yield Case(rig, "broker", "hostile", number, Expected(
+            stops=None, bound="level", alarm="no JSON|no number|is not from"))
+        yield Case(rig, "kill", "site_simulator", number, replace(level, alarm="is not there: "))
+        yield Case(
+            rig, "stop long", "cistern_sensor", number, _process("cistern_sensor", "stop long")
+        )
+
+
 def _dry(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         yield Case(f"dry:{DRIVES[number % 4]}", "dry", "cistern", number, Expected(
@@ -486,6 +511,7 @@ def all_cases() -> list[Case]:
         *_drive("rtu", _SERIAL, 0, 1),
         *_drive_alone(1),
         *_sensors(2),
+        *_brokers(4),
         *_dry(4),
         *_limits(2),
         *_topics(3),

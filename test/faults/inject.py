@@ -15,7 +15,7 @@ from pathlib import Path
 from cases import Case
 from graphs import Process, own_domain
 from players import HOSTILE, HUGE, OFF_S, ON_S, Players
-from rig import FullDiskRig, Rig, SiteRig, pump_node, wait, write_forecast
+from rig import FullDiskRig, MqttRig, Rig, SiteRig, pump_node, wait, write_forecast
 from truth import AT_REST
 from watcher import Watcher
 
@@ -90,6 +90,9 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
         case "sensor line":
             tank, _, fault = case.target.partition("_")
             _on_wire(rig.lines[tank].inject, fault, undo)
+        case "broker":
+            assert isinstance(rig, MqttRig)
+            _broker(rig, case.target, rng, undo)
         case "full disk":
             assert isinstance(rig, FullDiskRig)
             rig.fill()
@@ -152,6 +155,33 @@ def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None
     thread.start()
     undo.callback(thread.join)
     undo.callback(ended.set)
+
+
+def _broker(rig: MqttRig, fault: str, rng: random.Random, undo: ExitStack) -> None:
+    """Do something to the sensors' broker, or the cable to it."""
+    broker = rig.broker
+    match fault:
+        case "killed":
+            broker.kill()
+            undo.callback(broker.start)
+        case "restarted":
+            broker.kill()
+            broker.start()
+        case "paused":
+            broker.pause()
+            undo.callback(broker.go_on)
+        case "half_open":
+            rig.line.cut = True
+            undo.callback(setattr, rig.line, "cut", False)
+        case "hostile":
+            rig.say_nonsense(10_000, rng)
+        case "retained":
+            # The sensor dies, and who connects again gets its last word.
+            rig.say_retained()
+            rig.truth.inject_site("cistern_silent")
+            undo.callback(rig.truth.inject_site, "none")
+            broker.end()
+            broker.start()
 
 
 def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:

@@ -1,9 +1,12 @@
-"""A level sensor's line that can go bad: before it stands a server of the simulators'."""
+"""The line of a level sensor on Modbus, and the cable to a broker, both of which can go bad."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import socket
 import threading
+import time
 
 from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.simulators import faults
@@ -11,7 +14,10 @@ from greenroof_ros.simulators.server import Device, Server, StandingFault
 
 
 class Line:
-    """Listens at a port, and asks the sensor at another, in a thread of its own."""
+    """Listens at a port, and asks the sensor at another, in a thread of its own.
+
+    Before the sensor stands a server of the simulators'.
+    """
 
     def __init__(self, port: int, behind: int) -> None:
         self._behind = ModbusLine(
@@ -51,3 +57,45 @@ class Line:
             self._behind.close()
             return False
         return True
+
+
+class Cable:
+    """A TCP connection to a port, for each at its own; while it is cut nothing goes either way.
+
+    As on a network that is gone: connections stay open, and new ones are answered by nobody.
+
+    Attributes:
+        port: its own, on loopback.
+        cut: whether it is.
+    """
+
+    def __init__(self, behind: int) -> None:
+        self.cut = self._ended = False
+        self._behind = behind
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        self._ended = True
+        self._server.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # it was closed
+            while True:
+                near = self._server.accept()[0]
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._behind), 1)
+                except OSError:
+                    near.close()
+                    continue
+                for ends in ((near, far), (far, near)):
+                    threading.Thread(target=self._hand_on, args=ends, daemon=True).start()
+
+    def _hand_on(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError), one, other:
+            one.settimeout(None)
+            while data := one.recv(4096):
+                while self.cut and not self._ended:
+                    time.sleep(0.02)
+                other.sendall(data)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
 import os
+import random
 import re
 import signal
 import subprocess
@@ -16,10 +18,11 @@ from typing import Any
 
 import yaml
 from bounds import LIMIT_S, RAMP_S
+from brokers import Mosquitto, Talker
 from cases import GAUGES, LEVELS, PLAYED, RELAYED
 from disks import small_disk
 from graphs import Process, alive, free_ports
-from line import Line
+from line import Cable, Line
 from places import CONFIG, guarding
 from players import TRUE, Players, Relay
 from truth import AT_REST, Truth
@@ -46,6 +49,8 @@ PUMP_SHORTENED = {
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
 CONTROLLER = "onoff"
+_CISTERN_TOPIC = "cistern/sensor/level/state"
+_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", '"2.5"', "{", "[2.5]", "[" * 30_000)
 
 
 class BrokenError(Exception):
@@ -302,18 +307,9 @@ class SiteRig(Rig):
 
     def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
         super().__init__(directory, domain, drive, **special)
-        sensors, by_line = (
-            yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
-        )
-        for tank in ("cistern", "roof"):
-            port, behind = free_ports(2)
-            sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
-            self.lines[tank] = Line(port, behind)
-            by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
-        file = directory / "sensors.yaml"
-        file.write_text(yaml.safe_dump(sensors))
-        read = directory / "sensors-read.yaml"
-        read.write_text(yaml.safe_dump(by_line))
+        file, read = directory / "sensors.yaml", directory / "sensors-read.yaml"
+        for path, sensors in zip((file, read), self._sensors(), strict=True):
+            path.write_text(yaml.safe_dump(sensors))
         (bench,) = free_ports(1)
         self.csv = directory / "levels.csv"
         self.site_simulator = Simulator(
@@ -334,6 +330,18 @@ class SiteRig(Rig):
         )
         self._watch(f"tcp://127.0.0.1:{bench}")
         self.bring_up()
+
+    def _sensors(self) -> tuple[Any, Any]:
+        """Return the file of the simulated sensors, and that by which the nodes read them."""
+        sensors, by_line = (
+            yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
+        )
+        for tank in ("cistern", "roof"):
+            port, behind = free_ports(2)
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
+            self.lines[tank] = Line(port, behind)
+            by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
+        return sensors, by_line
 
     def bring_up(self) -> None:
         """Start bringup, at first or again."""
@@ -364,6 +372,43 @@ class GaugedRig(SiteRig):
     def bring_up(self) -> None:
         self.players = Players(self.watcher, self.truth, self.site, GAUGES)
         super().bring_up()
+
+
+class MqttRig(SiteRig):
+    """The same with sensors on MQTT.
+
+    Attributes:
+        broker: of the sensors, which keeps what is retained when it ends.
+        line: between it and the nodes.
+    """
+
+    def _sensors(self) -> tuple[Any, Any]:
+        self.broker = Mosquitto(
+            self.directory, "allow_anonymous true", "persistence true",
+            f"persistence_location {self.directory}/", f"user {getpass.getuser()}",
+        )
+        self.line = Cable(self.broker.port)
+        text = (CONFIG / "sensors_mqtt.yaml").read_text()
+        return tuple(
+            yaml.safe_load(text.replace(":1883/", f":{port}/"))
+            for port in (self.broker.port, self.line.port)
+        )
+
+    def say_retained(self) -> None:
+        """Say the cistern's level once more, for the broker to keep."""
+        with Talker(self.broker) as talker:
+            talker.say(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
+
+    def say_nonsense(self, count: int, rng: random.Random) -> None:
+        """Say so many things that are no level, as somebody else who may write there."""
+        with Talker(self.broker) as talker:
+            for _ in range(count):
+                talker.say(_CISTERN_TOPIC, rng.choice(_NONSENSE))
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.line.close()
+        self.broker.kill()
 
 
 class FullDiskRig(SiteRig):
@@ -510,8 +555,8 @@ class RelayedRig(Rig):
 
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
-    "site": SiteRig, "gauged": GaugedRig, "full disk": FullDiskRig, "played": PlayedRig,
-    "flow": FlowRig, "pump": PumpRig, "loop": LoopRig, "relayed": RelayedRig,
+    "site": SiteRig, "mqtt": MqttRig, "gauged": GaugedRig, "full disk": FullDiskRig,
+    "played": PlayedRig, "flow": FlowRig, "pump": PumpRig, "loop": LoopRig, "relayed": RelayedRig,
     # With water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
     # With a flow meter; on a serial line, two pseudo-terminals; with the drive file as shipped.

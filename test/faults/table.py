@@ -26,6 +26,7 @@ _KINDS = {
     "unstoppable": "a motor that cannot be stopped (time to the alarm)",
     "sensor line": "the line of a level sensor",
     "sensor": "a level sensor",
+    "broker": "the broker of the sensors on MQTT",
     "forecast file": "the forecast file",
     "six hours": "a forecast service that fails for six hours",
     "site": "a burst pipe, a closed valve, a leak",

@@ -248,21 +248,26 @@ def test_a_node_that_fails_again_and_again_is_given_up(
 
 
 @limits(restarts=1)
-def test_a_recorder_ends_nothing(here: Site) -> None:
+@pytest.mark.parametrize(
+    ("name", "besides"), [("recorder", "; nothing is recorded until then"), ("rain_gauge", "")]
+)
+def test_a_node_that_the_pump_does_not_need_ends_nothing(
+    here: Site, name: str, besides: str
+) -> None:
     """It is tried again, ever more seldom; the pump waits for what others wait for, not for it."""
     (here.marks / "weather-waits").touch()
     here.add("weather", "pump")
-    here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
+    here.supervisor.add(name, "small_node", "wrong", str(here.marks))
     here.until(lambda: here.supervisor.inhibit == "weather is starting")
     (here.marks / "weather-waits").unlink()
     here.until_ready()
     here.until(lambda: len(here.failures) == 2)
     here.until_ready()
-    assert "recorder" not in str([permit["inhibit"] for permit in here.permits()])
+    assert name not in str([permit["inhibit"] for permit in here.permits()])
     here.end()
     assert here.failures == [
-        ("recorder", "ended (exit code 2): parameter x must be a number; "
-         f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
+        (name, "ended (exit code 2): parameter x must be a number; "
+         f"starts again in {wait} s{besides}") for wait in (1, 600)
     ]
 
 

@@ -20,8 +20,10 @@ from test_nodes import parameter
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.controllers.registry import BUILT_IN
+from greenroof_ros.drives.sensor_file import QUANTITIES
 
 HERE = socket.gethostname()
+SENSORS = [one.node for one in QUANTITIES.values()]
 
 
 def check(arrays: list[DiagnosticArray]) -> None:
@@ -55,7 +57,7 @@ def test_every_node_has_its_group() -> None:
     """And only one: controllers of this package, both recorders, what is simulated or live."""
     groups = read_yaml(CONFIG / "diagnostics" / "aggregator.yaml")["analyzers"]["ros__parameters"]
     assert groups.pop("path") == "Greenroof"
-    names = ["plant", "weather", "recorder", "pump", "cistern_sensor", "roof_sensor", *BUILT_IN]
+    names = ["plant", "weather", "recorder", "pump", *SENSORS, *BUILT_IN]
     found = dict.fromkeys((*names, "camera"), 0)
     for group in groups.values():
         assert group.keys() <= {"type", "path", "startswith", "expected", "timeout"}

@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from brokers import mosquitto, needs_mosquitto
 from disks import disk_that_hangs, full_pipe, small_disk
 from graphs import Process, alive, free_ports, summary_of, wait_for
 from places import CONFIG, guarding
@@ -218,6 +219,46 @@ class Hardware(SimulatedDrive):
         return speeds
 
 
+@needs_mosquitto
+def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Site) -> None:
+    """No forecast, but a thermometer. A broker that is killed stops the pump, and comes back.
+
+    It rains at 36 mm/h, 1e-5 m/s, which the gauge counts.
+    """
+    hardware = Hardware(domain, tmp_path)
+    heard = [site.listen(f"/gauge/{name}") for name in ("precipitation", "temperature")]
+    with mosquitto(tmp_path) as broker:
+        file = (CONFIG / "sensors_mqtt.yaml").read_text()
+        file = file.replace("mqtt://127.0.0.1:1883", broker.address)
+        (tmp_path / "sensors.yaml").write_text(file.replace("max_age: 60.0", "max_age: 5.0"))
+        (tmp_path / "nodes.yaml").write_text(f"{QUICK}    least_off: 1.0\n")
+        addresses(Process(
+            domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
+            hardware.workbench, "--workbench", "0", "--rain", "36", "--initial", "high-low",
+            cwd=tmp_path,
+        ))
+        with live(
+            domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml", "--drive",
+            hardware.file, "--drive-at", hardware.address, "--node-parameters", "nodes.yaml",
+            code=1,
+        ) as process:
+            assert "thermometer" not in process.stderr()
+            site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
+            rain, temperature = map(newest, heard)
+            assert rain == pytest.approx(1e-5, rel=0.5)  # a tick or two between two messages
+            assert temperature == 15.0
+            assert process.nodes().keys() >= {"cistern_sensor", "roof_sensor", "rain_gauge"}
+            broker.kill()
+            lasted = time.monotonic()
+            site.until(lambda: hardware.speed() == 0, 60, "the stop without levels")
+            # level_limit, a tick, and the ramp; and what a busy machine takes.
+            assert time.monotonic() - lasted < 20
+            process.until_said("cistern_sensor: mqtt://127.0.0.1:")
+            process.until_said("no connection to the broker")
+            broker.start()
+            site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
+
+
 def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: Site) -> None:
     """The controller pumps and the roof rises; a pump node that hangs is stopped, and goes on.
 
@@ -235,7 +276,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
 
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
-            "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The level",
+            "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The sensor",
             "is older than 2 h. There is no forecast for now, so the roof is watered by its level",
         ):
             process.until_said(reason)

@@ -22,6 +22,9 @@ from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 
+from greenroof_ros.drives.sensor_file import QUANTITIES
+from greenroof_ros.graph.live import LIMITS
+
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
 
 
@@ -158,8 +161,14 @@ REFUSED = {
         ("forecast of weather = 'persistence': must be a",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), and two readings must fit into that.
-    "level_sensor --tank cistern --ros-args -p sensors_file:=sensors.yaml":
+    "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
+    "sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
+        ("line 16: cistern.max_age = 5.0: must be at most 4 s, level_limit",),
+    "sensor --of rain_gauge --ros-args -p sensors_file:=gauge.yaml":
+        ("gauge.yaml: rain_gauge: is missing",),
+    "sensor --of cistern --ros-args -p sensors_file:=login.yaml":
+        ("/no/greenroof/broker.yaml: ",),
     f"pump {DRIVE} -p live:=true -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
     f"pump {DRIVE} -p folow_time:=9.0":
@@ -173,6 +182,9 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
+        ("sensors.yaml", "gauge.yaml", "", ""),
+        ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
+        ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
     done = run_command(*f"nodes.{command}".split(), cwd=tmp_path, env=environment(domain))
@@ -205,8 +217,15 @@ def section(text: str, heading: str) -> dict[str, str]:
 
 def test_help_starts_no_node(tmp_path: Path) -> None:
     """The help of the others is held against the nodes."""
-    for command in ("live_recorder", "controller", "level_sensor"):
+    for command in ("live_recorder", "controller", "sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
+
+
+def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
+    """Who checks the sensor file names the parameter that the readers of the topic have."""
+    assert {one.topic_name: one.limit for one in QUANTITIES.values()} == {
+        one.topic_name: LIMITS[one.topic_name].name for one in QUANTITIES.values()
+    }
 
 
 def parameters_of(watcher: Observer, node: str) -> dict[str, str]:

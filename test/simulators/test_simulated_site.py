@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 import csv
 import time
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from brokers import mosquitto, needs_mosquitto
 from graphs import free_ports
 from paper import PAPER_SITE
 from places import CONFIG
 from simulators import Simulator, refusal, until
 
 from greenroof_ros import site_simulator
-from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import Address
-from greenroof_ros.drives.sensor_file import Sensors, read_sensors
+from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.mqtt_sensor import MqttReader
+from greenroof_ros.drives.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
 from greenroof_ros.simulators.faults import DEFAULT
 from greenroof_ros.simulators.simulated_site import SiteBench
 
@@ -58,7 +61,14 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     cistern, roof = free_ports(2)
     file, table = tmp_path / "sensors.yaml", tmp_path / "levels.csv"
     text = (CONFIG / "sensors.yaml").read_text()
-    file.write_text(text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}"))
+    # And a flow meter in L/min, behind the cistern's port.
+    meter = (
+        f"flow_meter: {{address: 'tcp://127.0.0.1:{cistern}', device_id: 2, register: 4, "
+        "kind: input, type: float32, word_order: high first, scale: 1.6666667e-5, low: 0, "
+        "high: 1}\n"
+    )
+    text = text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
+    file.write_text(text + meter)
     sensors = read_sensors(file)
 
     def rows() -> list[dict[str, float]]:
@@ -85,7 +95,10 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
-            said = [LevelSensor(each).read() for each in (sensors.cistern, sensors.roof)]
+            said = [
+                ModbusReader(each, "m").read() for each in sensors.by_section.values()
+                if isinstance(each, ModbusSensor)
+            ]
             now = rows()[-1]
             site.inject("burst_pipe")
             time.sleep(0.1)
@@ -111,6 +124,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     # A tick or two may lie between reading them and the table.
     assert said[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
     assert said[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
+    assert said[2] == pytest.approx(6.1261e-3, rel=1e-3)
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,6 +177,39 @@ def test_both_sensors_may_be_on_one_line() -> None:
     assert [server.devices[each].read()[0] for each in (1, 2)] == [20000, 500]
     bench.inject("cistern_silent", DEFAULT)
     assert [server.devices[each].hears(0) for each in (1, 2)] == [False, True]
+
+
+@needs_mosquitto
+def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
+    """The roof's 3.44 m3 are 5 cm, on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
+    file, (port,) = tmp_path / "sensors.yaml", free_ports(1)
+    modbus = (CONFIG / "sensors.yaml").read_text().partition("\nroof:")[0]
+    mqtt = "roof:" + (CONFIG / "sensors_mqtt.yaml").read_text().partition("\nroof:")[2]
+    with mosquitto(tmp_path) as broker, ExitStack() as stack:
+        file.write_text(f"{modbus}\n{mqtt}".replace(":5030", f":{port}").replace(
+            "mqtt://127.0.0.1:1883", broker.address).replace("max_age: 60.0", "max_age: 10.0"))
+        site = stack.enter_context(Simulator(
+            "site_simulator", "--sensors", str(file), "--workbench", "0", "--cistern", "50",
+            "--roof", "3.44", "--rain", "36", "--constant-evapotranspiration", "0",
+        ))
+        sensors, readers = read_sensors(file), {}
+        for section in ("roof", "rain_gauge", "thermometer"):
+            sensor = sensors.by_section[section]
+            assert isinstance(sensor, MqttSensor)
+            readers[section] = stack.enter_context(closing(MqttReader(section, sensor, "m")))
+            readers[section].start()
+        assert isinstance(sensors.cistern, ModbusSensor)
+        assert ModbusReader(sensors.cistern, "m").read() == pytest.approx(2.0, abs=1e-3)
+        until(lambda: all(one.snapshot.value for one in readers.values()), 20)
+        assert readers["roof"].snapshot.value == pytest.approx(0.05, abs=5e-4)
+        assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
+        assert readers["thermometer"].snapshot.value == 15.0
+        site.inject("roof_silent")
+        until(lambda: "has said nothing for 5 s" in readers["roof"].snapshot.problem, 20)
+        site.inject("roof_absurd", 1234)  # mm from the sensor down, which is 0.6 m up
+        until(lambda: "says -0.634 m" in readers["roof"].snapshot.problem, 20)
+        site.inject("none")
+        until(lambda: readers["roof"].snapshot.value, 20)
 
 
 @pytest.mark.parametrize(

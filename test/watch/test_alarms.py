@@ -273,6 +273,17 @@ def test_a_silent_sensor_is_one_cause() -> None:
     assert alarms.advice() == rows(alarms)[cause]["do"]
 
 
+def test_a_gauge_that_is_lost_is_one_cause() -> None:
+    """What the weather node says of it follows from the gauge's own node."""
+    unheard = "/gauge/precipitation is older than 60 s", "gauge_bad"
+    alarms = heard((0.0, [
+        *node("/weather", "weather", ("rain gauge", WARN, *unheard)),
+        *node("/rain_gauge", "rain_gauge", ("gauge", WARN, "no broker", "broker_lost")),
+    ]))
+    cause = "/rain_gauge: gauge"
+    assert follows(alarms) == {cause: None, "/weather: rain gauge": cause}
+
+
 @pytest.mark.parametrize(("code", "said", "advice"), [
     ("drive_lost", {"stands": False, "speed": None}, "Go and see"),
     ("drive_fault", {"stands": False, "speed": None}, "/pump/reset"),

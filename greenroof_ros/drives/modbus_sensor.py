@@ -1,41 +1,27 @@
-"""Reads one level over Modbus."""
+"""Reads a sensor on Modbus."""
 
 from __future__ import annotations
 
-import math
-import statistics
 import time
-from collections import deque
-from dataclasses import dataclass
 
-from greenroof_ros.common.times import suspended_time
-from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known, decode
-from greenroof_ros.drives.sensor_file import Sensor
+from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, decode
+from greenroof_ros.drives.readings import Reading, Readings
+from greenroof_ros.drives.sensor_file import ModbusSensor
 
 
-@dataclass(frozen=True)
-class Reading(Known):
-    """What is known of a level.
-
-    Attributes:
-        level: m; None if the last attempt gave none, and `problem` says why.
-    """
-
-    level: float | None = None
-
-
-class LevelSensor(DeviceThread[Reading]):
+class ModbusReader(DeviceThread[Reading]):
     """Reads a sensor once a period. It connects when it must, and again after every failure.
 
     A value that is refused, a failure, or a suspend of the machine empties the filter: the next
-    level comes from new readings alone.
+    value comes from new readings alone.
     """
 
-    def __init__(self, sensor: Sensor, timeout_s: float = 0.5) -> None:
+    def __init__(self, sensor: ModbusSensor, unit: str, timeout_s: float = 0.5) -> None:
         """Connect to nothing yet.
 
         Args:
             sensor: what to read.
+            unit: of the quantity, for messages.
             timeout_s: longest wait for a connection, and for an answer (s).
 
         Raises:
@@ -44,18 +30,18 @@ class LevelSensor(DeviceThread[Reading]):
         super().__init__(f"{sensor.address}: reading", Reading(problem="not yet read"))
         self._sensor, self._timeout_s = sensor, timeout_s
         self._line = sensor.line(timeout_s)
-        self._readings: deque[float] = deque(maxlen=sensor.median)
-        self._due, self._suspended = time.monotonic(), suspended_time()
+        self._readings = Readings(sensor, unit)
+        self._due = time.monotonic()
 
     def close(self) -> None:
         """End; at most a timeout or two later the connection is closed."""
         self._end(4 * self._timeout_s)
 
-    def read(self) -> float:
-        """Return the level of one reading (m).
+    def read(self) -> float | None:
+        """Return the quantity after one more reading.
 
         Raises:
-            DriveError: there is no answer, a wrong one, or a level out of range.
+            DriveError: there is no answer, a wrong one, or a value out of range.
         """
         sensor, line = self._sensor, self._line
         try:
@@ -72,16 +58,10 @@ class LevelSensor(DeviceThread[Reading]):
             raise line.error("answer", f"says 0x{bits:X}, which means that there is no reading")
         raw = decode(registers, sensor.type, sensor.word_order)
         assert not isinstance(raw, str)
-        level = sensor.scale * raw + sensor.offset
-        if not math.isfinite(level):
-            raise line.error("answer", f"says {raw}, which is no number")
-        if not sensor.low <= level <= sensor.high:
-            raise line.error(
-                "answer",
-                f"says {level:.6g} m (raw {raw:g}), which is not from {sensor.low:g} to "
-                f"{sensor.high:g} m",
-            )
-        return level
+        try:
+            return self._readings.add(raw)
+        except ValueError as error:
+            raise line.error("answer", str(error)) from error
 
     # --- in the thread ----------------------------------------------------------------------------
 
@@ -93,15 +73,11 @@ class LevelSensor(DeviceThread[Reading]):
             self._done = True
             self._line.close()
         else:
-            before, self._suspended = self._suspended, suspended_time()
-            if self._suspended - before > self._sensor.period:
-                self._readings.clear()
-            self._readings.append(self.read())
-            level = statistics.median_low(self._readings)
-            self._update(level=level, read_at=time.monotonic(), problem="")
+            self._readings.forget_after_suspend()
+            self._update(value=self.read(), read_at=time.monotonic(), problem="")
 
     def _lost(self, error: Exception, problem: str) -> None:
         self._readings.clear()
-        self._update(level=None, read_at=time.monotonic(), problem=problem)
+        self._update(value=None, read_at=time.monotonic(), problem=problem)
         if not isinstance(error, DriveError):  # after those it has closed what it must
             self._line.close()

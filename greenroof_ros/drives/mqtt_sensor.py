@@ -1,0 +1,147 @@
+"""Hears a sensor on MQTT."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+import uuid
+
+from greenroof_ros.common.mqtt import make_client
+from greenroof_ros.drives.readings import Reading, Readings
+from greenroof_ros.drives.sensor_file import MqttSensor
+
+# No sensor says more at once (bytes).
+_LONGEST = 65_536
+# For so long after a suspend (s) what comes may have waited.
+_DEAF_S = 1.0
+
+
+def read_number(payload: bytes, sensor: MqttSensor) -> float:
+    """Return the number in a message.
+
+    Args:
+        payload: JSON; a plain number is that, too.
+        sensor: that says where the number is.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if len(payload) > _LONGEST:
+        raise ValueError(f"a message of {len(payload)} bytes, which is more than {_LONGEST}")
+    try:
+        found = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"says {payload[:40]!r}, which is no JSON") from error
+    try:
+        for step in sensor.steps:
+            found = found[step]
+    except (LookupError, TypeError) as error:
+        raise ValueError(f"says {payload[:80]!r}, which has no {sensor.value}") from error
+    if isinstance(found, bool) or not isinstance(found, (int, float)):
+        raise ValueError(f"says {str(found)[:40]!r}, which is no number")
+    try:
+        return float(found)
+    except OverflowError as error:
+        raise ValueError("says a number that is too large") from error
+
+
+class MqttReader:
+    """Takes what a sensor publishes. Its client connects by itself, again after each failure.
+
+    A message is a reading when it arrives. One that the broker kept, a retained one, is none: it
+    may be from any time. Each loss, refusal or suspend empties the filter.
+    """
+
+    def __init__(self, name: str, sensor: MqttSensor, unit: str) -> None:
+        """Connect to nothing yet.
+
+        Args:
+            name: of the quantity, for the client's id.
+            sensor: what to hear.
+            unit: of the quantity, for messages.
+
+        Raises:
+            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+        """
+        broker, self._topic = sensor.broker_and_topic()
+        self._sensor = sensor
+        self._readings = Readings(sensor, unit)
+        self._reading = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
+        self._lock = threading.Lock()
+        self._online = not sensor.available
+        self._deaf_until = 0.0
+        self._client = make_client(
+            broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
+            self._on_connect, self._on_message, self._on_disconnect,
+        )
+
+    @property
+    def snapshot(self) -> Reading:
+        """What is known now."""
+        with self._lock:
+            age = time.monotonic() - self._reading.read_at
+            if not self._reading.problem and age > self._sensor.max_age:
+                self._lose(f"has said nothing for {self._sensor.max_age:g} s")
+            return self._reading
+
+    def start(self) -> None:
+        """Begin."""
+        self._client.loop_start()
+
+    def close(self) -> None:
+        """End."""
+        self._client.disconnect()
+
+    # --- in the client's thread -------------------------------------------------------------------
+
+    def _on_connect(self) -> None:
+        with self._lock:
+            self._lose("has said nothing yet")
+        for topic in filter(None, (self._topic, self._sensor.available)):
+            self._client.subscribe(topic)
+
+    def _on_disconnect(self, why: str) -> None:
+        with self._lock:
+            self._online = not self._sensor.available
+            self._lose(f"no connection to the broker: {why}", "broker_lost")
+
+    def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+        with self._lock:
+            try:
+                if topic == self._sensor.available:
+                    self._hear_availability(payload)
+                else:
+                    self._take(payload, retained)
+            except ValueError as error:
+                self._lose(str(error))
+            except Exception as error:  # whatever it is, the next message is heard
+                logging.getLogger(__name__).exception("%s failed", self._sensor.address)
+                self._lose(f"reading failed: {error!r}")
+
+    def _hear_availability(self, payload: bytes) -> None:
+        came, self._online = not self._online, payload == self._sensor.online.encode()
+        if not self._online:
+            raise ValueError(f"is not there: {self._sensor.available} says {payload[:40]!r}")
+        if came:
+            raise ValueError("is there, and has said nothing yet")
+
+    def _take(self, payload: bytes, retained: bool) -> None:
+        now = time.monotonic()
+        if retained:
+            raise ValueError("has said nothing yet; what the broker kept may be old")
+        if not self._online:
+            raise ValueError(
+                f"is not there: {self._sensor.available} has not said {self._sensor.online!r}"
+            )
+        if self._readings.forget_after_suspend():
+            self._deaf_until = now + _DEAF_S
+        if now < self._deaf_until:
+            raise ValueError("may have said this before the machine was suspended")
+        value = self._readings.add(read_number(payload, self._sensor))
+        self._reading = Reading(now, "", value)
+
+    def _lose(self, why: str, code: str = "sensor_lost") -> None:
+        self._readings.clear()
+        self._reading = Reading(time.monotonic(), f"{self._sensor.address}: {why}", code=code)

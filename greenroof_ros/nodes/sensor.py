@@ -1,0 +1,123 @@
+"""The node of a sensor: what it measures is published.
+
+``python -m greenroof_ros.nodes.sensor --of cistern`` publishes /cistern/level, and so on for each
+section of ``config/sensors.yaml``: once in the period of a sensor on Modbus, with each message of
+one on MQTT. Where a reading is bad nothing is published, and /diagnostics says why: who acts on it
+finds it too old.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.mqtt_sensor import MqttReader
+from greenroof_ros.drives.sensor_file import (
+    QUANTITIES,
+    TANKS,
+    ModbusSensor,
+    default_sensors,
+    read_sensors,
+)
+from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.live import LIMITS
+from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.reports import ERROR, STALE, WARN
+from greenroof_ros.model.site import Site
+
+# After so many periods without any reading, good or bad, the reader of a device hangs.
+_PERIODS = 5
+
+
+def parameters(site: Site | None = None) -> list[Parameter]:
+    """Return the parameters of all such nodes, which are the same at every site."""
+    sensors = Parameter(
+        "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where"
+    )
+    limits = dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values())
+    return [sensors, *limits]
+
+
+class SensorNode(LinkedNode):
+    """Publishes what a sensor measures."""
+
+    def __init__(self, section: str) -> None:
+        """Read the sensors' file, and begin to read the sensor.
+
+        Args:
+            section: of the file, such as ``cistern``.
+
+        Raises:
+            ConfigurationError: the file is wrong, or has no such section.
+        """
+        quantity = QUANTITIES[section]
+        super().__init__(quantity.node, quantity.node, live=True)
+        values = declare(self, parameters())
+        file = Path(values["sensors_file"])
+        sensor = read_sensors(file, values).by_section.get(section)
+        if sensor is None:
+            raise ConfigurationError(
+                "is missing: it says where the sensor is", file=file, key=section
+            )
+        self._topic, unit = quantity.topic_name, quantity.topic.unit
+        # Without a level the pump stands, without the others it need not.
+        self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
+        self.open_outputs(self._topic)
+        self._value: float | None = None
+        self._started = self._published = time.monotonic()
+        self.reports.hardware = str(sensor)
+        self._reader: ModbusReader | MqttReader
+        if isinstance(sensor, ModbusSensor):
+            self._reader, self._hangs_s = ModbusReader(sensor, unit), _PERIODS * sensor.period
+        else:
+            self._reader, self._hangs_s = MqttReader(quantity.node, sensor, unit), math.inf
+        self._reader.start()
+
+    def on_idle(self) -> float:
+        """Publish a new reading that is good; say why another one is not."""
+        reading, now = self._reader.snapshot, time.monotonic()
+        if now - max(reading.read_at, self._started) > self._hangs_s:
+            self._value = None
+            self.diagnose(
+                self._part, STALE, "the sensor is not read any more: the reader hangs",
+                "sensor_hangs",
+            )
+        elif reading.read_at > self._published:
+            self._published = reading.read_at
+            self._value = reading.value
+            self.reports.numbers[self._part] = {"value": reading.value}
+            if reading.value is not None:
+                self.publish(self._topic, reading.value)
+            self.say(
+                self._part, reading.problem, "the sensor is read", reading.code, self._level
+            )
+        return LISTEN_S
+
+    def progress(self) -> dict[str, Any]:
+        """Return what bringup shows."""
+        return {"value": self._value}
+
+    def on_stop(self) -> None:
+        """Let go of the sensor."""
+        self._reader.close()
+
+
+def _help(section: str | None) -> str:
+    return node_help(
+        f"sensor --of {section or 'SECTION'}", QUANTITIES[section or TANKS[0]].node,
+        f"{__doc__}\nSECTION is {', '.join(QUANTITIES)}.", parameters,
+        "--ros-args -p sensors_file:=my_sensors.yaml",
+    )
+
+
+main = node_command(SensorNode, _help, "--of", tuple(QUANTITIES))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,361 @@
+"""Sensors on MQTT, with a real broker: what counts as a reading, and what does not."""
+
+from __future__ import annotations
+
+import getpass
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from itertools import chain, repeat
+from pathlib import Path
+
+import pytest
+from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
+from places import CONFIG
+from simulators import until
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives import readings
+from greenroof_ros.drives.mqtt_sensor import MqttReader
+from greenroof_ros.drives.sensor_file import MqttSensor, read_sensors
+
+pytestmark = needs_mosquitto
+TOPIC = "tele/roof/SENSOR"
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
+    with mosquitto(tmp_path_factory.mktemp("broker")) as broker:
+        yield broker
+
+
+@contextmanager
+def heard(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
+    """Hear a sensor that says metres up to 6 m, without a filter."""
+    values: dict[str, object] = {
+        "address": f"{broker.address}/{TOPIC}", "scale": 1.0, "low": 0.0, "high": 6.0, "median": 1,
+        "max_age": 30.0,
+    }
+    sensor = MqttSensor(**{**values, **changed})  # type: ignore[arg-type]
+    with closing(MqttReader("roof_sensor", sensor, "m")) as reader:
+        assert reader.snapshot.problem.endswith("not yet connected")
+        reader.start()
+        until(lambda: reader.snapshot.code == "sensor_lost", 20)
+        yield reader
+
+
+def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | str | None]:
+    """Return what comes of each message: the value, or what is said instead."""
+    found: list[float | str | None] = []
+    for message in messages:
+        before = reader.snapshot
+        talker.say(TOPIC, message)
+        until(lambda before=before: reader.snapshot is not before, 20)
+        now = reader.snapshot
+        found.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
+    return found
+
+
+def begin(reader: MqttReader, talker: Talker, message: str) -> None:
+    """Say something again and again until it is heard: the subscription takes a moment."""
+    before = reader.snapshot
+
+    def is_heard() -> bool:
+        talker.say(TOPIC, message)
+        time.sleep(0.05)
+        return reader.snapshot is not before
+
+    until(is_heard, 20)
+    time.sleep(0.1)  # what was said meanwhile
+
+
+# --- a message ------------------------------------------------------------------------------------
+
+# By the message, and what is special of the sensor: the level, or what is said.
+MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
+    ("2.31", {}, 2.31),
+    (" 2310\n", {"scale": 0.001, "offset": -0.5}, 1.81),
+    # Tasmota's, and that of a gateway with several sensors.
+    ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 1234}}',
+     {"value": "ANALOG.Range1", "scale": 0.001}, 1.234),
+    ('{"sensors": [{"distance": 9}, {"distance": 350}]}',
+     {"value": "sensors[1].distance", "scale": -0.001, "offset": 0.6}, 0.25),
+    ("[[1, 2], [3, 4]]", {"value": "[1][0]"}, 3.0),
+    # Not a number.
+    ("true", {}, "says 'True', which is no number"),
+    ("null", {}, "says 'None', which is no number"),
+    ('"2.31"', {}, "says '2.31', which is no number"),
+    ("[2.31]", {}, "says '[2.31]', which is no number"),
+    ("NaN", {}, "says nan, which is no number"),
+    ("-Infinity", {}, "says -inf, which is no number"),
+    ("1e999", {}, "says inf, which is no number"),
+    ("9" * 400, {}, "says a number that is too large"),
+    ("1e308", {"scale": 100.0}, "says 1e+308, which is no number"),
+    # Out of range.
+    ("6.01", {}, "says 6.01 m (raw 6.01), which is not from 0 to 6 m"),
+    ("-0.01", {}, "says -0.01 m (raw -0.01), which is not from 0 to 6 m"),
+    # Malformed, or of another form.
+    ("", {}, "says b'', which is no JSON"),
+    ("2,31", {}, "says b'2,31', which is no JSON"),
+    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is no JSON"),
+    ('{"level": 2.3}', {"value": "depth"}, "says b'{\"level\": 2.3}', which has no depth"),
+    ('{"level": 2.3}', {"value": "level.m"}, "says b'{\"level\": 2.3}', which has no level.m"),
+    ('{"level": []}', {"value": "level[0]"}, "says b'{\"level\": []}', which has no level[0]"),
+    ('{"a": 1}', {"value": "a[0]"}, "says b'{\"a\": 1}', which has no a[0]"),
+    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is no JSON"),
+    ("1" + " " * 65_536, {}, "a message of 65537 bytes, which is more than 65536"),
+]
+
+
+@pytest.mark.parametrize(("message", "changed", "expected"), MESSAGES)
+def test_what_a_message_says(
+    shared: Mosquitto, message: str, changed: dict[str, object], expected: float | str
+) -> None:
+    with heard(shared, **changed) as reader, Talker(shared) as talker:
+        begin(reader, talker, "no JSON")
+        (found,) = after(reader, talker, message)
+        assert found == (expected if isinstance(expected, str) else pytest.approx(expected))
+        assert (reader.snapshot.value is None) == isinstance(expected, str)
+
+
+def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
+    """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
+    with heard(shared, median=3) as reader, Talker(shared) as talker:
+        begin(reader, talker, "7")
+        found = after(reader, talker, "1", "5", "2", "7", "4", "3")
+    assert found == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
+
+
+# --- old messages ---------------------------------------------------------------------------------
+
+
+def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
+    """A retained message may be of last year; one that comes now counts, whatever its flag."""
+    with Talker(shared) as talker:
+        talker.say(TOPIC, "1.5", retain=True)
+        with heard(shared) as reader:
+            until(lambda: "what the broker kept may be old" in reader.snapshot.problem, 20)
+            assert reader.snapshot.value is None
+            talker.say(TOPIC, "1.6", retain=True)
+            until(lambda: reader.snapshot.value == 1.6, 20)
+        talker.say(TOPIC, "", retain=True)
+
+
+def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
+    with heard(shared, max_age=0.5) as reader, Talker(shared) as talker:
+        begin(reader, talker, "1")
+        talker.say(TOPIC, "2")
+        until(lambda: reader.snapshot.value == 2.0, 20)
+        lasted = until(lambda: reader.snapshot.value is None, 20)
+        assert 0.3 < lasted < 2.0
+        assert reader.snapshot.problem.endswith(f"{TOPIC}: has said nothing for 0.5 s")
+        assert after(reader, talker, "3") == [3.0]
+
+
+def test_nothing_of_before_a_suspend_counts_after_it(
+    shared: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine slept for an hour: what comes within a second may have waited."""
+    # Asked for when nothing is heard yet, and with each message.
+    slept = chain([0.0] * 3, repeat(3600.0))
+    monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
+    with heard(shared, median=3) as reader, Talker(shared) as talker:
+        time.sleep(0.5)  # until it has subscribed
+        assert after(reader, talker, "1", "1") == [1.0, 1.0]
+        slept_for = "may have said this before the machine was suspended"
+        assert after(reader, talker, "1", "1") == [slept_for, slept_for]
+        time.sleep(1.1)
+        assert after(reader, talker, "4", "5") == [4.0, 4.0]
+
+
+# --- whether the sensor, and the broker, is there -------------------------------------------------
+
+
+def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
+    shared: Mosquitto
+) -> None:
+    """Unlike a value, that is known from what the broker kept."""
+    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+        unknown = "is not there: roof/LWT has not said 'Online'"
+        begin(reader, talker, "1")
+        assert after(reader, talker, "1") == [unknown]
+        talker.say("roof/LWT", "Online", retain=True)
+        until(lambda: "is there, and has said nothing yet" in reader.snapshot.problem, 20)
+        assert after(reader, talker, "1") == [1.0]
+        talker.say("roof/LWT", "Online", retain=True)
+        talker.say("roof/LWT", "Offline", retain=True)
+        until(lambda: "is not there: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
+        assert reader.snapshot.value is None
+        assert after(reader, talker, "2") == [unknown]
+        talker.say("roof/LWT", "Online", retain=True)
+        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+        assert after(reader, talker, "3") == [3.0]
+
+
+def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
+    """It is said at once that it is lost; one that hangs, within 15 s."""
+    with mosquitto(tmp_path) as broker, heard(broker, max_age=1.0) as reader:
+
+        def talk(message: str) -> None:
+            with Talker(broker) as talker:
+                begin(reader, talker, message)
+                talker.say(TOPIC, message)
+                until(lambda: reader.snapshot.value == float(message), 20)
+
+        talk("1")
+        broker.kill()
+        until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 10)
+        assert reader.snapshot.value is None
+        broker.start()
+        until(lambda: reader.snapshot.code == "sensor_lost", 20)
+        talk("2")
+        broker.pause()
+        until(lambda: "has said nothing for 1 s" in reader.snapshot.problem, 5)
+        until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 15)
+        broker.go_on()
+        until(lambda: reader.snapshot.code == "sensor_lost", 20)
+        talk("3")
+
+
+def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker:
+        broker.kill()
+        sensor = MqttSensor(
+            address=f"{broker.address}/{TOPIC}", scale=1.0, low=0.0, high=6.0, max_age=5.0
+        )
+        with closing(MqttReader("roof_sensor", sensor, "m")) as reader:
+            reader.start()
+            until(lambda: "nobody answers at" in reader.snapshot.problem, 20)
+            assert reader.snapshot.code == "broker_lost"
+            broker.start()
+            until(lambda: "has said nothing yet" in reader.snapshot.problem, 20)
+
+
+def test_login_and_encryption(tmp_path: Path) -> None:
+    """A broker with a password, and a certificate of the test's own."""
+    key, certificate, passwords = (tmp_path / name for name in ("key.pem", "ca.pem", "passwords"))
+    for command in (
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
+         certificate, "-days", "2", "-subj", "/CN=127.0.0.1", "-addext",
+         "subjectAltName=IP:127.0.0.1"],
+        ["mosquitto_passwd", "-b", "-c", passwords, "roof", "secret"],
+    ):
+        subprocess.run(command, check=True, capture_output=True)
+    login, wrong = tmp_path / "login.yaml", tmp_path / "wrong.yaml"
+    login.write_text("username: roof\npassword: secret\n")
+    wrong.write_text("username: roof\npassword: guess\n")
+    lines = (
+        f"certfile {certificate}", f"keyfile {key}", "allow_anonymous false",
+        f"password_file {passwords}", f"user {getpass.getuser()}",
+    )
+    with mosquitto(tmp_path, *lines) as broker, ExitStack() as stack:
+
+        def reader(**files: str) -> MqttReader:
+            sensor = MqttSensor(
+                address=f"mqtts://127.0.0.1:{broker.port}/{TOPIC}", scale=1.0, low=0.0, high=6.0,
+                median=1, max_age=30.0, **files,
+            )
+            found = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
+            found.start()
+            return found
+
+        let_in = reader(login=str(login), authority=str(certificate))
+        refused = reader(login=str(wrong), authority=str(certificate))
+        distrustful = reader(login=str(login))
+        until(lambda: let_in.snapshot.code == "sensor_lost", 20)
+        until(lambda: "to the broker: Not authorized" in refused.snapshot.problem, 20)
+        until(lambda: "to the broker: nobody answers" in distrustful.snapshot.problem, 20)
+        broker.login, broker.authority = str(login), str(certificate)
+        broker.address = f"mqtts://127.0.0.1:{broker.port}"
+        with Talker(broker) as talker:
+            begin(let_in, talker, "1")
+            assert after(let_in, talker, "2") == [2.0]
+
+
+# --- totals ---------------------------------------------------------------------------------------
+
+
+def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
+    """A gauge of 0.2 mm a tip, which says its total in mm."""
+    with heard(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
+        begin(reader, talker, "no JSON")
+
+        def rate(total: str, pause: float) -> tuple[float, float]:
+            """Return the rate, and how long it was since the total before."""
+            time.sleep(pause)
+            nonlocal at
+            before, at = at, time.monotonic()
+            (found,) = after(reader, talker, total)
+            assert isinstance(found, float)
+            return found, at - before
+
+        at = time.monotonic()
+        assert after(reader, talker, "17.4") == [None]  # the first of two
+        assert reader.snapshot.problem == ""
+        found, passed = rate("17.8", 0.5)
+        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        assert rate("17.8", 0.1)[0] == 0.0
+        at = time.monotonic()
+        assert after(reader, talker, "0.2") == [None]  # it has started again
+        assert reader.snapshot.problem == ""
+        found, passed = rate("0.6", 0.5)
+        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        assert "which is not from 0 to 0.01 m" in str(after(reader, talker, "900")[0])
+        # What was refused is nothing to count from.
+        assert after(reader, talker, "901") == [None]
+
+
+# --- the file -------------------------------------------------------------------------------------
+
+SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
+
+
+def test_the_shipped_file_is_read() -> None:
+    sensors = read_sensors(
+        CONFIG / "sensors_mqtt.yaml",
+        {"level_limit": 5.0, "gauge_limit": 60.0, "flow_limit": 5.0},
+    )
+    assert list(sensors.by_section) == ["cistern", "roof", "rain_gauge", "thermometer"]
+    assert isinstance(sensors.cistern, MqttSensor)
+    assert sensors.cistern.available == "cistern/status"
+    assert sensors.rain_gauge is not None and sensors.rain_gauge.counts
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
+         "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
+        ("sensors[0].distance  ", "sensors[x].distance  ", 22, "roof.value = "
+         "'sensors[x].distance': must be names and numbers"),
+        ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
+         "level_limit"),
+        ("cistern/status ", "+/status ", 17, "cistern.available = '+/status': must be a topic "
+         "without"),
+        ("cistern/status ", "cistern/sensor/level/state ", 17, "must be another topic"),
+        ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
+         "'broker.yaml': must be an absolute path"),
+        ("# login:", "authority: /ca.pem #", 10, "certificates are for mqtts://"),
+        ("counts: true ", "period: 1.0 #", 32, "rain_gauge.period = 1.0: is no key here"),
+        ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 42, "thermometer.counts = True: is "
+         "for a flow meter or a rain gauge"),
+        ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
+        ("  high: 0.0001    ", "  # high: 0.0001 ", 30, "rain_gauge.high: is missing"),
+        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: goes with median: 1"),
+        ("roof/temperature", "roof/rain", 40, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
+         "rain': is the rain gauge's: both"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_line_key_and_value(
+    tmp_path: Path, old: str, new: str, line: int, said: str
+) -> None:
+    assert old in SHIPPED
+    file = tmp_path / "own.yaml"
+    file.write_text(SHIPPED.replace(old, new, 1))
+    with pytest.raises(ConfigurationError) as caught:
+        read_sensors(file, {"level_limit": 5.0})
+    assert said in str(caught.value)
+    assert f"own.yaml, line {line}: " in str(caught.value)
