@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, fields
 from datetime import datetime
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -90,8 +89,8 @@ def is_figure(name: str) -> bool:
     return re.fullmatch(rf"({'|'.join(_KINDS)})(-\d+)*\.(svg|png)", name) is not None
 
 
-def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Figure]]:
-    """Return what makes each figure, so that a caller can show how far it is.
+def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
+    """Yield the figures, in the order in which they appear.
 
     Args:
         report: all results.
@@ -101,7 +100,6 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         ConfigurationError: their file is wrong.
     """
     points = read_pump_data(pump_data) if pump_data is not None else None
-    makers: list[Callable[[], Figure]] = []
     windows = [
         (number, [row for row in report.single if row["window"] == window["window"]])
         for number, window in enumerate(report.windows(), start=1)
@@ -116,37 +114,36 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
             of = skies.setdefault(tuple(row[name] for name in SKY), {})
             of.setdefault(row["evapotranspiration"], row)
     for number, methods in enumerate(skies.values(), start=1):
-        makers.append(partial(weather, report, list(methods.values()), number))
+        yield weather(report, list(methods.values()), number)
     for number, rows in windows:
         # A single mark in each panel would say what the table does.
         if len({row["controller"] for row in rows}) < len(rows):
             for quantity in QUANTITIES:
                 known = [row for row in rows if row[quantity.column] is not None]
                 if known:
-                    makers.append(partial(by_setting, report, known, number, quantity))
+                    yield by_setting(report, known, number, quantity)
     for number, rows in recorded:
         for initial in report.initials:
             of_state = [row for row in rows if row["from"] == initial]
             if of_state:
-                makers.append(partial(trajectories, report, of_state, number))
+                yield trajectories(report, of_state, number)
     for number, rows in windows:
-        makers.append(partial(balance, report, rows, number))
+        yield balance(report, rows, number)
     if report.of(SEEDS):
-        makers.append(partial(forecast_errors, report))
+        yield forecast_errors(report)
     if report.sizing:
-        makers.append(partial(sizing, report))
+        yield sizing(report)
     elif report.of(SEASONS):
-        makers.append(partial(by_year, report))
+        yield by_year(report)
         if report.over_onoff:
-            makers.append(partial(comparison_figure, report))
+            yield comparison_figure(report)
     # Seasons are of many sites, which differ in size alone: their pumps are the same.
     alone = [*report.single, *report.of(SEEDS)]
     sites = {row["site"]: report.runs[row["run"]].site for row in alone}
     for number, (name, site) in enumerate(sites.items(), start=1):
         whose = f" of {name}" if len(sites) > 1 else ""
-        makers.append(partial(pump_curve, site, number, whose, points))
-        makers.append(partial(pump_smoothing, site, number, whose))
-    return makers
+        yield pump_curve(site, number, whose, points)
+        yield pump_smoothing(site, number, whose)
 
 
 # --- single runs ----------------------------------------------------------------------------------
