@@ -468,12 +468,14 @@ def facts(row: Row) -> Row:
     return {name: row[name] for name in _FACTS[row["kind"]]}
 
 
+def by_place(rows: Iterable[Row]) -> list[list[Row]]:
+    """Return the cases of each place, which come one after another."""
+    return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
+
+
 def _least(rows: Iterable[Row]) -> dict[int, Row]:
     """Return in each place the case with the least mean deviation."""
-    return {
-        place: min(group, key=lambda row: row[TOTAL])
-        for place, group in groupby(rows, key=lambda row: row["place"])
-    }
+    return {here[0]["place"]: min(here, key=lambda row: row[TOTAL]) for here in by_place(rows)}
 
 
 def _skill_rank(row: Row) -> int:

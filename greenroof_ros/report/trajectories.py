@@ -8,7 +8,7 @@ import altair as alt
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.report.about import Row, controller_name
-from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
+from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
 from greenroof_ros.report.groups import Report
 
 _GREY = "#555555"
@@ -61,17 +61,15 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
             lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.8).encode(
                 x=time,
                 y=alt.Y("v:Q", title=axis, scale=scale, axis=ticks),
-                tooltip=[
+                tooltip=pointed(
                     alt.Tooltip("setting:N", title=named),
                     alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"),
                     alt.Tooltip("v:Q", title=axis, format=".6~g"),
-                ],
-                **distinct("setting", list(labels), named),
+                ),
             )
-            panels.append(Panel(
-                alt.layer(*_reference_layers(domain, references, scale), lines),
-                f"{controller_name(controller)}: {title}",
-                hover=hover_points(lines), toggle="setting", zoom=True,
+            panels.append(series_panel(
+                lines, "setting", list(labels), f"{controller_name(controller)}: {title}",
+                legend=named, below=_reference_layers(domain, references, scale), zoom=True,
             ))
     caption = (
         "Command and volumes over time, one line a setting. The command's axis is logarithmic "
@@ -160,7 +158,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         number: of the figure.
     """
     runs = {row["evapotranspiration"]: report.drawn[row["run"]] for row in rows}
-    start, curves, _ = next(iter(runs.values()))
+    start, curves, frozen = next(iter(runs.values()))
     offset = start.utcoffset()
     assert offset is not None
     # The axis is in UTC; shifted by the offset it shows local time in every reader's browser.
@@ -175,20 +173,19 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         {"method": method, "t": origin + time * 1000, "v": short(value / area * 8.64e7)}
         for method, one in runs.items() for time, value in one.curves["evapotranspiration"]
     ]
+    utc = alt.Scale(type="utc")
     x = alt.X(
-        "t:T", scale=alt.Scale(type="utc"),
-        title=f"local time (UTC{start.isoformat()[-6:]})",
+        "t:T", scale=utc, title=f"local time (UTC{start.isoformat()[-6:]})",
         axis=alt.Axis(tickCount=6, format="%H:%M" if rows[0]["hours"] <= 36 else "%d %b"),
     )
     when = alt.Tooltip(
         "t:T", title="from", timeUnit="utcyearmonthdatehoursminutes", format="%Y-%m-%d %H:%M"
     )
-    frozen = next((one.frost for one in runs.values() if one.frost), [])
     frost = [
         alt.Chart(alt.InlineData([
             {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
         ])).mark_rect(color="#999999", opacity=0.3).encode(
-            x=alt.X("from:T", scale=alt.Scale(type="utc")), x2=alt.X2("to:T")
+            x=alt.X("from:T", scale=utc), x2=alt.X2("to:T")
         )
     ] if frozen else []
     rained = alt.Chart(alt.NamedData(f"rain-{number}")).mark_area(
@@ -202,7 +199,6 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     ).encode(
         x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
         tooltip=pointed("method:N", when, alt.Tooltip("v:Q", title="mm/day")),
-        **distinct("method", list(runs), "method"),
     )
     caption = (
         "Rain, and evapotranspiration as a depth over the vegetation before it is limited to what "
@@ -216,8 +212,8 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         caption,
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),
-            Panel(alt.layer(*frost, evaporated), "Evapotranspiration",
-                  hover=hover_points(evaporated), toggle="method", zoom=True),
+            series_panel(evaporated, "method", list(runs), "Evapotranspiration", legend="method",
+                         below=frost, zoom=True),
         ),
         2,
         {f"rain-{number}": rain, f"evapotranspiration-{number}": evaporation},
