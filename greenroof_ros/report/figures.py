@@ -28,7 +28,7 @@ from greenroof_ros.report.drawing import (
     Figure,
     Panel,
     Rows,
-    cycle,
+    cycled,
     distinct,
     pointed,
     short,
@@ -185,14 +185,11 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
     # Where all are 0 any axis does.
     top = max([*values, *(row["v"] for row in (*published, *bounds))]) or 1.0
     y = alt.Y("v:Q", title=quantity.axis, scale=alt.Scale(domain=[0, 1.08 * top], nice=False))
-    colours, shapes = (
-        alt.Scale(domain=report.initials, range=cycle(choices, report.initials))
-        for choices in (COLOURS, SHAPES)
-    )
-    colour = alt.Color("initial:N", title="from", scale=colours)
-    shape = alt.Shape("initial:N", title="from", scale=shapes)
+    colour = alt.Color("initial:N", title="from", scale=cycled(COLOURS, report.initials))
+    shape = alt.Shape("initial:N", title="from", scale=cycled(SHAPES, report.initials))
     panels = []
     data: dict[str, Rows] = {f"bound-{number}": bounds} if bounds else {}
+    least = _bound_layers(f"bound-{number}", y, colour) if bounds else []
     for controller in report.controllers:
         here = [
             {
@@ -206,28 +203,27 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
             continue
         settings = report.settings[controller]
         theirs = [row for row in published if row["controller"] == controller]
-        names = [f"{name}-{number}-{controller}" for name in (quantity.name, "published")]
-        data |= {name: own for name, own in zip(names, (here, theirs), strict=True) if own}
-        runs, codes = (
-            alt.Chart(alt.NamedData(name)).encode(
-                x=_settings_axis(settings, here), y=y, color=colour, shape=shape
-            ) for name in names
+        dataset, codes = (f"{name}-{number}-{controller}" for name in (quantity.name, "published"))
+        data[dataset] = here
+        base = alt.Chart(alt.NamedData(dataset)).encode(
+            x=_settings_axis(settings, here), y=y, color=colour
         )
         layers = [
-            runs.mark_line(strokeWidth=1, opacity=0.6).encode(shape=alt.Undefined),
-            runs.mark_point(filled=True, opacity=1).encode(
-                size=alt.Size("size:Q", scale=None),
-                tooltip=pointed(
+            base.mark_line(strokeWidth=1, opacity=0.6),
+            base.mark_point(filled=True, opacity=1).encode(
+                shape=shape, size=alt.Size("size:Q", scale=None), tooltip=pointed(
                     "run:N", alt.Tooltip("setting:N", title=settings.title),
                     alt.Tooltip("initial:N", title="from"),
                     alt.Tooltip("v:Q", title=quantity.axis, format=".6~g"),
                 ),
             ),
+            *least,
         ]
-        if bounds:
-            layers += _bound_layers(f"bound-{number}", y, colour)
         if theirs:
-            layers.append(codes.mark_point(filled=False, size=330, strokeWidth=1.5).encode(
+            data[codes] = theirs
+            marks = base.properties(data=alt.NamedData(codes))
+            layers.append(marks.mark_point(filled=False, size=330, strokeWidth=1.5).encode(
+                shape=shape,
                 tooltip=pointed(alt.Tooltip("v:Q", title="authors' code", format=".8~g")),
             ))
         panels.append(Panel(alt.layer(*layers), controller_name(controller), toggle="initial"))
@@ -410,7 +406,7 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     y = alt.Y("v:Q", title=_TOTAL_AXIS, scale=scale)
     # Colours by controller, shapes by the controller's setting.
     named = {who(row): row["controller"] for row in cases}
-    colours = dict(zip(report.controllers, cycle(COLOURS, report.controllers), strict=True))
+    colours = dict(zip(report.controllers, itertools.cycle(COLOURS)))
     shapes = {name: itertools.cycle(SHAPES) for name in report.controllers}
     colour = alt.Color("series:N", title=None, legend=alt.Legend(columns=2), scale=alt.Scale(
         domain=list(named), range=[colours[name] for name in named.values()],
@@ -510,9 +506,7 @@ def comparison_figure(report: Report) -> Figure:
     """Return the deviations relative to on/off with their intervals, a panel for each place."""
     cases = report.of(SEASONS)
     names = [controller_name(each) for each in report.controllers]
-    colour = alt.Color("controller:N", title=None, scale=alt.Scale(
-        domain=names, range=cycle(COLOURS, report.controllers),
-    ))
+    colour = alt.Color("controller:N", title=None, scale=cycled(COLOURS, names))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
     for place, here in _places(report, report.over_onoff):
