@@ -70,7 +70,6 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         ConfigurationError: a path is none of these, or what it holds is wrong.
     """
     sources = Sources()
-    given = read_site(site_file) if site_file is not None else None
     for path in paths:
         if not path.is_dir():
             wrong = "must be a directory: of a study, of a run, or a bag"
@@ -87,7 +86,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
-            found = read_run(path, name, site_file, given)
+            found = read_run(path, name, site_file)
             if isinstance(found, Run):
                 sources.runs.append(found)
             else:
