@@ -41,8 +41,8 @@ from greenroof_ros.report.groups import (
     Report,
     Settings,
     by_place,
-    facts,
     heading,
+    unique,
     who,
 )
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
@@ -320,11 +320,7 @@ _BALANCE = {
 def balance(report: Report, rows: Sequence[Row], number: int) -> Figure:
     """Return the water balance of both tanks, run by run."""
     rows = sorted(rows, key=lambda row: (report.initials.index(row["from"]), row["rank"]))
-    labels = [f"{who(row)}, {row['from']}" for row in rows]
-    names = [
-        f"{label} ({row['run']})" if labels.count(label) > 1 else label
-        for label, row in zip(labels, rows, strict=True)
-    ]
+    names = unique(rows, [f"{who(row)}, {row['from']}" for row in rows])
     panels, data = [], {}
     for tank, parts in _BALANCE.items():
         dataset = f"balance-{number}-{tank.split()[-1].lower()}"
@@ -368,7 +364,7 @@ def forecast_errors(report: Report) -> Figure:
              "v": short(row[column]), "seeds": row["seeds"]}
             for row in here for amount, column in _AMOUNTS.items()
         ]
-        where = heading({name: here[0][name] for name in apart}, apart)
+        where = heading(here[0], apart, apart)
         initial = f"from {here[0]['from']}"
         panels.append(Panel(
             _errors_chart(report, here, dataset), [where, initial] if apart else initial,
@@ -449,7 +445,7 @@ def _places(report: Report, rows: Sequence[Row]) -> Iterator[tuple[str, list[Row
     """Yield the cases of each place, with what distinguishes it from the others."""
     apart = report.apart(SEASONS)
     for here in by_place(rows):
-        yield ", ".join(facts(here[0])[name] for name in apart) or "all years", here
+        yield ", ".join(here[0][name] for name in apart) or "all years", here
 
 
 def _series(row: Row, rows: Sequence[Row]) -> str:

@@ -95,14 +95,16 @@ class Assumptions:
     band: float = NEAR_TARGET
 
 
-def heading(facts: Row, apart: Sequence[str]) -> str:
+def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
     """Name a set of runs: by what tells it apart from others, and what a reader asks for anyway.
 
     Args:
-        facts: of it, by the header of their columns.
-        apart: those that tell it apart.
+        row: of one of them.
+        apart: the facts that tell it apart, by the header of their columns.
+        names: of the facts that count; all that its kind has, unless given.
     """
-    usual = {"site": facts.get("site"), "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
     return ", ".join(
         f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
         else text
@@ -357,13 +359,9 @@ class Report:
         """Names of the initial states of the runs that are cases of their own."""
         return list(dict.fromkeys(row["from"] for row in self.single))
 
-    def heading(self, row: Row) -> str:
-        """Name the window of a run."""
-        return heading(facts(row), self.apart(row["kind"]))
-
-    def sky(self, row: Row) -> str:
-        """Name what windows have in common that share a figure of the weather."""
-        return heading({name: row[name] for name in SKY}, self.apart())
+    def heading(self, row: Row, names: Sequence[str] = ()) -> str:
+        """Name the window of a run, or what windows have in common by these facts."""
+        return heading(row, self.apart(row["kind"]), names)
 
     def title(self, text: str, row: Row) -> str:
         """Return a figure's title, with the window where there are others."""
@@ -461,6 +459,14 @@ def who(row: Row) -> str:
     """Name the controller of a case with its setting, where one of them is meant."""
     name = controller_name(row["controller"])
     return name if row["setting"] == ALIKE else f"{name} {row['setting']}".strip()
+
+
+def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """Return names of runs; those that several have with the run's own behind them."""
+    return [
+        f"{name} ({row['run']})" if names.count(name) > 1 else name
+        for row, name in zip(rows, names, strict=True)
+    ]
 
 
 def facts(row: Row) -> Row:

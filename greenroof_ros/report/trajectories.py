@@ -9,7 +9,7 @@ import altair as alt
 from greenroof_ros.model.site import Site
 from greenroof_ros.report.about import Row, controller_name
 from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
-from greenroof_ros.report.groups import Report
+from greenroof_ros.report.groups import SKY, Report, unique
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
@@ -34,7 +34,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         "t:Q", title=f"time since the start ({unit})",
         scale=alt.Scale(domain=[0, first["hours"] * 3600 / seconds], nice=False),
     )
-    panels, data = [], {}
+    panels, data, ordered = [], {}, sorted(rows, key=lambda row: row["rank"])
     index = report.initials.index(first["from"]) + 1
     for quantity, title, axis in (
         ("command", "command", "command (1)"),
@@ -52,10 +52,11 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
             )
         for controller in controllers:
             dataset = f"{quantity}-{number}-{index}-{controller}"
-            labels = _unique_labels(report, [r for r in rows if r["controller"] == controller])
+            own = [row for row in ordered if row["controller"] == controller]
+            labels = unique(own, [row["label"] for row in own])
             data[dataset] = [
                 {"setting": label, "t": short(t / seconds), "v": short(v)}
-                for label, run in labels.items() for t, v in curves[run]
+                for label, row in zip(labels, own, strict=True) for t, v in curves[row["run"]]
             ]
             named = report.settings[controller].title
             lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.8).encode(
@@ -68,7 +69,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 ),
             )
             panels.append(series_panel(
-                lines, "setting", list(labels), f"{controller_name(controller)}: {title}",
+                lines, "setting", labels, f"{controller_name(controller)}: {title}",
                 legend=named, below=_reference_layers(domain, references, scale), zoom=True,
             ))
     caption = (
@@ -81,15 +82,6 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         report.title(f"Command and volumes from {first['from']}", first), caption,
         tuple(panels), len(controllers) if len(controllers) > 1 else len(panels), data,
     )
-
-
-def _unique_labels(report: Report, rows: Sequence[Row]) -> dict[str, str]:
-    """Return the runs of a panel by label; equal settings have the run's name, too."""
-    plain = [row["label"] for row in rows]
-    return {
-        f"{row['label']} ({row['run']})" if plain.count(row["label"]) > 1 else row["label"]:
-        row["run"] for row in sorted(rows, key=lambda row: row["rank"])
-    }
 
 
 def _axis(
@@ -208,7 +200,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         caption += " Grey: frost, in which nothing is to be pumped."
     return Figure(
         f"weather-{number}",
-        f"Weather: {report.sky(rows[0])}",
+        f"Weather: {report.heading(rows[0], SKY)}",
         caption,
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),

@@ -16,7 +16,6 @@ from greenroof_ros.report.groups import (
     TOTAL,
     Report,
     by_place,
-    facts,
     heading,
     who,
 )
@@ -57,8 +56,8 @@ def windows(report: Report) -> list[str]:
     """Name all windows of weather in which something ran."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
-        named = {**facts(row), "forecast": f"{row['forecast']} skill {row['skill']}"}
-        seeds.setdefault(heading(named, report.apart(SEEDS)), set()).add(row["seed"])
+        named = {**row, "forecast": f"{row['forecast']} skill {row['skill']}"}
+        seeds.setdefault(report.heading(named), set()).add(row["seed"])
     return [
         *map(report.heading, report.windows(SINGLE)),
         *(f"{window}, {len(found)} seeds" for window, found in seeds.items()),
@@ -71,7 +70,7 @@ def _seasons(report: Report) -> list[str]:
     apart = [*report.apart(SEASONS), "start", "length"]
     years: dict[str, set[int]] = {}
     for row in report.table.filter(kind=SEASONS).to_dicts():
-        years.setdefault(heading(facts(row), apart), set()).add(row["year"])
+        years.setdefault(heading(row, apart), set()).add(row["year"])
     return [
         f"{name}, {min(found)} to {max(found)}" if max(found) - min(found) + 1 == len(found)
         else f"{name}, {', '.join(map(str, sorted(found)))}"
@@ -116,7 +115,7 @@ def _of_one(report: Report, row: Row) -> list[str]:
         whose += f" ({row['setting']})"
     near = row["near_target_hours"]
     return [
-        f"A run of {whose}: {heading(facts(row), ['site'])}, from {row['from']}: {row['ended']}.",
+        f"A run of {whose}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
         f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
         f"{_over_least(row)}; it was near the target for "
         f"{'an unknown part' if near is None else f'{near:.2f}'} "
@@ -167,7 +166,7 @@ def _least(report: Report) -> str:
         alike = len(rows) > 1 and not others
         text = _deviation(first[TOTAL])
         if apart:
-            text += f" in {heading({name: first[name] for name in apart}, apart)}"
+            text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
         whose = "whatever the controller" if alike else _and(map(who, best))
