@@ -35,33 +35,33 @@ NOISE = {
     "command": (1, 0), "pump_flow": (1e-2, 0), "outflow": (1e-2, 0), "drainage": (1e-2, 0),
     "frost": (0, 0),
 }
-# Marks in a view's scene that belong to the data, by name; and a legend's entry, by its text.
 SCENE = """
-window.marks = (id, type) => {
-  const found = [];
-  const walk = (item) => {
-    if (item.marktype === type && (item.name ?? "").includes("marks") && item.items.length) {
-      found.push(item);
-    }
-    (item.items ?? []).forEach(walk);
-  };
-  walk(window.reportViews.get(id).scenegraph().root);
-  return found;
-};
 // Where the plotting area begins on the canvas.
 window.corner = (view) => view.origin().map((one, i) => one + view.padding()[i ? "top" : "left"]);
+// All marks of a view, each with where on the canvas its items have their origin.
+window.scene = (id) => {
+  const view = window.reportViews.get(id), found = [];
+  const walk = (mark, x, y) => {
+    found.push([mark, x, y]);
+    if (mark.marktype !== "group") return;
+    mark.items.forEach((item) => item.items.forEach(
+      (one) => walk(one, x + (item.x ?? 0), y + (item.y ?? 0))));
+  };
+  walk(view.scenegraph().root, ...corner(view));
+  return found;
+};
+// Those that belong to the data, by name.
+window.marks = (id, type) => scene(id).map(([mark]) => mark).filter(
+  (mark) => mark.marktype === type && (mark.name ?? "").includes("marks") && mark.items.length);
+window.legendEntry = (id, text) => scene(id).filter(([mark]) => mark.role === "legend-label")
+  .flatMap(([mark, x, y]) => mark.items.filter((item) => item.text === text)
+    .map((item) => [x + (item.x ?? 0) + 3, y + (item.y ?? 0)])).at(-1);
 // By how much legends stick out of their canvases, or these out of the window (px).
 window.clipped = () => [...window.reportViews].flatMap(([id, view]) => {
   const canvas = document.querySelector(`#${id} canvas`).getBoundingClientRect();
   const [left, top] = corner(view);
-  const legends = [];
-  const walk = (item) => {
-    if (item.role === "legend") legends.push(item.items[0].bounds);
-    (item.items ?? []).forEach(walk);
-  };
-  walk(view.scenegraph().root);
-  const out = legends.map((one) => Math.max(left + one.x2 - canvas.width,
-                                            top + one.y2 - canvas.height));
+  const out = scene(id).filter(([mark]) => mark.role === "legend").map(([mark]) => Math.max(
+    left + mark.items[0].bounds.x2 - canvas.width, top + mark.items[0].bounds.y2 - canvas.height));
   return [...out, canvas.right - document.documentElement.clientWidth];
 });
 // How many lines the fullest cell of any table has.
@@ -72,35 +72,16 @@ window.mostLines = () => Math.max(...[...document.querySelectorAll("td, th")].ma
   return Math.round(height / parseFloat(getComputedStyle(cell).lineHeight));
 }));
 // Labels of an axis that have less than 4 px between them, and so read as one.
-window.crowded = () => [...window.reportViews].flatMap(([id, view]) => {
-  const found = [];
+window.crowded = () => [...window.reportViews.keys()].flatMap((id) => {
   const apart = (p, q) => Math.max(Math.max(p.x1, q.x1) - Math.min(p.x2, q.x2),
                                    Math.max(p.y1, q.y1) - Math.min(p.y2, q.y2));
-  const walk = (mark) => {
-    if (mark.role === "axis-label") {
-      const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
-      shown.forEach((one, place) => shown.slice(place + 1).forEach((other) => {
-        if (apart(one.bounds, other.bounds) < 4) found.push([id, one.text, other.text]);
-      }));
-    }
-    for (const item of mark.items ?? []) if (mark.marktype === "group") item.items.forEach(walk);
-  };
-  walk(view.scenegraph().root);
-  return found;
+  return scene(id).filter(([mark]) => mark.role === "axis-label").flatMap(([mark]) => {
+    const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
+    return shown.flatMap((one, place) => shown.slice(place + 1)
+      .filter((other) => apart(one.bounds, other.bounds) < 4)
+      .map((other) => [id, one.text, other.text]));
+  });
 });
-window.legendEntry = (id, text) => {
-  const view = window.reportViews.get(id);
-  let found = null;
-  const walk = (mark, x, y) => {
-    for (const item of mark.items ?? []) {
-      const [left, top] = [x + (item.x ?? 0), y + (item.y ?? 0)];
-      if (mark.role === "legend-label" && item.text === text) found = [left + 3, top];
-      if (mark.marktype === "group") item.items.forEach((one) => walk(one, left, top));
-    }
-  };
-  walk(view.scenegraph().root, ...corner(view));
-  return found;
-};
 """
 
 
