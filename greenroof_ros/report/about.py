@@ -375,8 +375,8 @@ def _inputs(content: Mapping[str, Any], live: bool) -> Row:
     filled = content.get("filled") or {}
     row = {
         "weather": Path(content.get("weather") or "").name,
-        "evapotranspiration": content.get("evapotranspiration_method"),
-        "gaps": content.get("gaps"),
+        "evapotranspiration": str(content.get("evapotranspiration_method") or ""),
+        "gaps": str(content.get("gaps") or ""),
         "filled_hours": float(content.get("filled_hours") or len(filled)),
         "filled": "; ".join(f"{key}: {', '.join(hours)}" for key, hours in filled.items()),
         "weather_notes": "; ".join(content.get("weather_notes") or []),
