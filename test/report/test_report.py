@@ -412,12 +412,11 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     one = simulate("mpc", "0.001", "low-low")
     few = one.trajectory.thinned(60)
     errors = {**one.row, "forecast": "errors", "forecast_skill": "real"}
-    path = write_study(tmp_path / "study", [
+    report = report_of(write_study(tmp_path / "study", [
         (one.row, few),
         ({**errors, "forecast_skill": "worse", "forecast_seed": "7"}, few),
         *(({**errors, "forecast_seed": seed, "max_command": 2}, None) for seed in ("1", "2")),
-    ])
-    report = report_of(path)
+    ]))
     assert [window["forecast"] for window in report.windows()] == [
         "perfect", "errors skill worse seed 7"
     ]
@@ -425,7 +424,7 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     names = list(figures_of(report))
     assert names.count("forecast-errors") == 1 and "trajectories-2-1" in names
     assert "trajectories-3-1" not in names
-    text = page_of(path)
+    text = page_of(report)
     assert "Results of each run" in text
     assert "over the least" not in text
     warned = text.partition("The command was above 1")[2].partition("</li>")[0]

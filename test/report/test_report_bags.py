@@ -242,18 +242,18 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
         tmp_path / "noisy", one._replace(trajectory=off), status="done", **results,
         sensor_pump_errors={"roof_offset": 0.005},
     )
-    (row,) = report_of(path).single
+    report = report_of(path)
+    (row,) = report.single
     assert {name: row[name] for name in results} == results
     assert row["bound_m3"] is None
-    assert "what a sensor reads (roof offset 0.005 m); the results are of the true one" in (
-        page_of(path)
-    )
+    sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true one"
+    assert sensor in page_of(report)
     # Nor where the rain in the bag is not that in the file.
     rain = one.trajectory.precipitation + 1e-7
     wet = dataclasses.replace(one.trajectory, precipitation=rain)
-    path = own_run(tmp_path / "wet", one._replace(trajectory=wet))
-    assert report_of(path).single[0]["bound_m3"] is None
-    assert "over the least possible" not in page_of(path)
+    report = report_of(own_run(tmp_path / "wet", one._replace(trajectory=wet)))
+    assert report.single[0]["bound_m3"] is None
+    assert "over the least possible" not in page_of(report)
 
 
 def test_a_run_directorys_notes(tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ def test_a_run_directorys_notes(tmp_path: Path) -> None:
         "1 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled in",
         "suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00",
     }
-    text = page_of(path)
+    text = page_of(report)
     assert "Suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00." in text
     listed = "dew point: 2021-07-20T13:00-05:00"
     assert f"<details><summary>which</summary>{listed}</details>" in text
@@ -433,7 +433,7 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     assert report.settings["mpc"].labels == [became]
     rows = figures_of(report)["trajectories-1-1"].data["command-1-1-mpc"]
     assert {row["setting"] for row in rows} == {became}
-    text = page_of(path).replace("&gt;", ">")
+    text = page_of(report).replace("&gt;", ">")
     assert f"weight was changed in the run: {became} (tick 300, 3660)." in text
     assert f">weight {became}<" in text
     both = report_of(path, other)
