@@ -163,7 +163,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert not report.single
     text = page_of(report)
     for expected in (
-        "Means of a season", "2015 to 2025", "11 of 11", "errors skill real",
+        "Means of a season", "2015 to 2025", "11 of 11", "errors skill real", ">25.0<",
         "Deviation relative to on/off (1 compared, each interval for one)",
         "Each is for one comparison alone",
     ):
