@@ -310,6 +310,7 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     assert report.settings["anticipating_onoff"].labels == ["0.5", "none"]
     assert report.settings["proportional"].labels == ["005", "006"]
     assert "trajectories-1-1" in figures_of(report)
+    assert [row["setting"] for row in report.best()] == ["all alike"] * 3  # their totals are equal
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
