@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,32 +104,37 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
     Raises:
         ConfigurationError: there is one, or somebody else's file, or it is no directory.
     """
-    try:
-        entries = list(directory.iterdir()) if directory.exists() else []
-        figures = directory / "figures"
-        found = [entry for entry in entries if entry != figures or not figures.is_dir()]
-        found += figures.iterdir() if figures.is_dir() else []
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
-        ) from error
+    figures = directory / "figures"
+    found = list(directory.iterdir()) if directory.exists() else []
+    if figures.is_dir():
+        found = [*filter(figures.__ne__, found), *figures.iterdir()]
     foreign = [
         str(file.relative_to(directory)) for file in sorted(found)
         if not file.is_file()
         or (file != directory / _PAGE and not (file.parent == figures and own(file.name)))
     ]
+    wrong = ""
     if foreign:
-        raise ConfigurationError(
+        wrong = (
             f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} "
-            "is no report's, and never written over; name another directory",
-            key="--output", value=str(directory),
+            "is no report's, and never written over; name another directory"
         )
-    if found and not force:
-        raise ConfigurationError(
-            "holds a report already; --force replaces it, or name another directory",
-            key="--output", value=str(directory),
-        )
+    elif found and not force:
+        wrong = "holds a report already; --force replaces it, or name another directory"
+    if wrong:
+        raise ConfigurationError(wrong, key="--output", value=str(directory))
     return found
+
+
+@contextmanager
+def _writing(directory: Path) -> Iterator[None]:
+    """Say which option names a directory that cannot be read or written."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+        ) from error
 
 
 @command
@@ -138,7 +144,8 @@ def main() -> int:
     with in_extra("study"):
         from greenroof_ros.report import figures, groups, page, runs
     output: Path = arguments.output or arguments.paths[0] / "report"
-    former = _former_report(output, figures.is_figure, force=arguments.force)
+    with _writing(output):
+        former = _former_report(output, figures.is_figure, force=arguments.force)
     sources = runs.find_runs(arguments.paths, arguments.site)
     assumptions = groups.Assumptions(
         arguments.energy_price, arguments.water_price, arguments.currency, arguments.band
@@ -150,20 +157,13 @@ def main() -> int:
         report = groups.Report(
             sources, assumptions, partial(progress.track, description="reading runs")
         )
-        makers = figures.make_figures(report, arguments.pump_data)
-        try:
+        made = list(figures.make_figures(report, arguments.pump_data))
+        with _writing(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigurationError(
-                f"cannot be written: {error.strerror}", key="--output", value=str(output)
-            ) from error
-        drawn = []
-        for make in progress.track(makers, description="drawing figures"):
-            figure = make()
+        for figure in progress.track(made, description="drawing figures"):
             figure.save(output / "figures")
-            drawn.append(figure)
-    (output / _PAGE).write_text(page.render(report, drawn), encoding="utf-8")
-    names = {figure.name for figure in drawn}
+    (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
+    names = {figure.name for figure in made}
     for file in former:
         if file.parent.name == "figures" and file.stem not in names:
             file.unlink()
@@ -178,26 +178,21 @@ def _show(report: Report) -> None:
 
     console = Console()
     for name, run in report.runs.items():
-        said = []
-        if run.incidents:
-            said.append(f"{name}: {run.ended}; the report lists them")
-        if run.ending:
-            said.append(f"{name} {run.ending}; what follows is of the part that was recorded")
-        for text in said:
-            console.print(text, style="bold", soft_wrap=True, markup=False)
-    windows, best = report.windows(), report.best()
+        for there, text in (
+            (run.incidents, f"{name}: {run.ended}; the report lists them"),
+            (run.ending, f"{name} {run.ending}; what follows is of the part that was recorded"),
+        ):
+            if there:
+                console.print(text, style="bold", soft_wrap=True, markup=False)
+    windows = report.windows()
     for window in windows[:_MOST_TABLES]:
         title = f"Least total deviation: {report.heading(window)}"
-        table = Table(title=title, title_justify="left")
-        for column in ("from", "controller", "best setting"):
-            table.add_column(column)
+        table = Table("from", "controller", "best setting", title=title, title_justify="left")
         table.add_column("m3", justify="right")
-        for row in best:
+        for row in report.best():
             if row["window"] == window["window"]:
-                table.add_row(
-                    row["from"], controller_name(row["controller"]), row["setting"],
-                    f"{row[TOTAL]:.2f}",
-                )
+                name = controller_name(row["controller"])
+                table.add_row(row["from"], name, row["setting"], f"{row[TOTAL]:.2f}")
         console.print(table)
     if len(windows) > _MOST_TABLES:
         console.print(f"and {len(windows) - _MOST_TABLES} more windows in the report")

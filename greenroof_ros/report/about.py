@@ -147,16 +147,15 @@ def parameters(cells: Mapping[str, object]) -> Parameters:
     """Return the parameters that are there and mean something: no blank, no infinite bound."""
     found: Parameters = {}
     for key, cell in cells.items():
-        if cell is None or cell == "":
-            continue
+        text = "" if cell is None else str(cell)
         try:
-            value = float(str(cell))
+            found[key] = float(text)
         except ValueError:
-            found[key] = str(cell)
-            continue
-        if math.isfinite(value):
-            found[key] = value
-    return found
+            found[key] = text
+    return {
+        key: value for key, value in found.items()
+        if (math.isfinite(value) if isinstance(value, float) else value)
+    }
 
 
 def labels(row: Row) -> Row:
@@ -240,28 +239,28 @@ def read_about(run: Path) -> About:
     """
     notes: list[Note] = []
     incidents: tuple[Incident, ...] = ()
+
+    def unused(name: str, wrong: str, reason: str) -> None:
+        reason = reason.removeprefix(f"{run / name}").lstrip(":, ")
+        notes.append(Note(f"{name} beside the bag is {wrong}, and not used: {reason}"))
+
     try:
         incidents = tuple(read_incidents(run))
     except (OSError, ValueError) as error:
-        reason = str(error).removeprefix(f"{run / INCIDENTS}").lstrip(":, ")
-        notes.append(Note(f"{INCIDENTS} beside the bag is damaged, and not used: {reason}"))
+        unused(INCIDENTS, "damaged", str(error))
     for name, read in ((summary.SUMMARY, _summary), (_PARAMETERS, _node_parameters)):
-        if not (run / name).is_file():
-            continue
-        try:
-            about = _understand(read(run / name))
-        except Exception as error:  # a foreign file can be wrong in any way
-            reason = "it lacks what a run writes about itself"
-            if isinstance(error, ConfigurationError):
-                reason = str(error).removeprefix(f"{run / name}").lstrip(":, ")
-            notes.append(
-                Note(f"{name} beside the bag is damaged or foreign, and not used: {reason}")
-            )
-            continue
-        return replace(
-            about, external_pump=_external_pump(run), notes=(*notes, *about.notes),
-            incidents=incidents or about.incidents,
-        )
+        if (run / name).is_file():
+            try:
+                about = _understand(read(run / name))
+            except ConfigurationError as error:
+                unused(name, "damaged or foreign", str(error))
+            except Exception:  # a foreign file can be wrong in any way
+                unused(name, "damaged or foreign", "it lacks what a run writes about itself")
+            else:
+                return replace(
+                    about, external_pump=_external_pump(run), notes=(*notes, *about.notes),
+                    incidents=incidents or about.incidents,
+                )
     return About(notes=tuple(notes), incidents=incidents)
 
 
@@ -300,28 +299,23 @@ def _node_parameters(file: Path) -> dict[str, Any]:
     empty = YamlMapping()
     plant, weather = nodes.get("plant", empty), nodes.get("weather", empty)
     controller = nodes.get("recorder", empty).get("controller")
+    given = nodes.get(str(controller), empty)
+    volumes = {name: plant.get(f"initial_{name}_volume") for name in ("cistern", "roof")}
     about: dict[str, Any] = {
         "controller": controller,
-        "parameters": {
-            key: value
-            for key, value in nodes.get(str(controller), empty).items() if key != "site_file"
-        },
+        "parameters": {key: value for key, value in given.items() if key != "site_file"},
         "weather": name_files([Path(file) for file in weather.get("weather_files") or []]),
         "evapotranspiration_method": weather.get("evapotranspiration"),
         "gaps": weather.get("gaps"),
         "forecast": {
-            "model": weather.get("forecast"),
+            "model": weather.get("forecast"), "dressed": weather.get("dressed"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
-            "dressed": weather.get("dressed"),
         },
         "sensor_pump_errors": {name: plant.get(name) for name in PARAMETERS},
     }
-    volumes = plant.get("initial_cistern_volume"), plant.get("initial_roof_volume")
-    if None not in volumes:
-        about["initial"] = dict(zip(("cistern_m3", "roof_m3"), volumes, strict=True))
-    if "start" in plant:
-        about["start"] = plant["start"]
-    return about
+    if None not in volumes.values():
+        about["initial"] = {f"{name}_m3": volume for name, volume in volumes.items()}
+    return about | ({"start": plant["start"]} if "start" in plant else {})
 
 
 def _understand(content: dict[str, Any]) -> About:
@@ -365,47 +359,38 @@ def _understand(content: dict[str, Any]) -> About:
         notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))
     ending, short = ("", summary.DONE) if done else _ending(content)
     return About(
-        row=row,
-        parameters=given,
-        exact_sensor=exact_sensor,
+        row=row, parameters=given, exact_sensor=exact_sensor, changes=changes, ending=ending,
         zone=None if start is None else start.tzinfo,
         own=not live,  # what sensors said may be anything
-        changes=changes,
-        ending=ending,
-        short=short,
+        short=short, notes=tuple(notes),
         incidents=tuple(Incident(**incident) for incident in content.get("incidents") or []),
-        notes=tuple(notes),
     )
 
 
 def _inputs(content: Mapping[str, Any], live: bool) -> Row:
     """Return what a summary says was asked for, and was done to its weather."""
-    initial, solver = content.get("initial") or {}, content.get("solver") or {}
-    forecast = content.get("forecast") or {}
+    initial, forecast = content.get("initial") or {}, content.get("forecast") or {}
     if live:
         forecast = {"file": forecast}
     filled = content.get("filled") or {}
-    named = {
+    row = {
         "weather": Path(content.get("weather") or "").name,
-        "evapotranspiration": content.get("evapotranspiration_method"),
-        "gaps": content.get("gaps"),
-    }
-    state = {
-        "initial": str(initial.get("name", "")),
-        **{key: float(initial[key]) for key in ("cistern_m3", "roof_m3")},
-    } if initial else {}
-    return {
-        **{column: str(value) for column, value in named.items() if value},
-        **state,
-        "forecast": forecast.get("file") or forecast.get("model"),
-        **{f"forecast_{option}": forecast.get(option) for option in _LABELLED},
+        "evapotranspiration": str(content.get("evapotranspiration_method") or ""),
+        "gaps": str(content.get("gaps") or ""),
         "filled_hours": float(content.get("filled_hours") or len(filled)),
         "filled": "; ".join(f"{key}: {', '.join(hours)}" for key, hours in filled.items()),
         "weather_notes": "; ".join(content.get("weather_notes") or []),
         "suspicious": "; ".join(content.get("suspicious") or []),
-        "fallbacks": float(solver.get("fallbacks") or 0),
+        "fallbacks": float((content.get("solver") or {}).get("fallbacks") or 0),
         "forecast_repeats_from": content.get("forecast_repeats_last_record_from"),
+        "forecast": forecast.get("file") or forecast.get("model"),
+        **{f"forecast_{option}": forecast.get(option) for option in _LABELLED},
     }
+    state = {
+        "initial": str(initial.get("name", "")), "cistern_m3": float(initial["cistern_m3"]),
+        "roof_m3": float(initial["roof_m3"]),
+    } if initial else {}
+    return {column: value for column, value in row.items() if value not in (None, "")} | state
 
 
 def _ending(content: Mapping[str, Any]) -> tuple[str, str]:

@@ -38,17 +38,19 @@ _WEATHER = Path("configuration") / "weather"
 def run_directory(path: Path) -> Path:
     """Return the directory in which a run wrote about itself: the path, or its bag's."""
     # The bag in a run directory may be named itself.
-    bag = path / "bag" if (path / "bag").is_dir() else path
-    return next((place for place in (path, bag.resolve().parent)
+    return next((place for place in (path, _bag_in(path).resolve().parent)
                  if (place / "configuration").is_dir()), path)
 
 
-def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) -> Run | Row:
+def _bag_in(path: Path) -> Path:
+    return path / "bag" if (path / "bag").is_dir() else path
+
+
+def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     """Return the run of a run directory or a bag, under a name; of one without a bag its row."""
-    bag = path / "bag" if (path / "bag").is_dir() else path
+    bag, run = _bag_in(path), run_directory(path)
     if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
         bag = recovered_bag(bag)
-    run = run_directory(path)
     about = read_about(run)
     repair = f"greenroof recover {path} makes a whole one"
     if not _is_closed(bag):
@@ -63,10 +65,10 @@ def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) 
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
         )
-    own_site = site_file_of(run)
+    own_site, zone = site_file_of(run), about.zone
     notes = []
-    if given is not None:
-        site, site_name = given, str(site_file)
+    if site_file is not None:
+        site, site_name = read_site(site_file), str(site_file)
     elif own_site.is_file():
         site, site_name = read_site(own_site), own_site.name
     else:
@@ -75,12 +77,13 @@ def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) 
         notes.append(
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")
         )
-    zone = about.zone
     if zone is None and own_site.is_file() and site.utc_offset is not None:
         zone = timezone(timedelta(hours=site.utc_offset))
     if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
+    weather = sorted((run / _WEATHER).glob("*"))
+    forecast = sorted((run / "configuration" / "forecast").rglob("*"))
     known = {
         **vars(about),
         "row": {**row, **labels(row), "seed": ""},  # it is shown alone
@@ -95,15 +98,13 @@ def read_run(path: Path, name: str, site_file: Path | None, given: Site | None) 
         ),
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=partial(
-            _own_bound, run / _WEATHER, own_site, site, row["evapotranspiration"], row["gaps"]
+            _own_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
         ) if about.exact_sensor else lambda _: None,
         source=name,
         meant={
             "site": site,
-            "weather": "".join(map(file_digest, sorted((run / _WEATHER).glob("*")))),
-            "forecast": "".join(
-                map(file_digest, sorted((run / "configuration" / "forecast").rglob("*")))
-            ),
+            "weather": "".join(map(file_digest, weather)),
+            "forecast": "".join(map(file_digest, forecast)),
             "from": meaning_of_initial(row),
         },
     )
@@ -114,7 +115,7 @@ def _is_closed(bag: Path) -> bool:
 
 
 def _own_bound(
-    weather: Path, site_file: Path, site: Site, method: str, gaps: str, recorded: Recorded
+    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str, recorded: Recorded
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
@@ -122,14 +123,13 @@ def _own_bound(
     """
     trajectory = recorded.trajectory
     steps = len(trajectory.time) - 1
-    weather_files = sorted(weather.glob("*"))
-    if not weather_files or not np.allclose(
+    if not weather or not np.allclose(
         trajectory.time, site.tau * np.arange(steps + 1), rtol=0, atol=1e-6
     ):
         return None
     try:
         run = build_run(
-            site_file, site, read_weather(weather_files, site, method, gaps),
+            site_file, site, read_weather(weather, site, method, gaps),
             trajectory.start.isoformat(), steps, find_controller("onoff"), {}, "custom",
             (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
         )
@@ -187,26 +187,24 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     the site's ``initial_layer``.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
-    # Until the end: in the last sample nothing flows any more.
-    flows: dict[str, Any] = {
-        name: np.append(getattr(trajectory, name)[:-1], 0.0)
-        for name in ("command", "precipitation", "outflow", "drainage")
+    values = {
+        "pump": trajectory.pump_flow, "potential": trajectory.evapotranspiration,
+        "mains": mains_flows(site, trajectory.cistern), **{
+            name: getattr(trajectory, name)
+            for name in ("command", "precipitation", "outflow", "drainage")
+        },
     }
-    pump, potential, mains = (
-        np.append(values[:-1], 0.0) for values in (
-            trajectory.pump_flow, trajectory.evapotranspiration,
-            mains_flows(site, trajectory.cistern),
-        )
-    )
+    # Until the end: in the last sample nothing flows any more.
+    flows: dict[str, Any] = {name: np.append(one[:-1], 0.0) for name, one in values.items()}
     followed = soil_of(site).follow(
-        site.initial_layer, trajectory.roof, flows["precipitation"], pump, potential,
-        flows["drainage"], dt,
+        site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
+        flows["potential"], flows["drainage"], dt,
     )
+    if site.mains_level is None:
+        flows["mains"] = None
     return Samples(
-        **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof, pump=pump,
-        evapotranspiration=followed.evaporated, layer=followed.layer,
-        mains=None if site.mains_level is None else mains, potential=potential,
-        time=trajectory.time,
+        **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
+        evapotranspiration=followed.evaporated, layer=followed.layer, time=trajectory.time,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,24 +81,19 @@ class Panel:
             for layer in toggled:
                 layer.setdefault("transform", []).append({"filter": {"param": "shown"}})
             names = toggled[0]["encoding"]["color"]["scale"]["domain"]
-            shown = {
+            toggled[0].setdefault("params", []).append({
                 "name": "shown",
                 "select": {"type": "point", "fields": [self.toggle], "toggle": "true"},
                 "value": [{self.toggle: name} for name in names],
                 "bind": "legend",
-            }
-            toggled[0].setdefault("params", []).append(shown)
+            })
         if self.zoom:
-            zoom = {
-                "name": "zoom",
-                # With shift only: a wheel without it must go on scrolling the page.
-                "select": {
-                    "type": "interval", "encodings": ["x"], "zoom": "wheel![event.shiftKey]",
-                },
-                "bind": "scales",
-            }
             along = next(layer for layer in layers if "field" in layer["encoding"].get("x", {}))
-            along.setdefault("params", []).append(zoom)
+            # With shift only: a wheel without it must go on scrolling the page.
+            wheel = {"type": "interval", "encodings": ["x"], "zoom": "wheel![event.shiftKey]"}
+            along.setdefault("params", []).append(
+                {"name": "zoom", "select": wheel, "bind": "scales"}
+            )
         return specification
 
 
@@ -158,16 +154,11 @@ class Figure:
 
 def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes."""
+    colour, dash = cycled(COLOURS, values), cycled(_DASHES, values)
+    legend = alt.Legend(symbolSize=600, symbolType="stroke")
     return {
-        "color": alt.Color(
-            f"{name}:N", title=title or None,
-            scale=alt.Scale(domain=values, range=cycle(COLOURS, values)),
-            legend=alt.Legend(symbolSize=600, symbolType="stroke"),
-        ),
-        "strokeDash": alt.StrokeDash(
-            f"{name}:N", title=title or None,
-            scale=alt.Scale(domain=values, range=cycle(_DASHES, values)),
-        ),
+        "color": alt.Color(f"{name}:N", title=title or None, scale=colour, legend=legend),
+        "strokeDash": alt.StrokeDash(f"{name}:N", title=title or None, scale=dash),
     }
 
 
@@ -180,9 +171,10 @@ def pointed(*fields: str | alt.Tooltip) -> list[alt.Tooltip]:
     return [alt.Tooltip(field) if isinstance(field, str) else field for field in fields]
 
 
-def cycle(choices: Sequence[Any], values: Sequence[str]) -> list[Any]:
-    """Return a choice for each value, beginning again where there are more values."""
-    return [choices[index % len(choices)] for index in range(len(values))]
+def cycled(choices: Sequence[Any], values: list[str]) -> alt.Scale:
+    """Return the scale that gives each value a choice, and begins again where values are more."""
+    chosen = list(itertools.islice(itertools.cycle(choices), len(values)))
+    return alt.Scale(domain=values, range=chosen)
 
 
 def hover_points(lines: alt.Chart) -> alt.Chart:

@@ -7,12 +7,11 @@ sizes of a cistern; trajectories, weather and pumps have modules of their own.
 from __future__ import annotations
 
 import csv
+import itertools
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, fields
 from datetime import datetime
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,12 +28,23 @@ from greenroof_ros.report.drawing import (
     Figure,
     Panel,
     Rows,
-    cycle,
+    cycled,
     distinct,
     pointed,
     short,
 )
-from greenroof_ros.report.groups import SEASONS, SEEDS, SKY, TOTAL, Report, facts, heading, who
+from greenroof_ros.report.groups import (
+    SEASONS,
+    SEEDS,
+    SKY,
+    TOTAL,
+    Report,
+    Settings,
+    by_place,
+    heading,
+    unique,
+    who,
+)
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.trajectories import trajectories, weather
 
@@ -90,8 +100,8 @@ def is_figure(name: str) -> bool:
     return re.fullmatch(rf"({'|'.join(_KINDS)})(-\d+)*\.(svg|png)", name) is not None
 
 
-def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Figure]]:
-    """Return what makes each figure, so that a caller can show how far it is.
+def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
+    """Yield the figures, in the order in which they appear.
 
     Args:
         report: all results.
@@ -101,7 +111,6 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         ConfigurationError: their file is wrong.
     """
     points = read_pump_data(pump_data) if pump_data is not None else None
-    makers: list[Callable[[], Figure]] = []
     windows = [
         (number, [row for row in report.single if row["window"] == window["window"]])
         for number, window in enumerate(report.windows(), start=1)
@@ -116,37 +125,36 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
             of = skies.setdefault(tuple(row[name] for name in SKY), {})
             of.setdefault(row["evapotranspiration"], row)
     for number, methods in enumerate(skies.values(), start=1):
-        makers.append(partial(weather, report, list(methods.values()), number))
+        yield weather(report, list(methods.values()), number)
     for number, rows in windows:
         # A single mark in each panel would say what the table does.
         if len({row["controller"] for row in rows}) < len(rows):
             for quantity in QUANTITIES:
                 known = [row for row in rows if row[quantity.column] is not None]
                 if known:
-                    makers.append(partial(by_setting, report, known, number, quantity))
+                    yield by_setting(report, known, number, quantity)
     for number, rows in recorded:
         for initial in report.initials:
             of_state = [row for row in rows if row["from"] == initial]
             if of_state:
-                makers.append(partial(trajectories, report, of_state, number))
+                yield trajectories(report, of_state, number)
     for number, rows in windows:
-        makers.append(partial(balance, report, rows, number))
+        yield balance(report, rows, number)
     if report.of(SEEDS):
-        makers.append(partial(forecast_errors, report))
+        yield forecast_errors(report)
     if report.sizing:
-        makers.append(partial(sizing, report))
+        yield sizing(report)
     elif report.of(SEASONS):
-        makers.append(partial(by_year, report))
+        yield by_year(report)
         if report.over_onoff:
-            makers.append(partial(comparison_figure, report))
+            yield comparison_figure(report)
     # Seasons are of many sites, which differ in size alone: their pumps are the same.
     alone = [*report.single, *report.of(SEEDS)]
     sites = {row["site"]: report.runs[row["run"]].site for row in alone}
     for number, (name, site) in enumerate(sites.items(), start=1):
         whose = f" of {name}" if len(sites) > 1 else ""
-        makers.append(partial(pump_curve, site, number, whose, points))
-        makers.append(partial(pump_smoothing, site, number, whose))
-    return makers
+        yield pump_curve(site, number, whose, points)
+        yield pump_smoothing(site, number, whose)
 
 
 # --- single runs ----------------------------------------------------------------------------------
@@ -161,61 +169,63 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
         number: of the window.
         quantity: what is drawn.
     """
-    published, bounds = _beside(report, rows) if quantity.column == TOTAL else ([], [])
+    # The first is drawn larger, so that it shows where another lies on it.
+    first = report.initials[0]
+    published: Rows = []
+    bounds: Rows = []
+    if quantity.column == TOTAL:
+        published = published_totals(report, rows)
+        known = {row["from"]: row["bound_m3"] for row in rows if row["bound_m3"] is not None}
+        bounds = [
+            {"initial": name, "v": short(bound), "text": "least",
+             "width": 4.0 if name == first else 1.5}
+            for name, bound in known.items()
+        ]
     values = [quantity.times * row[quantity.column] for row in rows]
     # Where all are 0 any axis does.
     top = max([*values, *(row["v"] for row in (*published, *bounds))]) or 1.0
     y = alt.Y("v:Q", title=quantity.axis, scale=alt.Scale(domain=[0, 1.08 * top], nice=False))
-    colours, shapes = (
-        alt.Scale(domain=report.initials, range=cycle(choices, report.initials))
-        for choices in (COLOURS, SHAPES)
-    )
-    colour = alt.Color("initial:N", title="from", scale=colours)
-    shape = alt.Shape("initial:N", title="from", scale=shapes)
+    colour = alt.Color("initial:N", title="from", scale=cycled(COLOURS, report.initials))
+    shape = alt.Shape("initial:N", title="from", scale=cycled(SHAPES, report.initials))
     panels = []
     data: dict[str, Rows] = {f"bound-{number}": bounds} if bounds else {}
+    least = _bound_layers(f"bound-{number}", y, colour) if bounds else []
     for controller in report.controllers:
         here = [
             {
                 "run": row["run"], "setting": row["label"],
                 "x": row["label"] if row["x"] is None else row["x"], "initial": row["from"],
-                "v": short(value),
-                # The first is drawn larger, so that it shows where another lies on it.
-                "size": 150 if row["from"] == report.initials[0] else 50,
+                "v": short(value), "size": 150 if row["from"] == first else 50,
             }
             for row, value in zip(rows, values, strict=True) if row["controller"] == controller
         ]
         if not here:
             continue
-        named = report.settings[controller].title
-        dataset = f"{quantity.name}-{number}-{controller}"
+        settings = report.settings[controller]
+        theirs = [row for row in published if row["controller"] == controller]
+        dataset, codes = (f"{name}-{number}-{controller}" for name in (quantity.name, "published"))
         data[dataset] = here
-        x = _settings_axis(report, controller, here)
-        base = alt.Chart(alt.NamedData(dataset))
+        base = alt.Chart(alt.NamedData(dataset)).encode(
+            x=_settings_axis(settings, here), y=y, color=colour
+        )
         layers = [
-            base.mark_line(strokeWidth=1, opacity=0.6).encode(x=x, y=y, color=colour),
+            base.mark_line(strokeWidth=1, opacity=0.6),
             base.mark_point(filled=True, opacity=1).encode(
-                x=x, y=y, color=colour, shape=shape, size=alt.Size("size:Q", scale=None),
-                tooltip=[
-                    alt.Tooltip("run:N"), alt.Tooltip("setting:N", title=named),
+                shape=shape, size=alt.Size("size:Q", scale=None), tooltip=pointed(
+                    "run:N", alt.Tooltip("setting:N", title=settings.title),
                     alt.Tooltip("initial:N", title="from"),
                     alt.Tooltip("v:Q", title=quantity.axis, format=".6~g"),
-                ],
+                ),
             ),
+            *least,
         ]
-        if bounds:
-            layers += _bound_layers(f"bound-{number}", y, colour)
-        theirs = [row for row in published if row["controller"] == controller]
         if theirs:
-            data[f"published-{number}-{controller}"] = theirs
-            layers.append(
-                alt.Chart(alt.NamedData(f"published-{number}-{controller}")).mark_point(
-                    filled=False, size=330, strokeWidth=1.5
-                ).encode(
-                    x=x, y=y, color=colour, shape=shape,
-                    tooltip=[alt.Tooltip("v:Q", title="authors' code", format=".8~g")],
-                )
-            )
+            data[codes] = theirs
+            marks = base.properties(data=alt.NamedData(codes))
+            layers.append(marks.mark_point(filled=False, size=330, strokeWidth=1.5).encode(
+                shape=shape,
+                tooltip=pointed(alt.Tooltip("v:Q", title="authors' code", format=".8~g")),
+            ))
         panels.append(Panel(alt.layer(*layers), controller_name(controller), toggle="initial"))
     title, caption = report.title(quantity.title, rows[0]), quantity.caption
     if published:
@@ -232,46 +242,28 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
     return Figure(f"{quantity.name}-{number}", title, caption, tuple(panels), len(panels), data)
 
 
-def _settings_axis(report: Report, controller: str, rows: Rows) -> alt.X:
+def _settings_axis(settings: Settings, rows: Rows) -> alt.X:
     """Return the axis of a controller's settings: numbers, where just one differs, or names."""
-    settings = report.settings[controller]
-    if settings.axis:
-        scale = (
-            alt.Scale(type="log", padding=12) if settings.log else alt.Scale(padding=12, zero=False)
-        )
-        ticks = sorted({row["x"] for row in rows})
-        axis = alt.Axis(values=ticks, labelExpr="'' + datum.value", labelOverlap=True)
-        return alt.X("x:Q", title=settings.title, scale=scale, axis=axis)
-    angle = -20 if max(map(len, settings.labels)) > 12 else 0
-    axis = alt.Axis(labelAngle=angle, labelLimit=160)
-    return alt.X("x:N", title=settings.title, sort=settings.labels, axis=axis)
-
-
-def _beside(report: Report, rows: Sequence[Row]) -> tuple[Rows, Rows]:
-    """Return what stands beside total deviations: the authors' values, and the least possible."""
-    known = {row["from"]: row["bound_m3"] for row in rows if row["bound_m3"] is not None}
-    bounds = [
-        {"initial": name, "v": short(bound), "text": "least",
-         # As with the marks: it shows where another lies on it.
-         "width": 4.0 if name == report.initials[0] else 1.5}
-        for name, bound in known.items()
-    ]
-    return published_totals(report, rows), bounds
+    if not settings.axis:
+        angle = -20 if max(map(len, settings.labels)) > 12 else 0
+        axis = alt.Axis(labelAngle=angle, labelLimit=160)
+        return alt.X("x:N", title=settings.title, sort=settings.labels, axis=axis)
+    kind = {"type": "log"} if settings.log else {"zero": False}
+    ticks = sorted({row["x"] for row in rows})
+    axis = alt.Axis(values=ticks, labelExpr="'' + datum.value", labelOverlap=True)
+    return alt.X("x:Q", title=settings.title, scale=alt.Scale(padding=12, **kind), axis=axis)
 
 
 def _bound_layers(data: str, y: alt.Y, colour: alt.Color) -> list[alt.Chart]:
     """Return the lines of the least possible, each with its name in the left corner."""
-    base = alt.Chart(alt.NamedData(data))
+    base = alt.Chart(alt.NamedData(data)).encode(y=y, color=colour)
+    width = alt.StrokeWidth("width:Q", scale=None)
+    tooltip = pointed(alt.Tooltip("initial:N", title="from"),
+                      alt.Tooltip("v:Q", title="least possible (m³)", format=".6~g"))
     return [
-        base.mark_rule(strokeDash=[6, 3]).encode(
-            y=y, color=colour, strokeWidth=alt.StrokeWidth("width:Q", scale=None),
-            tooltip=[
-                alt.Tooltip("initial:N", title="from"),
-                alt.Tooltip("v:Q", title="least possible (m³)", format=".6~g"),
-            ],
-        ),
+        base.mark_rule(strokeDash=[6, 3]).encode(strokeWidth=width, tooltip=tooltip),
         base.mark_text(align="left", baseline="bottom", dx=4, dy=-1, fontSize=10).encode(
-            x=alt.XValue(0), y=y, color=colour, text=alt.Text("text:N"),
+            x=alt.XValue(0), text=alt.Text("text:N"),
         ),
     ]
 
@@ -328,11 +320,7 @@ _BALANCE = {
 def balance(report: Report, rows: Sequence[Row], number: int) -> Figure:
     """Return the water balance of both tanks, run by run."""
     rows = sorted(rows, key=lambda row: (report.initials.index(row["from"]), row["rank"]))
-    labels = [f"{who(row)}, {row['from']}" for row in rows]
-    names = [
-        f"{label} ({row['run']})" if labels.count(label) > 1 else label
-        for label, row in zip(labels, rows, strict=True)
-    ]
+    names = unique(rows, [f"{who(row)}, {row['from']}" for row in rows])
     panels, data = [], {}
     for tank, parts in _BALANCE.items():
         dataset = f"balance-{number}-{tank.split()[-1].lower()}"
@@ -369,15 +357,14 @@ def forecast_errors(report: Report) -> Figure:
     """Return mean and worst tenth of the total deviation over the forecasts' skill."""
     cases, apart = report.of(SEEDS), report.apart(SEEDS)
     panels, data = [], {}
-    for number, (_, group) in enumerate(groupby(cases, key=lambda row: row["place"]), start=1):
-        here = list(group)
+    for number, here in enumerate(by_place(cases), start=1):
         dataset = f"forecast-errors-{number}"
         data[dataset] = [
             {"series": who(row), "skill": row["skill"], "amount": amount,
              "v": short(row[column]), "seeds": row["seeds"]}
             for row in here for amount, column in _AMOUNTS.items()
         ]
-        where = heading({name: here[0][name] for name in apart}, apart)
+        where = heading(here[0], apart, apart)
         initial = f"from {here[0]['from']}"
         panels.append(Panel(
             _errors_chart(report, here, dataset), [where, initial] if apart else initial,
@@ -414,19 +401,15 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
               axis=alt.Axis(labelAngle=0))
     y = alt.Y("v:Q", title=_TOTAL_AXIS, scale=scale)
     # Colours by controller, shapes by the controller's setting.
-    colours = dict(zip(report.controllers, cycle(COLOURS, report.controllers), strict=True))
-    named, settings = {who(row): row["controller"] for row in cases}, dict[str, int]()
-    shapes = []
-    for controller in named.values():
-        settings[controller] = settings.get(controller, -1) + 1
-        shapes.append(SHAPES[settings[controller] % len(SHAPES)])
-    colour = alt.Color(
-        "series:N", title=None, legend=alt.Legend(columns=2),
-        scale=alt.Scale(domain=list(named), range=[colours[each] for each in named.values()]),
-    )
-    shape = alt.Shape(
-        "series:N", title=None, scale=alt.Scale(domain=list(named), range=shapes)
-    )
+    named = {who(row): row["controller"] for row in cases}
+    colours = dict(zip(report.controllers, itertools.cycle(COLOURS)))
+    shapes = {name: itertools.cycle(SHAPES) for name in report.controllers}
+    colour = alt.Color("series:N", title=None, legend=alt.Legend(columns=2), scale=alt.Scale(
+        domain=list(named), range=[colours[name] for name in named.values()],
+    ))
+    shape = alt.Shape("series:N", title=None, scale=alt.Scale(
+        domain=list(named), range=[next(shapes[name]) for name in named.values()],
+    ))
     layers: list[alt.Chart] = []
     for bound in bounds:
         least = alt.Chart(alt.InlineData([{"v": bound, "text": "least possible"}]))
@@ -461,9 +444,8 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
 def _places(report: Report, rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
     """Yield the cases of each place, with what distinguishes it from the others."""
     apart = report.apart(SEASONS)
-    for _, group in groupby(rows, key=lambda row: row["place"]):
-        here = list(group)
-        yield ", ".join(facts(here[0])[name] for name in apart) or "all years", here
+    for here in by_place(rows):
+        yield ", ".join(here[0][name] for name in apart) or "all years", here
 
 
 def _series(row: Row, rows: Sequence[Row]) -> str:
@@ -520,9 +502,7 @@ def comparison_figure(report: Report) -> Figure:
     """Return the deviations relative to on/off with their intervals, a panel for each place."""
     cases = report.of(SEASONS)
     names = [controller_name(each) for each in report.controllers]
-    colour = alt.Color("controller:N", title=None, scale=alt.Scale(
-        domain=names, range=cycle(COLOURS, report.controllers),
-    ))
+    colour = alt.Color("controller:N", title=None, scale=cycled(COLOURS, names))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
     for place, here in _places(report, report.over_onoff):

@@ -8,9 +8,10 @@ of its own. Whatever a report says it says of cases.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
-from greenroof_ros.model.site import Site
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.about import (
     NO_ERRORS,
@@ -95,14 +95,16 @@ class Assumptions:
     band: float = NEAR_TARGET
 
 
-def heading(facts: Row, apart: Sequence[str]) -> str:
+def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
     """Name a set of runs: by what tells it apart from others, and what a reader asks for anyway.
 
     Args:
-        facts: of it, by the header of their columns.
-        apart: those that tell it apart.
+        row: of one of them.
+        apart: the facts that tell it apart, by the header of their columns.
+        names: of the facts that count; all that its kind has, unless given.
     """
-    usual = {"site": facts.get("site"), "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
     return ", ".join(
         f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
         else text
@@ -132,13 +134,14 @@ class Settings:
         fixed = len(floats) == len(numbers) and not changed
         self.axis = self.title if len(apart) == 1 and fixed else ""
         self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
-        self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=self._order))))
 
-    def _order(self, run: Run) -> tuple[tuple[tuple[float, str], ...], str]:
-        values = [run.parameters.get(name) for name in self._shown]
-        return tuple(
-            (value, "") if isinstance(value, float) else (math.inf, str(value)) for value in values
-        ), self.label(run)
+        def order(run: Run) -> tuple[list[tuple[float, str]], str]:
+            values = map(run.parameters.get, self._shown)
+            return [
+                (value if isinstance(value, float) else math.inf, str(value)) for value in values
+            ], self.label(run)
+
+        self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=order))))
 
     def label(self, run: Run, *, full: bool = False) -> str:
         """Return the setting of a run, as it differs from the controller's others.
@@ -222,29 +225,29 @@ class Report:
 
         What is drawn of that is kept. No more is shown of the others than the study's table.
         """
-        band, notes = self.assumptions.band, list(run.notes)
-        usual = band == NEAR_TARGET
-        row = run.row if usual else {**run.row, "near_target_hours": None}
-        if kind == SINGLE and run.load is None:
-            notes.append(Note(
-                "no trajectory was kept: no figure of weather, commands and volumes shows it"
-            ))
-        elif kind == SINGLE and run.load is not None:
-            recorded = run.load()
+        row, notes = {**run.row, "kind": kind}, list(run.notes)
+        recorded = run.load() if kind == SINGLE and run.load is not None else None
+        if recorded is not None:
             notes += map(Note, recorded.notes)
             self.drawn[run.name] = drawn(recorded.trajectory)
             if run.bound is not None:
-                row = measured(run, recorded)
-            if not usual:
-                near = near_hours(run.site, recorded.trajectory, band)
-                row = {**row, "near_target_hours": near}
-                spacing = float(np.diff(recorded.trajectory.time).max())
+                row |= measured(run, recorded)
+        elif kind == SINGLE:
+            notes.append(Note(
+                "no trajectory was kept: no figure of weather, commands and volumes shows it"
+            ))
+        if self.assumptions.band != NEAR_TARGET:
+            row["near_target_hours"] = None
+            if recorded is not None:
+                happened = recorded.trajectory
+                row["near_target_hours"] = near_hours(run.site, happened, self.assumptions.band)
+                spacing = float(np.diff(happened.time).max())
                 if run.bound is None and spacing > 1.5 * run.site.tau:
                     notes.append(Note(
                         f"the time near the target is of samples every {spacing:g} s, which is "
                         "what was kept"
                     ))
-        return replace(run, row={**row, "kind": kind}, notes=tuple(notes))
+        return replace(run, row=row, notes=tuple(notes))
 
     def _grouped(self, runs: list[Run]) -> pl.DataFrame:
         """Return the table: names and results of the runs, and which belong together."""
@@ -356,13 +359,9 @@ class Report:
         """Names of the initial states of the runs that are cases of their own."""
         return list(dict.fromkeys(row["from"] for row in self.single))
 
-    def heading(self, row: Row) -> str:
-        """Name the window of a run."""
-        return heading(facts(row), self.apart(row["kind"]))
-
-    def sky(self, row: Row) -> str:
-        """Name what windows have in common that share a figure of the weather."""
-        return heading({name: row[name] for name in SKY}, self.apart())
+    def heading(self, row: Row, names: Sequence[str] = ()) -> str:
+        """Name the window of a run, or what windows have in common by these facts."""
+        return heading(row, self.apart(row["kind"]), names)
 
     def title(self, text: str, row: Row) -> str:
         """Return a figure's title, with the window where there are others."""
@@ -373,15 +372,14 @@ class Report:
 
         Of several that are equal it is the first, and its setting is :data:`ALIKE`.
         """
-        groups: dict[tuple[int, ...], list[Row]] = {}
-        for row in sorted(self.of(SINGLE), key=lambda row: row["case"]):
-            state, controller = self.initials.index(row["from"]), row["rank"] // _SETTINGS
-            groups.setdefault((row["window"], state, controller), []).append(row)
+        def order(row: Row) -> tuple[int, ...]:
+            return row["window"], self.initials.index(row["from"]), row["rank"] // _SETTINGS
+
         found = []
-        for _, rows in sorted(groups.items()):
-            alike = len(rows) > 1 and len({row[TOTAL] for row in rows}) == 1
-            least = min(rows, key=lambda row: row[TOTAL])
-            found.append({**least, "setting": ALIKE} if alike else least)
+        for _, group in groupby(sorted(self.of(SINGLE), key=order), key=order):
+            first, *others = sorted(group, key=lambda row: (row[TOTAL], row["case"]))
+            alike = others and first[TOTAL] == others[-1][TOTAL]
+            found.append({**first, "setting": ALIKE} if alike else first)
         return found
 
     # --- seasons of several years ----------------------------------------------------------------
@@ -389,7 +387,9 @@ class Report:
     @cached_property
     def sizing(self) -> bool:
         """Whether the seasons are of sites that differ in size, and in nothing else."""
-        return _is_sizing(self.runs[row["run"]].site for row in self.of(SEASONS))
+        sites = [asdict(self.runs[row["run"]].site) for row in self.of(SEASONS)]
+        sizes = {(site["a2"], site["a1"] * site["z_o"]) for site in sites}
+        return len(sizes) > 1 and set(differing(sites)) <= _BY_SIZE
 
     @cached_property
     def given_errors(self) -> set[str]:
@@ -431,24 +431,24 @@ class Report:
 
         That is a :class:`.intervals.Comparison`; ``than`` is the other's row.
         """
-        return list(self._over(self.plain_onoff))
+        return self._over(self.plain_onoff)
 
     @cached_property
     def over_least(self) -> list[Row]:
         """The same over the one with the least deviation, where that is not plain on/off."""
-        return list(self._over({
-            place: row for place, row in self.least.items()
-            if row["case"] != self.plain_onoff.get(place, {}).get("case")
-        }))
+        plain = [row["case"] for row in self.plain_onoff.values()]
+        return self._over({
+            place: row for place, row in self.least.items() if row["case"] not in plain
+        })
 
-    def _over(self, references: dict[int, Row]) -> Iterator[Row]:
+    def _over(self, references: dict[int, Row]) -> list[Row]:
+        found = []
         for row in self.of(SEASONS):
-            than = references.get(row["place"])
-            if than is None or than["case"] == row["case"]:
-                continue
+            than = references.get(row["place"], row)
             has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
-            if has is not None:
-                yield {**row, "than": than, "has": has}
+            if than["case"] != row["case"] and has is not None:
+                found.append({**row, "than": than, "has": has})
+        return found
 
     def years(self, row: Row) -> list[tuple[int, np.ndarray[Any, Any]]]:
         """Return each year of a season's case with the total deviation of each seed (m3)."""
@@ -461,18 +461,27 @@ def who(row: Row) -> str:
     return name if row["setting"] == ALIKE else f"{name} {row['setting']}".strip()
 
 
+def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """Return names of runs; those that several have with the run's own behind them."""
+    return [
+        f"{name} ({row['run']})" if names.count(name) > 1 else name
+        for row, name in zip(rows, names, strict=True)
+    ]
+
+
 def facts(row: Row) -> Row:
     """Return what a run has in common with those that it is compared with."""
     return {name: row[name] for name in _FACTS[row["kind"]]}
 
 
+def by_place(rows: Iterable[Row]) -> list[list[Row]]:
+    """Return the cases of each place, which come one after another."""
+    return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
+
+
 def _least(rows: Iterable[Row]) -> dict[int, Row]:
     """Return in each place the case with the least mean deviation."""
-    least: dict[int, Row] = {}
-    for row in rows:
-        if row["place"] not in least or row[TOTAL] < least[row["place"]][TOTAL]:
-            least[row["place"]] = row
-    return least
+    return {here[0]["place"]: min(here, key=lambda row: row[TOTAL]) for here in by_place(rows)}
 
 
 def _skill_rank(row: Row) -> int:
@@ -497,17 +506,6 @@ def _kinds(rows: Sequence[Row]) -> list[str]:
     ) > 1)
     alone = pl.when(seeds).then(pl.lit(SEEDS)).otherwise(pl.lit(SINGLE))
     return table.select(pl.col("kind").fill_null(alone))["kind"].to_list()
-
-
-def _is_sizing(sites: Iterable[Site]) -> bool:
-    """Whether the sites of some seasons differ in size, and in nothing else."""
-    different = set(sites)
-    sizes = {(site.a2, site.a1 * site.z_o) for site in different}
-    others = {
-        tuple(value for name, value in asdict(site).items() if name not in _BY_SIZE)
-        for site in different
-    }
-    return len(sizes) > 1 and len(others) == 1
 
 
 def _derived(assumptions: Assumptions) -> list[pl.Expr]:

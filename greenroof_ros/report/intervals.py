@@ -93,17 +93,12 @@ class Comparison(NamedTuple):
     """in how many both ran"""
 
 
-def worst_tenth(values: Array, weights: Array | None = None) -> float:
+def worst_tenth(values: Array) -> float:
     """Return the mean of the largest tenth; of the value at its edge counts the part within.
 
     A tenth is at least one whole value: of fewer than ten it is the largest.
-
-    Args:
-        values: of runs, or of weeks.
-        weights: how much each counts (1); None for each once.
     """
-    each = np.ones(values.size) if weights is None else weights
-    return float(_worst_tenths(each[None, :], values)[0])
+    return float(_worst_tenths(np.ones((1, values.size)), values)[0])
 
 
 def _worst_tenths(weights: Array, values: Array) -> Array:

@@ -20,30 +20,26 @@ from greenroof_ros.report.tables import incident_tables, make_tables, shown_metr
 from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentences, windows
 
 
-def environment(package: str) -> jinja2.Environment:
-    """Return what fills in a package's templates; ``base.html`` of this one is there for all.
+def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
+    """Return a package's ``page.html``; what this package's templates have is there for all.
 
     A value that a template uses and is not given is an error.
-    """
-    places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
-    return jinja2.Environment(
-        loader=jinja2.ChoiceLoader(places), autoescape=True, trim_blocks=True, lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-
-
-def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
-    """Return a package's ``page.html``, which extends ``figures.html``.
 
     Args:
         package: its name.
         figures: in the order in which they appear.
-        values: that the template uses besides.
+        values: that the template uses besides, and the versions where they are more.
     """
-    return environment(package).get_template("page.html").render(
-        figures=figures, versions=versions_text(versions()), library=library(),
-        payload=payload(figures), **values,
+    places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader(places), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
     )
+    environment.filters["two_lines"] = _two_lines
+    return environment.get_template("page.html").render({
+        "figures": figures, "versions": versions_text(versions()), "library": _library(),
+        "payload": payload(figures), **values,
+    })
 
 
 def render(report: Report, figures: Sequence[Figure]) -> str:
@@ -53,14 +49,14 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         report: the results.
         figures: in the order in which they appear.
     """
-    templates = environment(__package__)
-    templates.filters["two_lines"] = _two_lines
-    return templates.get_template("template.html").render(
+    drawing = ("altair", "vl-convert-python", "rosbags", "polars")
+    used = {name: metadata.version(name) for name in drawing}
+    used["vega"] = vl_convert.get_vega_version()
+    return page_of(
+        __package__, figures,
         report=report,
         seeds=bool(report.of(SEEDS)),
         seasons=bool(report.of(SEASONS)),
-        figures=figures,
-        failed=report.failed,
         tables=make_tables(report),
         warnings=make_warnings(report),
         incidents=incident_tables(report),
@@ -69,22 +65,18 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         cautions=cautions(report),
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
         bounds=bool(report.table["bound_m3"].sum()),
-        assumptions=report.assumptions,
         resamples=RESAMPLES,
         windows=windows(report),
         sites={run.row["site"]: run.site for run in report.runs.values()},
         parameters=site_parameters(),
-        configuration=report.configuration,
-        versions=versions_text(_versions()),
-        library=library(),
-        payload=payload(figures),
+        versions=versions_text(versions() | used),
     )
 
 
 # Scripts and JSON are not HTML: they are made safe here, each in its own way.
 
 
-def library() -> Markup:
+def _library() -> Markup:
     """Return the scripts that draw a page's figures."""
     text: str = vl_convert.javascript_bundle()  # type: ignore[call-arg]  # its stub is stricter
     return Markup(text.replace("</script", "<\\/script"))  # noqa: S704
@@ -97,7 +89,6 @@ def payload(figures: Sequence[Figure]) -> Markup:
             "id": f"{figure.name}-panel-{number}",
             "figure": figure.name,
             "specification": panel.specification(),
-            "data": _names(panel.specification()),
         }
         for figure in figures
         for number, panel in enumerate(figure.panels, start=1)
@@ -120,24 +111,6 @@ def _two_lines(text: str) -> Markup:
     return Markup(" <br>").join(filter(None, lines))
 
 
-def _names(specification: dict[str, Any]) -> list[str]:
-    """Return the names of the data that a specification refers to and does not hold."""
-    own = specification.get("datasets", {})
-    layers = (specification, *specification.get("layer", []))
-    found = [layer["data"].get("name") for layer in layers if "data" in layer]
-    return list(dict.fromkeys(name for name in found if name and name not in own))
-
-
 def _columns(rows: Rows) -> dict[str, list[Any]]:
     """Return rows as columns, in which each name stands once."""
     return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions of what computed the numbers and drew the figures."""
-    drawing = ("altair", "vl-convert-python", "rosbags", "polars")
-    return {
-        **versions(),
-        **{name: metadata.version(name) for name in drawing},
-        "vega": vl_convert.get_vega_version(),
-    }

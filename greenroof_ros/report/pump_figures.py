@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
+from greenroof_ros.formats.records import numbered_lines, read_table
 from greenroof_ros.model.plant import head_loss, maximum_pump_flow, pump_flow
 from greenroof_ros.model.pump_curve import fit_pump_curve
 from greenroof_ros.model.site import Site
@@ -19,7 +18,8 @@ from greenroof_ros.model.smooth_plant import q_pump
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, pointed, short
 
 # No pump that waters a roof is believed to have more [assumed]; sheets in l/s, m3/h or mm have.
-_LARGEST_FLOW, _LARGEST_HEAD = 0.5, 500.0
+_LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
+_HEADER = "flow [m3/s]", "head [m]"
 
 
 def read_pump_data(path: Path) -> list[tuple[float, float]]:
@@ -28,61 +28,47 @@ def read_pump_data(path: Path) -> list[tuple[float, float]]:
     Raises:
         ConfigurationError: the file is wrong, or no curve can be fitted to it.
     """
-    rows = list(csv.reader(io.StringIO(read_text(path))))
-    header = [cell.strip() for cell in rows[0]]
-    if header != ["flow [m3/s]", "head [m]"]:
-        raise ConfigurationError(
-            "the first line must be 'flow [m3/s],head [m]'", file=path, line=1,
-            value=",".join(rows[0]),
-        )
-    points = []
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        try:
-            flow, head = (float(cell) for cell in row)
-        except ValueError as error:
-            raise ConfigurationError(
-                "must be two numbers, flow (m3/s) and head (m)",
-                file=path, line=line, value=",".join(row),
-            ) from error
-        if not (0 <= flow <= _LARGEST_FLOW and 0 <= head <= _LARGEST_HEAD):
-            raise ConfigurationError(
-                f"must be a flow from 0 to {_LARGEST_FLOW:g} m3/s and a head from 0 to "
-                f"{_LARGEST_HEAD:g} m; are they in other units, such as l/s (0.001 m3/s)?",
-                file=path, line=line, value=",".join(row),
-            )
-        points.append((flow, head))
+    table = read_table(path, numbered_lines(read_text(path)))
+    table.require_header(_HEADER, f" (the first line is '{','.join(_HEADER)}')")
+    flows, heads = (
+        table.numbers(column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?")
+        for column, limits in zip(_HEADER, _LIMITS, strict=True)
+    )
     try:
-        fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+        fit_pump_curve(flows, heads)
     except ValueError as error:
         raise ConfigurationError(str(error), file=path) from error
-    return points
+    return list(zip(flows.tolist(), heads.tolist(), strict=True))
 
 
 def pump_curve(
     site: Site, number: int, of: str, points: list[tuple[float, float]] | None
 ) -> Figure:
     """Return head over flow of pumps and pipe (paper: Fig. 2, Eqs. 3b-3d)."""
-    suction, outlet = site.suction_level, site.z_o
-    least, most = f"head loss, cistern at {suction:g} m", f"head loss, cistern at {outlet:g} m"
-    names = ["pump curve of the site", least, most]
-    largest = math.sqrt(site.c_hat / -site.a_hat)
-    if points:
-        largest = max(largest, *(flow for flow, _ in points))
+    levels = site.suction_level, site.z_o
+    names = [
+        "pump curve of the site", *(f"head loss, cistern at {level:g} m" for level in levels)
+    ]
+    working = []
+    for level in levels:
+        flow = maximum_pump_flow(site, level * site.a1)
+        working.append({"flow": flow * 1000, "head": site.a_hat * flow**2 + site.c_hat})
+    measured = [{"flow": flow * 1000, "head": head} for flow, head in points or ()]
+    largest = max(math.sqrt(site.c_hat / -site.a_hat), *(flow for flow, _ in points or [(0, 0)]))
     flows = np.linspace(0, largest, 120)
-    heads = {names[0]: site.a_hat * flows**2 + site.c_hat}
-    for name, level in ((least, suction), (most, outlet)):
-        heads[name] = head_loss(site, np.full(len(flows), level * site.a1), flows)
+    lines = [
+        site.a_hat * flows**2 + site.c_hat,
+        *(head_loss(site, np.full(len(flows), level * site.a1), flows) for level in levels),
+    ]
     caption = (
         "Head over flow. Where the curve of the pumps (Eq. 3b) meets the head loss of the pipe "
         "(Eq. 3c), the pumps work at command 1 (Eq. 3d): hollow circles, for a cistern at the "
         "lowest level at which they may run and at its outlet's level. "
     )
     if points:
-        fit = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+        fit = fit_pump_curve(*np.transpose(points))
         names.append("fit to the data sheet")
-        heads[names[-1]] = fit.a_hat * flows**2 + fit.c_hat
+        lines.append(fit.a_hat * flows**2 + fit.c_hat)
         caption += (
             f"Crosses: points of the data sheet; fit: a_hat = {fit.a_hat:.4g} s2/m5, "
             f"c_hat = {fit.c_hat:.4g} m."
@@ -91,17 +77,13 @@ def pump_curve(
         caption += "The points that the paper's curve was fitted to are not published as numbers."
     rows = [
         {"line": name, "flow": short(flow * 1000), "head": short(head)}
-        for name, line in heads.items()
+        for name, line in zip(names, lines, strict=True)
         for flow, head in zip(flows, line, strict=True)
         if head >= -1e-9  # the curve's end is 0 but for a rounding
     ]
-    working = []
-    for level in (suction, outlet):
-        flow = maximum_pump_flow(site, level * site.a1)
-        working.append({"flow": flow * 1000, "head": site.a_hat * flow**2 + site.c_hat})
     data = f"pump-curve-{number}"
     x = alt.X("flow:Q", title="flow (L/s)")
-    top = 1.05 * max(float(line.max()) for line in heads.values())
+    top = 1.05 * float(np.max(lines))
     y = alt.Y("head:Q", title="head (m)", scale=alt.Scale(domain=[0, top], nice=False))
     layers = [
         alt.Chart(alt.NamedData(data)).mark_line(clip=True).encode(
@@ -109,11 +91,10 @@ def pump_curve(
         ),
         alt.Chart(alt.InlineData(working)).mark_point(size=90, color="black").encode(
             x=x, y=y,
-            tooltip=[alt.Tooltip("flow:Q", format=".4g"), alt.Tooltip("head:Q", format=".4g")],
+            tooltip=[alt.Tooltip(f"{name}:Q", format=".4g") for name in ("flow", "head")],
         ),
     ]
     if points:
-        measured = [{"flow": flow * 1000, "head": head} for flow, head in points]
         layers.append(
             alt.Chart(alt.InlineData(measured)).mark_point(shape="cross", size=60, color="black")
             .encode(x=x, y=y, tooltip=pointed("flow:Q", "head:Q"))

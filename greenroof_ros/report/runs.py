@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -17,7 +18,7 @@ from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.common.times import to_people
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
@@ -69,16 +70,13 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         ConfigurationError: a path is none of these, or what it holds is wrong.
     """
     sources = Sources()
-    given = read_site(site_file) if site_file is not None else None
     for path in paths:
-        if not path.exists():
-            raise ConfigurationError("does not exist", file=path)
         if not path.is_dir():
-            raise ConfigurationError(
-                "must be a directory: of a study, of a run, or a bag", file=path
-            )
-    names = _names([run_directory(path).resolve() for path in paths])
-    for path, name in zip(paths, names, strict=True):
+            wrong = "must be a directory: of a study, of a run, or a bag"
+            raise ConfigurationError(wrong if path.exists() else "does not exist", file=path)
+    places = [run_directory(path).resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        name = _name(place, places)
         if (path / "results.csv").is_file():
             if site_file is not None:
                 raise ConfigurationError(
@@ -88,32 +86,25 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
-            found = read_run(path, name, site_file, given)
+            found = read_run(path, name, site_file)
             if isinstance(found, Run):
                 sources.runs.append(found)
             else:
                 sources.failed.append(found)
-    names = [run.name for run in sources.runs]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(run.name for run in sources.runs).items():
+        if count > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
     sources.runs = _told_apart(sources.runs)
     return sources
 
 
-def _names(places: list[Path]) -> list[str]:
-    """Return as much of the end of each path as distinguishes it from the others."""
-
-    def name(place: Path) -> str:
-        return next(
-            "/".join(place.parts[-count:])
-            for count in range(1, len(place.parts) + 1)
-            if all(
-                other == place or other.parts[-count:] != place.parts[-count:] for other in places
-            )
-        )
-
-    return [name(place) for place in places]
+def _name(place: Path, places: list[Path]) -> str:
+    """Return as much of the end of a path as distinguishes it from the others."""
+    others = [other.parts for other in places if other != place]
+    return next(
+        "/".join(place.parts[-count:]) for count in range(1, len(place.parts) + 1)
+        if all(other[-count:] != place.parts[-count:] for other in others)
+    )
 
 
 def _told_apart(runs: Sequence[Run]) -> list[Run]:
@@ -134,52 +125,49 @@ def _told_apart(runs: Sequence[Run]) -> list[Run]:
             if len({*of.values()}) > 1:  # a source tells nothing apart that is all in it
                 source = of[run.meant.get(key)]
                 own = {column: f"{run.row[column]} ({source})" for column in columns}
-                told[place] = replace(run, row={**run.row, **own})
+                told[place] = replace(run, row=run.row | own)
     return told
 
 
 def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
     """Add the runs of a study, whose names begin with a prefix."""
     file, configuration = path / "results.csv", path / "configuration"
-    sites: dict[str, Site] = {}
-    digest = cache(file_digest)  # of files that hundreds of runs share
+    sites: set[str] = set()
+    # Files that hundreds of runs share.
+    read, digest = cache(read_site), cache(file_digest)
     rows = _rows(file)
     for line, row in rows:
         run = row["run"]
-        if not run or Path(run).name != run:
-            raise ConfigurationError(
-                "must be the name of a directory under runs/",
-                file=file, line=line, key="run", value=run,
-            )
-        if row["status"] not in ("done", "failed", "not run"):
-            raise ConfigurationError(
-                "must be done, failed or not run",
-                file=file, line=line, key="status", value=row["status"],
-            )
+        for key, fits, expected in (
+            ("run", run and Path(run).name == run, "the name of a directory under runs/"),
+            ("status", row["status"] in ("done", "failed", "not run"), "done, failed or not run"),
+        ):
+            if not fits:
+                raise ConfigurationError(
+                    f"must be {expected}", file=file, line=line, key=key, value=row[key]
+                )
         given = parameters(row_parameters(row))
         row |= {**labels(row), **_season(row), "run": prefix + run}
         if row["status"] != "done":
             sources.failed.append(_failed(row, given))
             continue
-        if row["site"] not in sites:
-            sites[row["site"]] = read_site(configuration / row["site"])
+        site = read(configuration / row["site"])
+        sites.add(row["site"])
         # In simulations nothing is pumped in frost.
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / "trajectory.parquet"
+        forecasts = (row.get(key) for key in ("forecast", "forecast_skill", "forecast_dressed"))
         sources.runs.append(Run(
             row=row,
-            site=sites[row["site"]],
+            site=site,
             parameters=given,
             load=partial(_load, trajectory) if trajectory.exists() else None,
             notes=tuple(notes_of(row)),
             source=source,
             meant={
-                "site": sites[row["site"]],
+                "site": site,
                 "weather": digest(configuration / row["weather"]) or source,
-                "forecast": tuple(
-                    digest(configuration / (row.get(key) or ""))
-                    for key in ("forecast", "forecast_skill", "forecast_dressed")
-                ),
+                "forecast": tuple(digest(configuration / (name or "")) for name in forecasts),
                 "from": meaning_of_initial(row),
             },
         ))

@@ -8,8 +8,8 @@ import altair as alt
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.report.about import Row, controller_name
-from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
-from greenroof_ros.report.groups import Report
+from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
+from greenroof_ros.report.groups import SKY, Report, unique
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
@@ -34,7 +34,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         "t:Q", title=f"time since the start ({unit})",
         scale=alt.Scale(domain=[0, first["hours"] * 3600 / seconds], nice=False),
     )
-    panels, data = [], {}
+    panels, data, ordered = [], {}, sorted(rows, key=lambda row: row["rank"])
     index = report.initials.index(first["from"]) + 1
     for quantity, title, axis in (
         ("command", "command", "command (1)"),
@@ -52,26 +52,25 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
             )
         for controller in controllers:
             dataset = f"{quantity}-{number}-{index}-{controller}"
-            labels = _unique_labels(report, [r for r in rows if r["controller"] == controller])
+            own = [row for row in ordered if row["controller"] == controller]
+            labels = unique(own, [row["label"] for row in own])
             data[dataset] = [
                 {"setting": label, "t": short(t / seconds), "v": short(v)}
-                for label, run in labels.items() for t, v in curves[run]
+                for label, row in zip(labels, own, strict=True) for t, v in curves[row["run"]]
             ]
             named = report.settings[controller].title
             lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.8).encode(
                 x=time,
                 y=alt.Y("v:Q", title=axis, scale=scale, axis=ticks),
-                tooltip=[
+                tooltip=pointed(
                     alt.Tooltip("setting:N", title=named),
                     alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"),
                     alt.Tooltip("v:Q", title=axis, format=".6~g"),
-                ],
-                **distinct("setting", list(labels), named),
+                ),
             )
-            panels.append(Panel(
-                alt.layer(*_reference_layers(domain, references, scale), lines),
-                f"{controller_name(controller)}: {title}",
-                hover=hover_points(lines), toggle="setting", zoom=True,
+            panels.append(series_panel(
+                lines, "setting", labels, f"{controller_name(controller)}: {title}",
+                legend=named, below=_reference_layers(domain, references, scale), zoom=True,
             ))
     caption = (
         "Command and volumes over time, one line a setting. The command's axis is logarithmic "
@@ -83,15 +82,6 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         report.title(f"Command and volumes from {first['from']}", first), caption,
         tuple(panels), len(controllers) if len(controllers) > 1 else len(panels), data,
     )
-
-
-def _unique_labels(report: Report, rows: Sequence[Row]) -> dict[str, str]:
-    """Return the runs of a panel by label; equal settings have the run's name, too."""
-    plain = [row["label"] for row in rows]
-    return {
-        f"{row['label']} ({row['run']})" if plain.count(row["label"]) > 1 else row["label"]:
-        row["run"] for row in sorted(rows, key=lambda row: row["rank"])
-    }
 
 
 def _axis(
@@ -160,7 +150,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         number: of the figure.
     """
     runs = {row["evapotranspiration"]: report.drawn[row["run"]] for row in rows}
-    start, curves, _ = next(iter(runs.values()))
+    start, curves, frozen = next(iter(runs.values()))
     offset = start.utcoffset()
     assert offset is not None
     # The axis is in UTC; shifted by the offset it shows local time in every reader's browser.
@@ -175,20 +165,19 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         {"method": method, "t": origin + time * 1000, "v": short(value / area * 8.64e7)}
         for method, one in runs.items() for time, value in one.curves["evapotranspiration"]
     ]
+    utc = alt.Scale(type="utc")
     x = alt.X(
-        "t:T", scale=alt.Scale(type="utc"),
-        title=f"local time (UTC{start.isoformat()[-6:]})",
+        "t:T", scale=utc, title=f"local time (UTC{start.isoformat()[-6:]})",
         axis=alt.Axis(tickCount=6, format="%H:%M" if rows[0]["hours"] <= 36 else "%d %b"),
     )
     when = alt.Tooltip(
         "t:T", title="from", timeUnit="utcyearmonthdatehoursminutes", format="%Y-%m-%d %H:%M"
     )
-    frozen = next((one.frost for one in runs.values() if one.frost), [])
     frost = [
         alt.Chart(alt.InlineData([
             {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
         ])).mark_rect(color="#999999", opacity=0.3).encode(
-            x=alt.X("from:T", scale=alt.Scale(type="utc")), x2=alt.X2("to:T")
+            x=alt.X("from:T", scale=utc), x2=alt.X2("to:T")
         )
     ] if frozen else []
     rained = alt.Chart(alt.NamedData(f"rain-{number}")).mark_area(
@@ -202,7 +191,6 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     ).encode(
         x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
         tooltip=pointed("method:N", when, alt.Tooltip("v:Q", title="mm/day")),
-        **distinct("method", list(runs), "method"),
     )
     caption = (
         "Rain, and evapotranspiration as a depth over the vegetation before it is limited to what "
@@ -212,12 +200,12 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         caption += " Grey: frost, in which nothing is to be pumped."
     return Figure(
         f"weather-{number}",
-        f"Weather: {report.sky(rows[0])}",
+        f"Weather: {report.heading(rows[0], SKY)}",
         caption,
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),
-            Panel(alt.layer(*frost, evaporated), "Evapotranspiration",
-                  hover=hover_points(evaporated), toggle="method", zoom=True),
+            series_panel(evaporated, "method", list(runs), "Evapotranspiration", legend="method",
+                         below=frost, zoom=True),
         ),
         2,
         {f"rain-{number}": rain, f"evapotranspiration-{number}": evaporation},

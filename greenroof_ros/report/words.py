@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.about import Row, controller_name
+from greenroof_ros.report.about import Note, Row, Run, controller_name
 from greenroof_ros.report.groups import (
     SEASONS,
     SEEDS,
     SINGLE,
     TOTAL,
     Report,
-    facts,
+    by_place,
     heading,
     who,
 )
@@ -31,10 +30,12 @@ LEADING = (
 # So many results are named one by one.
 _MOST_NAMED = 3
 _FORMS = {metric.name: metric.form for metric in METRICS}
-# Two-sided, a sign test of five years that all say the same has 6 %, of six 3 %.
-_LEAST_YEARS = 6
-# A tenth of fewer is no whole run.
-_LEAST_SEEDS = 10
+# By kind of cases: what there may be too few of, the least number, and why. Two-sided, a sign test
+# of five years that all say the same has 6 %, of six 3 %; a tenth of nine seeds is no whole run.
+_FEWEST = {
+    SEASONS: ("years", 6, "a lead in all may be chance"),
+    SEEDS: ("seeds", 10, "the worst tenth is a single run"),
+}
 
 
 # --- how it begins --------------------------------------------------------------------------------
@@ -55,8 +56,8 @@ def windows(report: Report) -> list[str]:
     """Name all windows of weather in which something ran."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
-        named = {**facts(row), "forecast": f"{row['forecast']} skill {row['skill']}"}
-        seeds.setdefault(heading(named, report.apart(SEEDS)), set()).add(row["seed"])
+        named = {**row, "forecast": f"{row['forecast']} skill {row['skill']}"}
+        seeds.setdefault(report.heading(named), set()).add(row["seed"])
     return [
         *map(report.heading, report.windows(SINGLE)),
         *(f"{window}, {len(found)} seeds" for window, found in seeds.items()),
@@ -69,7 +70,7 @@ def _seasons(report: Report) -> list[str]:
     apart = [*report.apart(SEASONS), "start", "length"]
     years: dict[str, set[int]] = {}
     for row in report.table.filter(kind=SEASONS).to_dicts():
-        years.setdefault(heading(facts(row), apart), set()).add(row["year"])
+        years.setdefault(heading(row, apart), set()).add(row["year"])
     return [
         f"{name}, {min(found)} to {max(found)}" if max(found) - min(found) + 1 == len(found)
         else f"{name}, {', '.join(map(str, sorted(found)))}"
@@ -114,7 +115,7 @@ def _of_one(report: Report, row: Row) -> list[str]:
         whose += f" ({row['setting']})"
     near = row["near_target_hours"]
     return [
-        f"A run of {whose}: {heading(facts(row), ['site'])}, from {row['from']}: {row['ended']}.",
+        f"A run of {whose}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
         f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
         f"{_over_least(row)}; it was near the target for "
         f"{'an unknown part' if near is None else f'{near:.2f}'} "
@@ -137,13 +138,14 @@ def _of_several(report: Report) -> list[str]:
     ]
 
 
-def _winners(places: Iterable[Sequence[Row]]) -> str:
+def _winners(what: str, places: Sequence[Sequence[Row]], deviation: str) -> str:
     """Say in how many places which controller was the best; where several are, none is."""
     wins: Counter[str] = Counter()
     for rows in places:
         names = {controller_name(row["controller"]) for row in _best(rows)}
         wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
-    return _and(f"{whose} in {count}" for whose, count in wins.most_common())
+    won = _and(f"{whose} in {count}" for whose, count in wins.most_common())
+    return f"Of {len(places)} {what} the least {deviation} was {won}."
 
 
 def _best(rows: Sequence[Row]) -> list[Row]:
@@ -154,24 +156,21 @@ def _best(rows: Sequence[Row]) -> list[Row]:
 
 def _least(report: Report) -> str:
     """Say which run had the least total deviation, or of many places which controller how often."""
-    cases = [
-        sorted(rows, key=lambda row: row[TOTAL])
-        for _, rows in groupby(report.best(), key=lambda row: row["place"])
-    ]
+    cases = [sorted(rows, key=lambda row: row[TOTAL]) for rows in by_place(report.best())]
     if len(cases) > _MOST_NAMED:
-        return (
-            f"Of {len(cases)} windows and initial states the least total deviation was "
-            f"{_winners(cases)}."
-        )
+        return _winners("windows and initial states", cases, "total deviation")
     parts, apart = [], report.apart()
     for rows in cases:
         first, best = rows[0], _best(rows)
         others = rows[len(best):]
-        where = [f"in {heading({name: first[name] for name in apart}, apart)}"] if apart else []
-        where += [f"from {first['from']}"] if len(report.initials) > 1 else []
         alike = len(rows) > 1 and not others
+        text = _deviation(first[TOTAL])
+        if apart:
+            text += f" in {heading(first, apart, apart)}"
+        if len(report.initials) > 1:
+            text += f" from {first['from']}"
         whose = "whatever the controller" if alike else _and(map(who, best))
-        text = f"{' '.join([_deviation(first[TOTAL]), *where])} ({whose}{_over_least(first)}"
+        text += f" ({whose}{_over_least(first)}"
         if others:
             text += f"; {who(others[0])} had {others[0][TOTAL]:.2f}"
         parts.append(f"{text})")
@@ -190,8 +189,8 @@ def _of_seeds(report: Report) -> list[str]:
         groups.setdefault((row["place"], row["skill"]), []).append(row)
     best = [_best(rows) for rows in groups.values()]
     second = (
-        f"Of {len(best)} windows, initial states and skills the least mean total deviation was "
-        f"{_winners(best)}." if len(best) > _MOST_NAMED else
+        _winners("windows, initial states and skills", best, "mean total deviation")
+        if len(best) > _MOST_NAMED else
         "The least mean total deviation over the seeds was "
         + _and(f"{_deviation(rows[0][TOTAL])} ({named(*rows)})" for rows in best) + "."
     )
@@ -269,41 +268,27 @@ def counted(number: int, what: str) -> str:
 
 def cautions(report: Report) -> list[str]:
     """Return what changes how the numbers are to be read, each in a few words."""
-    total = len(report.runs)
-    found = []
-    broken = [run.ending for run in report.runs.values() if run.ending]
-    if broken and total == 1:
-        found.append(f"this run {broken[0]}: what follows is of what was recorded")
-    elif broken:
-        found.append(
-            f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
-            "recorded"
-        )
-    if report.failed:
-        count = counted(len(report.failed), "run")
-        found.append(f"{count} failed or did not run, and left nothing to show")
-    hurt = [run.incident_count for run in report.runs.values() if run.incidents]
-    if hurt:
-        of = "" if total == 1 else f" in {len(hurt)} of {total} runs"
-        found.append(
-            f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"
-        )
-    return [*found, *_too_few(report).values()]
+    runs, total = report.runs.values(), len(report.runs)
+    broken = [run.ending for run in runs if run.ending]
+    hurt = [run.incident_count for run in runs if run.incidents]
+    of = f" in {len(hurt)} of {total} runs" if total > 1 else ""
+    return [text for there, text in (
+        (broken, f"this run {''.join(broken)}: what follows is of what was recorded" if total == 1
+         else f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
+         "recorded"),
+        (report.failed, f"{counted(len(report.failed), 'run')} failed or did not run, and left "
+         "nothing to show"),
+        (hurt, f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"),
+    ) if there] + list(_too_few(report).values())
 
 
 def _too_few(report: Report) -> dict[str, str]:
     """Say where there are too few years or seeds, by kind of cases."""
     found = {}
-    years = min((row["years"] for row in report.of(SEASONS)), default=_LEAST_YEARS)
-    if years < _LEAST_YEARS:
-        found[SEASONS] = (
-            f"only {years} years: with fewer than {_LEAST_YEARS}, a lead in all may be chance"
-        )
-    seeds = min((row["seeds"] for row in report.of(SEEDS)), default=_LEAST_SEEDS)
-    if seeds < _LEAST_SEEDS:
-        found[SEEDS] = (
-            f"only {seeds} seeds: with fewer than {_LEAST_SEEDS}, the worst tenth is a single run"
-        )
+    for kind, (what, least, why) in _FEWEST.items():
+        fewest = min((row[what] for row in report.of(kind)), default=least)
+        if fewest < least:
+            found[kind] = f"only {fewest} {what}: with fewer than {least}, {why}"
     return found
 
 
@@ -320,45 +305,27 @@ def make_warnings(report: Report) -> list[RunWarning]:
     found: dict[tuple[str, str], list[str]] = {}
     too_few = _too_few(report)
     for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
-        run = report.runs[row["run"]]
-        said = [(text, "") for text in _of_results(row, run.site.starts_per_hour)]
-        if run.ending:
-            said.insert(0, (f"{run.ending}; what follows is of what was recorded", ""))
-        if run.incidents:
-            said.append((
-                f"{run.ended}: something was lost while the run went on; the table of "
-                "incidents says what, when and why", "",
-            ))
-        if row["kind"] != SINGLE:
-            said += [(text, "") for text in (too_few.get(row["kind"]), _TOGETHER[row["kind"]])
-                     if text]
-        said += [
-            (note.text if row["kind"] == SINGLE else note.of_many or note.text, note.listed)
-            for note in run.notes
-        ]
-        for text, listed in said:
+        run, kind = report.runs[row["run"]], row["kind"]
+        texts = [*_of_results(row, run), too_few.get(kind), _TOGETHER.get(kind)]
+        for note in (*(Note(text) for text in texts if text), *run.notes):
+            text = note.text if kind == SINGLE else note.of_many or note.text
             sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."
-            found.setdefault((sentence, listed), []).append(row["run"])
+            found.setdefault((sentence, note.listed), []).append(row["run"])
     return [RunWarning(text, listed, runs) for (text, listed), runs in found.items()]
 
 
-def _of_results(row: Row, starts_per_hour: float) -> list[str]:
-    """Return what a run's results warn of."""
-    found = []
-    if (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0:
-        found.append(
-            "the command was above 1, which asks for more than the pumps have: no real pump "
-            "can follow it"
-        )
-    if (row["excess_starts"] or 0) > 0:
-        found.append(
-            f"the pumps started more than {starts_per_hour:g} times in an hour, which is all that "
-            "they may (starts_per_hour of the site file)"
-        )
-    if (row["frost_hours"] or 0) > 0:
-        pumped = (row["frost_pumped_m3"] or 0) > 0
-        found.append(
-            "there was frost, and in it something was pumped" if pumped
-            else "there was frost; nothing was pumped in it"
-        )
-    return found
+def _of_results(row: Row, run: Run) -> list[str]:
+    """Return what a run's results warn of, and its incidents."""
+    pumped = (row["frost_pumped_m3"] or 0) > 0
+    above_1 = (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0
+    return [text for there, text in (
+        (run.ending, f"{run.ending}; what follows is of what was recorded"),
+        (above_1, "the command was above 1, which asks for more than the pumps have: no real pump "
+         "can follow it"),
+        (row["excess_starts"], f"the pumps started more than {run.site.starts_per_hour:g} times in "
+         "an hour, which is all that they may (starts_per_hour of the site file)"),
+        (row["frost_hours"], "there was frost, and in it something was pumped" if pumped
+         else "there was frost; nothing was pumped in it"),
+        (run.incidents, f"{run.ended}: something was lost while the run went on; the table of "
+         "incidents says what, when and why"),
+    ) if there]

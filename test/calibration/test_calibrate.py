@@ -186,7 +186,7 @@ WRONG = {
         "of the site, or the pumps never lift water to the roof (Eq. 3e)\n"),
     "litres": (
         SHEET + "0,55\n4,46\n8,20\n", ("--pump-data", "in.csv"),
-        "error: in.csv, line 3: '4,46': must be a flow from 0 to 0.5 m3/s"),
+        "error: in.csv, line 3: flow [m3/s] = '4': must be a number from 0 to 0.5 m3/s"),
     "nothing": ("", (), "error: MEASURED: must be given, or --pump-data alone\n"),
     "no name": (
         "", ("in.csv", "-o", "."),

@@ -126,15 +126,20 @@ def report_of(*paths: Path, **assumptions: Any) -> Report:
     return Report(find_runs(list(paths), None), Assumptions(**assumptions))
 
 
-def page_of(*paths: Path) -> str:
-    """Return the text of the page on what is under some paths, without figures and blanks."""
-    html = render(report_of(*paths), [])
+def study_of(directory: Path, *rows: dict[str, Any], **assumptions: Any) -> Report:
+    """Return the report of a study of which no trajectory was kept."""
+    return report_of(write_study(directory, [(row, None) for row in rows]), **assumptions)
+
+
+def page_of(source: Path | Report, *further: Path) -> str:
+    """Return the text of the page on runs, or what is under paths, without figures and blanks."""
+    html = render(source if isinstance(source, Report) else report_of(source, *further), [])
     return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
     """Return the figures by name."""
-    return {figure.name: figure for figure in (make() for make in make_figures(report, None))}
+    return {figure.name: figure for figure in make_figures(report, None)}
 
 
 def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -175,21 +180,16 @@ def messages_of(trajectory: Trajectory) -> dict[str, tuple[Sequence[int], Sequen
     }
 
 
-def small_bag(directory: Path, **changes: Any) -> Path:
-    """A bag of three samples, with the values of some topics changed; None leaves one away."""
-    values: dict[str, Any] = {
-        "/roof/level": [0.03] * 3, "/cistern/level": [2.0] * 3, "/pump/command": [0.1] * 3,
-        "/pump/flow": [0.001] * 3, **{f"/{key.replace('_', '/')}": value
-                                      for key, value in changes.items()},
+def small_bag(directory: Path, **changes: list[float]) -> Path:
+    """A bag of a sample a second, three if not told otherwise, with other values of some topics."""
+    values = {
+        "roof_level": [0.03] * 3, "cistern_level": [2.0] * 3, "pump_command": [0.1] * 3,
+        "pump_flow": [0.001] * 3, **changes,
     }
-    stamps = [0, 10**9, 2 * 10**9]
-    return write_bag(
-        directory,
-        {
-            topic: (stamps[: len(column)], column)
-            for topic, column in values.items() if column is not None
-        },
-    )
+    return write_bag(directory, {
+        f"/{name.replace('_', '/')}": ([second * 10**9 for second in range(len(column))], column)
+        for name, column in values.items()
+    })
 
 
 def ended_run(

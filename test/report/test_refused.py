@@ -126,7 +126,8 @@ def test_pump_data(tmp_path: Path) -> None:
     sheet = tmp_path / "p.csv"
     for text, line, words in (
         ("q,h\n0,50\n", 1, "'flow [m3/s],head [m]'"),
-        ("flow [m3/s],head [m]\n0,50\n1,x\n", 3, "1,x"),
+        ("flow [m3/s],head [m]\n0,50\n0.1,x\n", 3, "head [m] = 'x': must be a number from 0 to"),
+        ("flow [m3/s],head [m]\n0,50\n4,46\n", 3, "flow [m3/s] = '4'"),
     ):
         sheet.write_text(text)
         with pytest.raises(ConfigurationError, match=f"p.csv, line {line}: ") as refused:
@@ -137,7 +138,6 @@ def test_pump_data(tmp_path: Path) -> None:
 COMMANDS = {
     "": "in: has no metadata.yaml: it is being recorded, or was cut off; greenroof recover in",
     "--pump-data nowhere.csv": "nowhere.csv: cannot be read: No such file",
-    "--band wide": "argument --band: must be a number from 0 to 1",
     "--output mine": "--output = 'mine': exists and is not empty: x is no report's, and never wri",
 }
 

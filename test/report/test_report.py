@@ -25,15 +25,18 @@ from inputs import (
     report_of,
     seeded_rows,
     simulate,
+    study_of,
     write_study,
 )
 from paper import PAPER_SITE, exact_flows, smooth_rates
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.report.__main__ import _former_report
 from greenroof_ros.report.bags import MOST_POINTS, drawn, near_hours, thin
-from greenroof_ros.report.figures import make_figures
-from greenroof_ros.report.groups import SEEDS
+from greenroof_ros.report.figures import is_figure, make_figures
+from greenroof_ros.report.groups import SEEDS, Report
 from greenroof_ros.report.pump_figures import pump_smoothing
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.report.words import sentences
@@ -69,12 +72,10 @@ def test_results_are_those_of_the_table(tmp_path: Path) -> None:
     one = simulate("onoff", "0.5", "low-low")
     row = {**one.row, "max_command": 2.0, "beyond_hours": 1 / 3600, "pump_starts": 31,
            "excess_starts": 11, "limited_steps": 3}
-    path = write_study(tmp_path / "study", [(row, one.trajectory.thinned(60))])
-    (found,) = report_of(path).single
-    assert {name: found[name] for name in row if name in NAMES or name.endswith("_m3")} == {
-        name: row[name] for name in row if name in NAMES or name.endswith("_m3")
-    }
-    text = page_of(path)
+    report = report_of(write_study(tmp_path / "study", [(row, one.trajectory.thinned(60))]))
+    (found,), results = report.single, [name for name in row if name.endswith("_m3")]
+    assert [found[name] for name in results] == [row[name] for name in results]
+    text = page_of(report)
     assert "The command was above 1" in text and "no real pump can follow it." in text
     assert "The pumps started more than 20 times in an hour" in text
     assert "A tank ran empty in 3 ticks" in text
@@ -90,8 +91,7 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
         "electric_energy_kwh": 2.0, "near_target_hours": 0.1, "hours": 0.2, "bound_m3": 100.0,
         TOTAL: 150.0,
     }
-    path = write_study(tmp_path / "study", [(row, None)])
-    (found,) = report_of(path, energy_price=0.2, water_price=5.0).single
+    (found,) = study_of(tmp_path / "study", row, energy_price=0.2, water_price=5.0).single
     assert (found["cistern_change_m3"], found["roof_change_m3"]) == (-5, 1.5)
     assert found["cistern_residual_m3"] == pytest.approx(-5 - (1 - 4 - 2.5))
     assert found["roof_residual_m3"] == pytest.approx(1.5 - (0.5 + 4 - 2 - 0.75))
@@ -116,12 +116,12 @@ def test_another_band_needs_what_happened(tmp_path: Path) -> None:
 def test_a_study_without_trajectories(tmp_path: Path) -> None:
     """All its tables, and the figures of results; the page says what is left out."""
     rows = [simulate("onoff", option, "low-low").row for option in ("0.5", "2")]
-    path = write_study(tmp_path / "study", [(row, None) for row in rows])
-    assert list(figures_of(report_of(path))) == [
+    report = study_of(tmp_path / "study", *rows)
+    assert list(figures_of(report)) == [
         "total-deviation-1", "time-in-band-1", "energy-1", "pump-starts-1", "water-balance-1",
         "pump-curve-1", "pump-smoothing-1",
     ]
-    text = page_of(path)
+    text = page_of(report)
     assert "Results of each run" in text and f">{rows[0][TOTAL]:.2f}<" in text
     assert "No trajectory was kept" in text
 
@@ -148,8 +148,9 @@ def test_frost_is_shaded(tmp_path: Path) -> None:
     assert drawn(trajectory).frost == [(2, 4), (5, 6)]
     row = simulate("onoff", "0.5", "low-low").row
     path = write_study(tmp_path / "study", [({**row, "frost_hours": 3 / 3600}, trajectory)])
-    assert "Grey: frost" in figures_of(report_of(path))["weather-1"].caption
-    assert "There was frost; nothing was pumped in it." in page_of(path)
+    report = report_of(path)
+    assert "Grey: frost" in figures_of(report)["weather-1"].caption
+    assert "There was frost; nothing was pumped in it." in page_of(report)
 
 
 def test_pump_curve(study: Path, tmp_path: Path) -> None:
@@ -178,7 +179,7 @@ def test_pump_curve(study: Path, tmp_path: Path) -> None:
     roots = [np.roots([friction + 5.78e5, 0, 16 - level - 55.2]).max() for level in (0.75, 3)]
     assert [flow / 1000 for flow, _ in points] == pytest.approx(roots, rel=1e-9)
     (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
-    figure = make_figures(report_of(study), tmp_path / "pump.csv")[-2]()
+    *_, figure, _ = make_figures(report_of(study), tmp_path / "pump.csv")
     assert "a_hat = -1e+06 s2/m5, c_hat = 50 m" in figure.caption
 
 
@@ -272,11 +273,12 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
         ("forecast", {"forecast": "persistence"}, False),
         ("start", {"start": "2021-07-07T02:00-04:00"}, False),
     ):
-        path = write_study(tmp_path / name, [
-            ({**row, **changes, "parameter:fraction": fraction}, None)
-            for fraction in ("0.2", "0.5")
-        ])
-        data = figures_of(report_of(path))["total-deviation-1"].data
+        report = study_of(tmp_path / name, *(
+            {**row, **changes, "parameter:fraction": fraction} for fraction in ("0.2", "0.5")
+        ))
+        data = next(
+            figure for figure in make_figures(report, None) if figure.name == "total-deviation-1"
+        ).data
         assert ("published-1-onoff" in data) == there
         if there:
             found = {one["x"]: one["v"] for one in data["published-1-onoff"]}
@@ -308,22 +310,23 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     assert report.settings["anticipating_onoff"].labels == ["0.5", "none"]
     assert report.settings["proportional"].labels == ["005", "006"]
     assert "trajectories-1-1" in figures_of(report)
+    assert [row["setting"] for row in report.best()] == ["all alike"] * 3  # their totals are equal
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
     """A line for each initial state in the figure, and a column in the tables."""
-    runs = [
-        ({**one.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[one.row["initial"]]}, None)
+    rows = [
+        {**one.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[one.row["initial"]]}
         for one in simulated
     ]
     # Two of the rows do not know it.
-    runs[0][0]["bound_m3"] = runs[7][0]["bound_m3"] = ""
-    path = write_study(tmp_path / "study", runs)
-    figure = figures_of(report_of(path))["total-deviation-1"]
+    rows[0]["bound_m3"] = rows[7]["bound_m3"] = ""
+    report = study_of(tmp_path / "study", *rows)
+    figure = figures_of(report)["total-deviation-1"]
     assert {row["initial"]: row["v"] for row in figure.data["bound-1"]} == {
         "low-low": 200, "high-low": 100
     }
-    text = page_of(path)
+    text = page_of(report)
     assert text.count("over the least possible (1)</button>") == 2
     assert f">{simulated[1].row[TOTAL] / 200:.4f}<" in text
     assert ">unknown<" in text
@@ -350,19 +353,16 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> Report:
     """A study of forecast errors: a table without a single trajectory."""
-    return write_study(
-        tmp_path_factory.mktemp("seeds") / "study",
-        [(row, None) for row in seeded_rows(simulate("onoff", "0.5", "low-low").row)],
-    )
+    rows = seeded_rows(simulate("onoff", "0.5", "low-low").row)
+    return study_of(tmp_path_factory.mktemp("seeds") / "study", *rows)
 
 
-def test_seeds_belong_together(seeds: Path) -> None:
+def test_seeds_belong_together(seeds: Report) -> None:
     """A case of 25 seeds in the table and in the figure: by hand."""
-    report = report_of(seeds)
-    cases = report.of(SEEDS)
-    assert report.single == [] and len(cases) == 2 * 2 * 3 * 2
+    cases = seeds.of(SEEDS)
+    assert seeds.single == [] and len(cases) == 2 * 2 * 3 * 2
     assert [(row["controller"], row["setting"], row["skill"]) for row in cases[:6]] == [
         (name, setting, skill)
         for name, setting in (
@@ -370,7 +370,7 @@ def test_seeds_belong_together(seeds: Path) -> None:
         )
         for skill in ("better", "real")
     ]
-    figures = figures_of(report)
+    figures = figures_of(seeds)
     assert list(figures) == ["forecast-errors", "pump-curve-1", "pump-smoothing-1"]
     figure = figures["forecast-errors"]
     assert [panel.title for panel in figure.panels] == [
@@ -388,7 +388,7 @@ def test_seeds_belong_together(seeds: Path) -> None:
     assert colour["range"][0] != colour["range"][1] == colour["range"][2]
 
 
-def test_seeds_page(seeds: Path) -> None:
+def test_seeds_page(seeds: Report) -> None:
     """Mean of 25 seeds, mean of the worst two and a half, worst; what the page leaves out."""
     text = page_of(seeds)
     table = text.partition("over their seeds</h3>")[2].partition("</table>")[0]
@@ -413,12 +413,11 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     one = simulate("mpc", "0.001", "low-low")
     few = one.trajectory.thinned(60)
     errors = {**one.row, "forecast": "errors", "forecast_skill": "real"}
-    path = write_study(tmp_path / "study", [
+    report = report_of(write_study(tmp_path / "study", [
         (one.row, few),
         ({**errors, "forecast_skill": "worse", "forecast_seed": "7"}, few),
         *(({**errors, "forecast_seed": seed, "max_command": 2}, None) for seed in ("1", "2")),
-    ])
-    report = report_of(path)
+    ]))
     assert [window["forecast"] for window in report.windows()] == [
         "perfect", "errors skill worse seed 7"
     ]
@@ -426,7 +425,7 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     names = list(figures_of(report))
     assert names.count("forecast-errors") == 1 and "trajectories-2-1" in names
     assert "trajectories-3-1" not in names
-    text = page_of(path)
+    text = page_of(report)
     assert "Results of each run" in text
     assert "over the least" not in text
     warned = text.partition("The command was above 1")[2].partition("</li>")[0]
@@ -440,48 +439,38 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
 def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...]) -> None:
     row = {**simulate("onoff", "0.5", "low-low").row, "parameter:fraction": ""}
     totals = {1: (5, 6), 2: (5, 6), 3: (5, 5), 4: (5, 5), 5: (7, 6)}
-    report = report_of(write_study(tmp_path / "study", [
-        ({
+    report = study_of(tmp_path / "study", *(
+        {
             **row, "start": f"2021-07-0{day}T02:00:00-05:00", "controller": controller,
-            "forecast": forecast, "forecast_seed": seed, "total_deviation_m3": total,
+            "forecast": forecast, "forecast_seed": seed, TOTAL: total,
             "forecast_skill": "real" if seed else "",
-        }, None)
+        }
         for seed in seeds for day, both in totals.items()
         for controller, total in zip(("mpc", "onoff"), both, strict=True)
-    ]))
+    ))
     assert "MPC's in 2, shared in 2 and on/off's in 1." in sentences(report)[1]
 
 
 # --- the command ---------------------------------------------------------------------------------
 
 
-def failed_study(directory: Path) -> Path:
-    """Write a study of a run that is done and two that are not; return where its report goes."""
-    one = simulate("onoff", "2", "low-low")
-    failed = {**one.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
-    not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    done = (one.row, one.trajectory.thinned(60))
-    write_study(directory / "study", [done, (failed, None), (not_run, None)])
-    return directory / "study" / "report"
-
-
 def test_nothing_is_written_over(tmp_path: Path) -> None:
-    """Neither a report, unless with --force, nor what is no report's."""
-    report = failed_study(tmp_path)
-    (report / "figures").mkdir(parents=True)
-    (report / "report.html").write_text("before")
-    done = command("study", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "--force replaces it" in done.stderr
-    for name, named in (("notes.txt", "notes.txt"), ("figures/more/energy-1.svg", "figures/more")):
-        (report / name).parent.mkdir(exist_ok=True)
-        (report / name).write_text("mine")
-        done = command("study", "--force", cwd=tmp_path)
-        assert done.returncode == 2, name
-        assert named in done.stderr and "no report's" in done.stderr
-        assert (report / name).read_text() == "mine"
-        (report / name).unlink()
-    assert (report / "report.html").read_text() == "before"
+    """Neither a report, unless it is to be, nor what is no report's."""
+    (tmp_path / "figures").mkdir()
+    files = [tmp_path / "report.html", tmp_path / "figures" / "energy-1.svg"]
+    for file in files:
+        file.touch()
+    assert _former_report(tmp_path, is_figure, force=True) == files
+    assert _former_report(tmp_path / "new", is_figure, force=False) == []
+    with pytest.raises(ConfigurationError, match="--force replaces it"):
+        _former_report(tmp_path, is_figure, force=False)
+    for name in ("notes.txt", "figures/mine.svg", "figures/energy-2.svg/x"):
+        foreign = tmp_path / name
+        foreign.parent.mkdir(exist_ok=True)
+        foreign.touch()
+        with pytest.raises(ConfigurationError, match=f"{name.removesuffix('/x')} is no report's"):
+            _former_report(tmp_path, is_figure, force=True)
+        foreign.unlink()
 
 
 def test_study(tmp_path: Path) -> None:
@@ -489,10 +478,15 @@ def test_study(tmp_path: Path) -> None:
 
     With --force a report of before is gone.
     """
-    report = failed_study(tmp_path)
+    one = simulate("onoff", "2", "low-low")
+    failed = {**one.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
+    not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
+    done_row = (one.row, one.trajectory.thinned(60))
+    report = write_study(
+        tmp_path / "study", [done_row, (failed, None), (not_run, None)]
+    ) / "report"
     (report / "figures").mkdir(parents=True)
-    (report / "figures" / "energy-7.svg").write_text("before")
-    (report / "report.html").write_text("before")
+    (report / "figures" / "energy-7.svg").touch()
     done = command("study", "--force", "--water-price", "5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
@@ -520,7 +514,7 @@ def test_study(tmp_path: Path) -> None:
     assert {panel["figure"] for panel in payload["panels"]} == names
 
 
-def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Path) -> None:
+def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Report) -> None:
     """Three sentences and a figure before the results; then figures and warnings, last versions."""
     pages = {
         "A run of MPC (weight 0.001): ": page_of(ended_run(tmp_path / "run")),

@@ -35,33 +35,33 @@ NOISE = {
     "command": (1, 0), "pump_flow": (1e-2, 0), "outflow": (1e-2, 0), "drainage": (1e-2, 0),
     "frost": (0, 0),
 }
-# Marks in a view's scene that belong to the data, by name; and a legend's entry, by its text.
 SCENE = """
-window.marks = (id, type) => {
-  const found = [];
-  const walk = (item) => {
-    if (item.marktype === type && (item.name ?? "").includes("marks") && item.items.length) {
-      found.push(item);
-    }
-    (item.items ?? []).forEach(walk);
-  };
-  walk(window.reportViews.get(id).scenegraph().root);
-  return found;
-};
 // Where the plotting area begins on the canvas.
 window.corner = (view) => view.origin().map((one, i) => one + view.padding()[i ? "top" : "left"]);
+// All marks of a view, each with where on the canvas its items have their origin.
+window.scene = (id) => {
+  const view = window.reportViews.get(id), found = [];
+  const walk = (mark, x, y) => {
+    found.push([mark, x, y]);
+    if (mark.marktype !== "group") return;
+    mark.items.forEach((item) => item.items.forEach(
+      (one) => walk(one, x + (item.x ?? 0), y + (item.y ?? 0))));
+  };
+  walk(view.scenegraph().root, ...corner(view));
+  return found;
+};
+// Those that belong to the data, by name.
+window.marks = (id, type) => scene(id).map(([mark]) => mark).filter(
+  (mark) => mark.marktype === type && (mark.name ?? "").includes("marks") && mark.items.length);
+window.legendEntry = (id, text) => scene(id).filter(([mark]) => mark.role === "legend-label")
+  .flatMap(([mark, x, y]) => mark.items.filter((item) => item.text === text)
+    .map((item) => [x + (item.x ?? 0) + 3, y + (item.y ?? 0)])).at(-1);
 // By how much legends stick out of their canvases, or these out of the window (px).
 window.clipped = () => [...window.reportViews].flatMap(([id, view]) => {
   const canvas = document.querySelector(`#${id} canvas`).getBoundingClientRect();
   const [left, top] = corner(view);
-  const legends = [];
-  const walk = (item) => {
-    if (item.role === "legend") legends.push(item.items[0].bounds);
-    (item.items ?? []).forEach(walk);
-  };
-  walk(view.scenegraph().root);
-  const out = legends.map((one) => Math.max(left + one.x2 - canvas.width,
-                                            top + one.y2 - canvas.height));
+  const out = scene(id).filter(([mark]) => mark.role === "legend").map(([mark]) => Math.max(
+    left + mark.items[0].bounds.x2 - canvas.width, top + mark.items[0].bounds.y2 - canvas.height));
   return [...out, canvas.right - document.documentElement.clientWidth];
 });
 // How many lines the fullest cell of any table has.
@@ -72,35 +72,16 @@ window.mostLines = () => Math.max(...[...document.querySelectorAll("td, th")].ma
   return Math.round(height / parseFloat(getComputedStyle(cell).lineHeight));
 }));
 // Labels of an axis that have less than 4 px between them, and so read as one.
-window.crowded = () => [...window.reportViews].flatMap(([id, view]) => {
-  const found = [];
+window.crowded = () => [...window.reportViews.keys()].flatMap((id) => {
   const apart = (p, q) => Math.max(Math.max(p.x1, q.x1) - Math.min(p.x2, q.x2),
                                    Math.max(p.y1, q.y1) - Math.min(p.y2, q.y2));
-  const walk = (mark) => {
-    if (mark.role === "axis-label") {
-      const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
-      shown.forEach((one, place) => shown.slice(place + 1).forEach((other) => {
-        if (apart(one.bounds, other.bounds) < 4) found.push([id, one.text, other.text]);
-      }));
-    }
-    for (const item of mark.items ?? []) if (mark.marktype === "group") item.items.forEach(walk);
-  };
-  walk(view.scenegraph().root);
-  return found;
+  return scene(id).filter(([mark]) => mark.role === "axis-label").flatMap(([mark]) => {
+    const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
+    return shown.flatMap((one, place) => shown.slice(place + 1)
+      .filter((other) => apart(one.bounds, other.bounds) < 4)
+      .map((other) => [id, one.text, other.text]));
+  });
 });
-window.legendEntry = (id, text) => {
-  const view = window.reportViews.get(id);
-  let found = null;
-  const walk = (mark, x, y) => {
-    for (const item of mark.items ?? []) {
-      const [left, top] = [x + (item.x ?? 0), y + (item.y ?? 0)];
-      if (mark.role === "legend-label" && item.text === text) found = [left + 3, top];
-      if (mark.marktype === "group") item.items.forEach((one) => walk(one, left, top));
-    }
-  };
-  walk(view.scenegraph().root, ...corner(view));
-  return found;
-};
 """
 
 
@@ -247,50 +228,44 @@ def test_every_figure_has_its_series(page: Any) -> None:
         for number in range(1, 7):
             lines = series(f"trajectories-1-{initial}-panel-{number}", "line")
             assert len(lines) == 5 and min(lines) > 300
-    for figure in ("time-in-band", "energy", "pump-starts"):
-        for number in (1, 2):
-            assert sum(series(f"{figure}-1-panel-{number}", "symbol")) == 15
-    for number in (1, 2):
-        # The runs' marks, and those of the authors' code; a line of the least possible for each
-        # initial state.
-        assert sum(series(f"total-deviation-1-panel-{number}", "symbol")) == 30
-        assert sum(series(f"total-deviation-1-panel-{number}", "rule")) == 3
-    assert sum(series("water-balance-1-panel-1", "rect")) == 30 * 3
-    assert sum(series("water-balance-1-panel-2", "rect")) == 30 * 4
-    assert len(series("pump-curve-1-panel-1", "line")) == 3
-    assert [len(series(f"pump-smoothing-1-panel-{number}", "line")) for number in (1, 2, 3)] == [
-        2, 2, 2
-    ]
-    assert len(series("weather-1-panel-2", "line")) == 1
+    # Beside the runs' total deviations are the marks of the authors' code, and a line of the least
+    # possible for each initial state.
+    for figure, kind, counts in (
+        ("time-in-band-1", "symbol", (15, 15)), ("energy-1", "symbol", (15, 15)),
+        ("pump-starts-1", "symbol", (15, 15)), ("total-deviation-1", "symbol", (30, 30)),
+        ("total-deviation-1", "rule", (3, 3)), ("water-balance-1", "rect", (30 * 3, 30 * 4)),
+    ):
+        drawn = tuple(sum(series(f"{figure}-panel-{number}", kind)) for number in (1, 2))
+        assert drawn == counts, figure
+    for panel, lines in (
+        ("pump-curve-1-panel-1", 3), ("weather-1-panel-2", 1),
+        *((f"pump-smoothing-1-panel-{number}", 2) for number in (1, 2, 3)),
+    ):
+        assert len(series(panel, "line")) == lines
 
 
 def test_table_sorts(page: Any) -> None:
     """By a click, and by the keyboard; numbers as numbers, and the heading says which way."""
     table = page.locator("table.sortable").nth(1)
-    header = table.locator("thead th", has_text="total deviation")
-    column = header.evaluate("(one) => one.cellIndex")
 
-    def values() -> list[float]:
-        return [
-            float(cell) for cell in
-            table.locator(f"tbody tr > :nth-child({column + 1})").all_inner_texts()
-        ]
+    def column(name: str) -> tuple[Any, list[str]]:
+        header = table.locator("thead th", has_text=re.compile(f"^{name}"))
+        place = header.evaluate("(one) => one.cellIndex") + 1
+        return header, table.locator(f"tbody tr > :nth-child({place})").all_inner_texts()
 
-    before = values()
+    header, before = column("total deviation")
+    ascending = sorted(before, key=float)
     header.locator("button").click()
     assert header.get_attribute("aria-sort") == "ascending"
-    assert values() == sorted(before) != before
+    assert column("total deviation")[1] == ascending != before
     header.locator("button").press("Enter")
     assert header.get_attribute("aria-sort") == "descending"
-    assert values() == sorted(before, reverse=True)
+    assert column("total deviation")[1] == ascending[::-1]
     table.locator("thead button", has_text=re.compile(r"^run$")).click()
-    assert values() == before
+    assert column("total deviation")[1] == before
     assert header.get_attribute("aria-sort") is None
-    settings = table.locator("thead th", has_text="setting")
-    settings.locator("button").click()
-    column = settings.evaluate("(one) => one.cellIndex")
-    cells = table.locator(f"tbody tr > :nth-child({column + 1})").all_inner_texts()
-    assert list(dict.fromkeys(cells)) == [
+    column("setting")[0].locator("button").click()
+    assert list(dict.fromkeys(column("setting")[1])) == [
         *(f"weight {weight}" for weight in WEIGHTS), *(f"fraction {part}" for part in FRACTIONS)
     ]
 
@@ -321,15 +296,14 @@ def test_legend_switches_a_run_off_and_on(page: Any) -> None:
             f"marks('{panel}', 'line').map((mark) => mark.items[0].datum.setting)"
         ))
 
-    assert lines(first) == lines(same) == set(WEIGHTS)
-    click_legend(page, first, "0.01")
-    assert lines(first) == lines(same) == set(WEIGHTS) - {"0.01"}
-    assert lines(other) == set(FRACTIONS)
-    click_legend(page, same, "0.1")
-    assert lines(first) == lines(same) == set(WEIGHTS) - {"0.01", "0.1"}
-    click_legend(page, first, "0.01")
-    click_legend(page, first, "0.1")
-    assert lines(first) == lines(same) == set(WEIGHTS)
+    assert lines(first) == set(WEIGHTS)
+    for panel, switched, off in (
+        (first, "0.01", {"0.01"}), (same, "0.1", {"0.01", "0.1"}), (first, "0.01", {"0.1"}),
+        (first, "0.1", set()),
+    ):
+        click_legend(page, panel, switched)
+        assert lines(first) == lines(same) == set(WEIGHTS) - off
+        assert lines(other) == set(FRACTIONS)
 
 
 def test_wheel_scrolls_and_zooms_with_shift(page: Any) -> None:
@@ -432,25 +406,19 @@ def test_many_seeds(browser: Any, tmp_path: Path) -> None:
         assert first_number(page) <= 500 - 16
 
 
-def test_a_run(browser: Any, tmp_path: Path) -> None:
-    """Its page is short, and readable at any width."""
-    ended_run(tmp_path / "2026-11-21T02-25-10-mpc", "done")
-    file = reported(tmp_path, "2026-11-21T02-25-10-mpc")
-    with opened(browser, file, 1400, unfold=False) as page:
+def test_runs(browser: Any, tmp_path: Path) -> None:
+    """The page on one is short; beside it one whose setting was changed, and one that failed."""
+    change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
+    names = ("2026-11-21T02-25-10-mpc", "2026-11-21T02-25-10-changed", "broken")
+    ended_run(tmp_path / names[0])
+    ended_run(tmp_path / names[1], parameter_changes=[change])
+    ended_run(tmp_path / names[2], "failed", last_tick=72, reason="node weather ended (SIGKILL)")
+    with opened(browser, reported(tmp_path, names[0]), 1400, unfold=False) as page:
         short(page, 2700)
         unfold_all(page)
         readable(page)
         assert first_number(page) <= 500 - 16
-
-
-def test_runs_side_by_side(browser: Any, tmp_path: Path) -> None:
-    """A whole one, one whose setting was changed and is long, and one that failed."""
-    change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
-    ended_run(tmp_path / "whole", "done")
-    ended_run(tmp_path / "2026-11-21T02-25-10-changed", "done", parameter_changes=[change])
-    ended_run(tmp_path / "broken", "failed", last_tick=72, reason="node weather ended (SIGKILL)")
-    file = reported(tmp_path, "whole", "2026-11-21T02-25-10-changed", "broken")
-    with opened(browser, file, 1400) as page:
+    with opened(browser, reported(tmp_path, *names), 1400) as page:
         readable(page)
 
 

@@ -125,7 +125,7 @@ def test_tables_and_figures_of_the_report(varied: Path) -> None:
     headings = page.partition("<h1")[2].split("<li>")[1:]
     distinct(heading.partition("</li>")[0] for heading in headings)
 
-    figures = [make() for make in make_figures(report, None)]
+    figures = list(make_figures(report, None))
     distinct(figure.title for figure in figures)
     for figure in figures:
         distinct(str(panel.title) for panel in figure.panels)
