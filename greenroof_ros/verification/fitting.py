@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Key, keys
+from greenroof_ros.common.parameter import keys
 from greenroof_ros.forecast.models import NormalRecords
 from greenroof_ros.forecast.skill import REAL, Climate, Errors, Skill, read_skill
 from greenroof_ros.formats.records import gaps
@@ -261,9 +261,7 @@ def skill_text(skill: Skill, source: str) -> str:
     lines = ["# Fitted by greenroof_ros.verify to", f"# {source}."]
     for part in fields(skill):
         values = getattr(skill, part.name)
-        lines += ["", f"{part.name}:", *(_line(values, key) for key in keys(type(values)))]
+        lines += ["", f"{part.name}:"]
+        for key in keys(type(values)):
+            lines.append(f"  {key.name}: {getattr(values, key.name):#.5g}  # {key.entry.meaning}")
     return "\n".join([*lines, ""])
-
-
-def _line(values: object, key: Key) -> str:
-    return f"  {key.name}: {getattr(values, key.name):#.5g}  # {key.entry.meaning}"
