@@ -180,7 +180,7 @@ def storms(record: Record) -> list[Storm]:
     after = math.ceil(_AFTER_S / record.step_s)
     return [
         Storm(first, min(dry + after, following), dry, float(np.nansum(record.rain[first:dry])))
-        for first, dry, following in zip(firsts, dries, [*firsts[1:], record.steps], strict=True)
+        for first, dry, following in zip(firsts, dries, [*firsts[1:], record.steps], strict=False)
     ]
 
 
