@@ -189,24 +189,19 @@ class Sample:
         twice[[0, -1]] = 1.0
         unknown = np.sqrt(((1 - coherence**2) * twice * self._power).sum() / self._hours)
         amount = 1 + (errors.amount - 1) * unknown
-        found = []
+        scores = []
         for noise in self._noise:
             known = coherence * self._records + np.sqrt(1 - coherence**2) * noise
             normal = irfft(known, self._hours) + errors.wetness * unknown
-            found.append(self._scores(amount * self._climate.rain(normal)))
-        return np.asarray(np.mean(found, axis=0))
-
-    def _scores(self, forecast: Array) -> Array:
-        """Return r, POD and FAR of forecasts of each hour (mm), shape (sums, 3)."""
-        found = []
-        for one in self._sums:
-            tally = Tally(one.event, 1)
-            tally.add(
-                forecast.reshape(1, -1, one.hours).sum(axis=2),
-                self._rain.reshape(-1, one.hours).sum(axis=1),
-            )
-            found.append(tally.scores()[2:5])
-        return np.array(found)
+            forecast = amount * self._climate.rain(normal)
+            for hours, event in self._sums:
+                tally = Tally(event, 1)
+                tally.add(
+                    forecast.reshape(1, -1, hours).sum(axis=2),
+                    self._rain.reshape(-1, hours).sum(axis=1),
+                )
+                scores.append(tally.scores()[2:5])
+        return np.mean(np.reshape(scores, (len(self._noise), len(self._sums), 3)), axis=0)
 
 
 def fit_errors(
