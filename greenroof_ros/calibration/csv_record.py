@@ -376,11 +376,11 @@ def _from_temperatures(
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
-    known = dates[there].astype(np.int64)
     days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
     wanted = days.astype("datetime64[D]")
     counted = np.unique(day_of_step[counts])
-    far = np.abs(days[counted, None] - known).min(axis=1) > _LONGEST_GAP
+    at = dates.astype(np.int64)
+    far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
     if far.any():
         raise ConfigurationError(
             f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
@@ -388,8 +388,10 @@ def _from_temperatures(
             "in it and the other cells empty, or leave its month out with --months",
             file=record.source,
         )
-    daily = hargreaves(
-        site.latitude, wanted, *(np.interp(days, known, each[there]) for each in extremes)
-    )
+    lines = []
+    for values in extremes:
+        known = ~np.isnan(values)
+        lines.append(np.interp(days, at[known], values[known]))
+    daily = hargreaves(site.latitude, wanted, *lines)
     east = site.longitude - record.offset_s / 240
     return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
