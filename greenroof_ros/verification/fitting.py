@@ -201,7 +201,8 @@ class Sample:
                     self._rain.reshape(-1, hours).sum(axis=1),
                 )
                 scores.append(tally.scores()[2:5])
-        return np.mean(np.reshape(scores, (len(self._noise), len(self._sums), 3)), axis=0)
+        by_draw = np.reshape(scores, (len(self._noise), len(self._sums), 3))
+        return np.asarray(np.mean(by_draw, axis=0))
 
 
 def fit_errors(
