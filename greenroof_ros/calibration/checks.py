@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.calibration.record import (
     DAY_S,
@@ -20,6 +19,7 @@ from greenroof_ros.calibration.record import (
     Record,
     Steps,
     Values,
+    greatest_rise,
     lately,
     storms,
     time_name,
@@ -58,12 +58,16 @@ def check_record(record: Record, site: Site) -> list[Finding]:
         *_sparse(record), *_stuck(record), *_clock(record), *_evapotranspiration(record, site),
         *_rain(record),
     ]
-    for check, column in (
-        (_level, "level"), (_runoff, "runoff"), (_storm_runoff, "runoff"), (_silence, "runoff"),
-        (_runoff_without_rain, "runoff"), (_rise_without_rain, "level"),
-    ):
-        if column in record.measured:
-            findings += check(record, site, record.measured[column])
+    level, runoff = record.level, record.runoff
+    if level is not None:
+        findings += _level(record, site, level)
+    if runoff is not None:
+        findings += [
+            *_runoff(record, site, runoff), *_storm_runoff(record, site, runoff),
+            *_silence(record, site, runoff), *_runoff_without_rain(record, runoff),
+        ]
+    if level is not None:
+        findings += _rise_without_rain(record, level)
     return findings
 
 
@@ -89,18 +93,18 @@ def _stuck(record: Record) -> Iterator[Finding]:
     """A sensor that shows one value while it must change."""
     fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
     for column, values in (*reversed(record.measured.items()), ("rain", record.rain)):
-        of_rain, of_level = column == "rain", column == "level"
+        longest, most = (_RAIN_STUCK_S, 0.0) if column == "rain" else (_STUCK_S, _STUCK_RAIN)
+        of_level = column == "level"
         for low, high in gaps(np.diff(values) == 0):
-            lasts, fell = (high - low + 1) * record.step_s, fallen[high + 1] - fallen[low]
+            same, fell = high - low + 1, fallen[high + 1] - fallen[low]
             if (
-                high - low + 1 >= _SAME_STEPS and (values[low] != 0 or of_level)
-                and lasts >= (_RAIN_STUCK_S if of_rain else _STUCK_S)
-                and (fell >= _STUCK_RAIN or of_rain)
+                same >= _SAME_STEPS and same * record.step_s >= longest and fell >= most
+                and (values[low] != 0 or of_level)
             ):
                 yield FINDINGS.make(
                     "sensor-stuck", "stuck", column,
                     value=float(values[low]), unit="m" if of_level else "mm a step",
-                    hours=lasts / HOUR_S, since=record.time(low), fell=float(fell),
+                    hours=same * record.step_s / HOUR_S, since=record.time(low), fell=float(fell),
                 )
                 break
 
@@ -134,8 +138,19 @@ def _clock(record: Record) -> Iterator[Finding]:
     usual_s = (
         -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_LONGEST_DELAY_S, record.step_s),
     )
-    answers = np.maximum(np.nan_to_num(rises), 0.0)
-    lag, best, usual = _lag(record.came, answers, record.step_s, usual_s)
+    # Roots make one great storm less heavy among the others.
+    came, answers = (
+        roots - roots.mean()
+        for roots in (np.sqrt(record.came), np.sqrt(np.maximum(np.nan_to_num(rises), 0.0)))
+    )
+    scale = np.sqrt(np.sum(came**2) * np.sum(answers**2))
+    if scale == 0:
+        return
+    most = int(_MOST_SHIFT_S // record.step_s)
+    lags = record.step_s * np.arange(-most, most + 1)
+    correlations = np.correlate(np.pad(answers, most), came, "valid") / scale
+    lag, best = float(lags[np.argmax(correlations)]), float(correlations.max())
+    usual = float(correlations[(lags >= usual_s[0]) & (lags <= usual_s[1])].max())
     early = lag < usual_s[0]
     better = _EARLY_BETTER if early else _LATE_BETTER
     if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
@@ -152,32 +167,8 @@ def _rises(values: Values, count: int) -> Values:
 
     What is not known counts as 0, what was before the first, too. Shape (values - count + 1,).
     """
-    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(values))))
-    at = np.arange(len(total) - count)
-    before = np.maximum(at - count, 0)
-    return np.asarray((total[at + count] - 2 * total[at] + total[before]) / count)
-
-
-def _lag(
-    came: Values, answers: Values, step_s: float, usual_s: tuple[float, float]
-) -> tuple[float, float, float]:
-    """Return by how much answers lag (s), their correlation then, and the best of usual lags.
-
-    Roots make one great storm less heavy among the others.
-    """
-    one, other = (np.sqrt(series) - np.mean(np.sqrt(series)) for series in (came, answers))
-    scale = np.sqrt(np.sum(one**2) * np.sum(other**2))
-    if scale == 0:
-        return 0.0, 0.0, 0.0
-    from scipy.signal import correlate, correlation_lags  # as long to import as all else
-
-    lags = correlation_lags(len(other), len(one)) * step_s
-    correlations = correlate(other, one, method="fft") / scale
-    near: NDArray[np.bool_] = np.abs(lags) <= _MOST_SHIFT_S
-    lags, correlations = lags[near], correlations[near]
-    best = int(np.argmax(correlations))
-    usual = (lags >= usual_s[0]) & (lags <= usual_s[1])
-    return float(lags[best]), float(correlations[best]), float(correlations[usual].max())
+    weights = np.repeat([1.0, -1.0], count) / count
+    return np.convolve(np.nan_to_num(values), weights)[count - 1:len(values)]
 
 
 # --- units ----------------------------------------------------------------------------------------
@@ -227,16 +218,16 @@ def _watered(record: Record) -> Steps:
     return lately(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
 
 
-def _to_hold(record: Record, site: Site, low: int, high: int) -> float:
-    """Return what a roof off which nothing runs must hold in some steps at most (mm).
+def _to_hold(record: Record, site: Site) -> Values:
+    """Return what a roof off which nothing runs gains up to each step (mm), shape (steps + 1,).
 
-    It is dry at first. Of what comes, evapotranspiration takes all that it can while somebody
-    waters the roof: a good controller gives it no more than that.
+    Its greatest rise in some steps is what a dry roof must hold in them. Of what comes,
+    evapotranspiration takes all that it can while somebody waters the roof: a good controller gives
+    it no more than that.
     """
     rate = max(_FULL_RATE, site.crop_coefficient)
     taken = np.where(_watered(record), rate * record.reference, 0.0)
-    gained = np.concatenate(([0.0], np.cumsum((record.came - taken)[low:high])))
-    return float(np.max(gained - np.minimum.accumulate(gained)))
+    return np.concatenate(([0.0], np.cumsum(record.came - taken)))
 
 
 def _most_held(site: Site) -> float:
@@ -297,14 +288,12 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
     beside = max(1, round(_BESIDE_S / record.step_s))
     water, rises = record.rain + record.pumped, []
     for storm in storms(record):
-        wet = np.flatnonzero(np.nan_to_num(record.rain[storm.first:storm.end]) > 0)
-        last = storm.first + int(wet[-1]) + 1
-        if storm.first < beside or last + beside > record.steps:
+        if storm.first < beside or storm.dry + beside > record.steps:
             continue
-        came = float(np.sum(water[storm.first - beside:last + beside]))
+        came = float(np.sum(water[storm.first - beside:storm.dry + beside]))
         # Levels are of the beginnings of steps: the storm's first is before its rain.
         before = level[storm.first + 1 - beside:storm.first + 1]
-        rise = 1000 * float(np.mean(level[last:last + beside]) - np.mean(before))
+        rise = 1000 * float(np.mean(level[storm.dry:storm.dry + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             rises.append((came, rise))
     came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
@@ -323,8 +312,7 @@ def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     both = ~np.isnan(runoff) & ~np.isnan(record.rain)
     came, gone = float(np.sum(record.came[both])), float(np.sum(runoff[both]))
     if gone < 0.001 * came and (
-        not _watered(record).any()
-        or _to_hold(record, site, 0, record.steps) > _most_held(site)
+        not _watered(record).any() or greatest_rise(_to_hold(record, site)) > _most_held(site)
     ):
         code, case = ("unit-error", "little runoff") if gone > 0 else ("sensor-dead", "nothing")
         yield FINDINGS.make(code, case, "runoff", gone=gone, came=came)
@@ -337,39 +325,35 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
     From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
     make room for the storm.
     """
-    water = record.rain + record.pumped
-    spans = storms(record)
-    first = np.array([one.first for one in spans], dtype=np.int64)
-    came, gone = (
-        np.array([np.sum(series[one.first:one.end]) for one in spans])
-        for series in (water, runoff)
-    )
-    known = ~np.isnan(came + gone)
-    first, came, gone = first[known], came[known], gone[known]
-    excess = float(np.sum(np.maximum(gone - came, 0.0)))
-    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * np.sum(gone)):
-        worst = int(np.argmax(gone - came))
+    water, watered, held = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
+    balances = []
+    for storm in storms(record):
+        span = slice(storm.first, storm.end)
+        came, gone = float(np.sum(water[span])), float(np.sum(runoff[span]))
+        if not math.isnan(came + gone):
+            balances.append((gone - came, gone, came, storm.first))
+    excess = sum(max(0.0, over) for over, *_ in balances)
+    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * sum(gone for _, gone, *_ in balances)):
+        _, gone, came, first = max(balances)
         yield FINDINGS.make(
-            "unit-error", "excess", "runoff", gone=float(gone[worst]), came=float(came[worst]),
-            when=record.time(int(first[worst])), excess=excess, storms=len(came),
+            "unit-error", "excess", "runoff", gone=gone, came=came, when=record.time(first),
+            excess=excess, storms=len(balances),
         )
-    held = 1000 * site.z_soil
-    kept = np.flatnonzero(gone < came - held - _HELD_BESIDES)
-    if len(kept):
-        one = int(kept[0])
-        yield FINDINGS.make(
-            "unit-error", "held", "runoff", gone=float(gone[one]), came=float(came[one]),
-            when=record.time(int(first[one])), held=held,
-        )
-        return
-    large = (came >= _LARGE) & ~_watered(record)[first]
-    count = int(np.count_nonzero(large))
-    if count >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS:
-        share = float(np.max(gone[large] / came[large]))
-        if share < _LEAST_SHARE:
+    for over, gone, came, first in balances:
+        if over < -held - _HELD_BESIDES:
             yield FINDINGS.make(
-                "unit-error", "shares", "runoff", percent=100 * share, storms=count, large=_LARGE,
+                "unit-error", "held", "runoff", gone=gone, came=came, when=record.time(first),
+                held=held,
             )
+            return
+    shares = [
+        gone / came for _, gone, came, first in balances if came >= _LARGE and not watered[first]
+    ]
+    if len(shares) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and max(shares) < _LEAST_SHARE:
+        yield FINDINGS.make(
+            "unit-error", "shares", "runoff", percent=100 * max(shares), storms=len(shares),
+            large=_LARGE,
+        )
 
 
 # --- water that is missing ------------------------------------------------------------------------
@@ -384,14 +368,13 @@ _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """A flow meter that shows none of more water than soil and evapotranspiration can take."""
-    most = _most_held(site)
-    came = np.concatenate(([0.0], np.cumsum(record.came)))
+    most, held = _most_held(site), _to_hold(record, site)
     for low, high in gaps(runoff == 0):
-        if came[high] - came[low] > most and _to_hold(record, site, low, high) > most:
+        if greatest_rise(held[low:high + 1]) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
                 days=(high - low) * record.step_s / DAY_S, since=record.time(low),
-                came=float(came[high] - came[low]), most=most,
+                came=float(np.sum(record.came[low:high])), most=most,
             )
             return
 
@@ -401,7 +384,7 @@ def _wet(record: Record) -> Steps:
     return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 
-def _runoff_without_rain(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
+def _runoff_without_rain(record: Record, runoff: Values) -> Iterator[Finding]:
     since = math.ceil(_DRY_S / record.step_s)
     for low, high in gaps(~lately(_wet(record), since)):
         gone = float(np.nansum(runoff[low:high]))
@@ -414,7 +397,7 @@ def _runoff_without_rain(record: Record, site: Site, runoff: Values) -> Iterator
             return
 
 
-def _rise_without_rain(record: Record, site: Site, level: Values) -> Iterator[Finding]:
+def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
     count = max(_RISE_VALUES, round(_RISE_S / record.step_s))
     before = max(count, round(DAY_S / record.step_s))
     if record.steps <= before + count:
@@ -455,23 +438,21 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     NSE of days below 0, of hours (or longer steps) where there are too few days, or a volume that
     is wrong by more than half.
     """
-    lines: list[str] = []
-    worse, off = [], []
-    all_worse = True
+    lines, best, worse, off = [], [], [], []
     for one in scores:
         nses = {
-            over_s: nse for over_s, nse in one.nse.items()
+            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in one.nse.items()
             if over_s >= HOUR_S and not math.isnan(nse)
         }
-        names = [f"{nse:.2f} ({time_name(over_s)})" for over_s, nse in nses.items()]
-        lines.append(f"{one.quantity}, {one.part}: {' and '.join(names)}")
-        all_worse &= bool(nses) and max(nses.values()) < 0
+        lines.append(f"{one.quantity}, {one.part}: {' and '.join(nses)}")
+        best.append(max(nses.values(), default=0.0))
         if one.part == "validation":
-            if nses and nses[max(nses)] < 0:
-                worse.append(f"NSE of {one.quantity} {names[-1]}")
+            name, nse = [*nses.items()][-1] if nses else ("", 0.0)
+            if nse < 0:
+                worse.append(f"NSE of {one.quantity} {name}")
             if one.quantity == "runoff" and abs(one.volume_error) > _VOLUME_OFF:
                 off.append(f"volume of runoff {100 * one.volume_error:+.0f} %")
-    if all_worse:
+    if max(best) < 0:
         return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
@@ -507,12 +488,11 @@ def level_sensor(record: Record, simulated: Values) -> Finding:
             variances.append(float(np.var(record.level[low:high], ddof=1)))
     if len(times) < _FEWEST_NIGHTS:
         return FINDINGS.make("level-sensor", "unseen", "level sensor")
-    from scipy.stats import linregress  # half of what the command imports, before it refuses
-    from scipy.stats import t as student
+    from scipy import stats  # half of what the command imports, before it refuses
 
-    line = linregress(times, errors)
+    line = stats.linregress(times, errors)
     drift = 30 * 1000 * float(line.slope)
-    half = 30 * 1000 * float(line.stderr * student.ppf(0.975, len(times) - 2))
+    half = 30 * 1000 * float(line.stderr * stats.t.ppf(0.975, len(times) - 2))
     return FINDINGS.make(
         "level-sensor", "drift" if abs(drift) > half else "still", "level sensor",
         noise=1000 * float(np.sqrt(np.mean(variances))), drift=drift, half=half, nights=len(times),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -19,6 +19,8 @@ from greenroof_ros.calibration.record import (
     Steps,
     Values,
     in_months,
+    means,
+    sums,
     time_name,
 )
 from greenroof_ros.common.errors import ConfigurationError
@@ -74,31 +76,6 @@ _ENOUGH, _LONGEST_GAP = 0.75, 3
 _LONGEST_STEP_S = 3 * HOUR_S
 
 
-class _Column(NamedTuple):
-    """A column of the file: its name there, and how its numbers become this package's."""
-
-    name: str
-    limits: Limits
-    unit: Unit
-    rate_s: float = 0.0
-    """of a rate the time that its unit divides by (s)"""
-
-    def of_steps(self, step_s: float) -> _Column:
-        """Return the column by mm in a step, if it is one of mm/h."""
-        ours, low, high = self.limits
-        if ours != "mm/h":
-            return self
-        per_ours = self.unit.per_ours * (self.rate_s / step_s if self.rate_s else 1.0)
-        return self._replace(
-            limits=("mm", low, high * step_s / HOUR_S), unit=Unit(self.unit.name, per_ours)
-        )
-
-    @property
-    def adds_up(self) -> bool:
-        """Whether the numbers of two rows of one step do, as amounts of their rows."""
-        return self.limits[0] == "mm" and not self.rate_s
-
-
 class _Rows(NamedTuple):
     """Which step each row of a file is of."""
 
@@ -106,6 +83,14 @@ class _Rows(NamedTuple):
     times: list[datetime]
     steps: NDArray[np.int64]
     """counted from the first row's"""
+
+    def together(
+        self, values: Values, group: Callable[[Values, NDArray[np.int64], int], Values]
+    ) -> Values:
+        """Return what :func:`.record.sums` or means make of each step's rows; NaN without any."""
+        series = np.full(self.steps[-1] + 1, np.nan)
+        series[np.unique(self.steps)] = group(values, self.steps, 1)
+        return series
 
 
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record:
@@ -135,7 +120,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
         ConfigurationError: the file breaks any of this; the message names line, column and value.
     """
     table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)))
-    columns = _columns(table, site)
+    columns = _columns(table)
     clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
 
     def on_clock(text: str) -> datetime:
@@ -151,38 +136,35 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
         )
     steps, step_s = steps_of_rows(table, times)
     rows = _Rows(table, times, steps)
-    columns = {quantity: column.of_steps(step_s) for quantity, column in columns.items()}
-    numbers = {
-        quantity: table.numbers(
-            column.name, column.limits, column.unit, ("",), "; is the unit of the column right?"
+    units, numbers, series = {}, {}, {}
+    for quantity, (name, text) in columns.items():
+        limits, unit, adds_up = _unit(table, name, quantity, text, site, step_s)
+        units[quantity] = unit
+        numbers[quantity] = table.numbers(
+            name, limits, unit, ("",), "; is the unit of the column right?"
         )
-        for quantity, column in columns.items()
-    }
-    series = {
-        quantity: (_sums if columns[quantity].adds_up else _means)(of_rows, steps)
-        for quantity, of_rows in numbers.items()
-    }
+        series[quantity] = rows.together(numbers[quantity], sums if adds_up else means)
     record = Record(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(steps[-1] + 1), pumped=_pumped(series, site, step_s),
         runoff=series.get("runoff"), level=series.get("level"),
         cistern=series.get("cistern level"), command=series.get("pump state"),
+        reference_column=columns[REFERENCE][0] if REFERENCE in columns else "",
     )
     if record.runoff is not None:
-        per_ours = columns["runoff"].unit.per_ours
+        per_ours = units["runoff"].per_ours
         record = replace(record, last_decimal=_last_decimal(record.runoff * per_ours) / per_ours)
     counts = in_months(record, months)
     if REFERENCE in columns:
-        record = replace(record, reference_column=columns[REFERENCE].name)
         reference = _through_short_gaps(record, rows, series[REFERENCE], counts)
     else:
         reference = _from_temperatures(record, site, rows, numbers, counts)
     return replace(record, reference=reference)
 
 
-def _columns(table: Table, site: Site) -> dict[str, _Column]:
-    """Return the column of each quantity; refuse a header that cannot be understood."""
-    columns: dict[str, _Column] = {}
+def _columns(table: Table) -> dict[str, tuple[str, str]]:
+    """Return each quantity's column and its unit; refuse a header that lacks what a fit needs."""
+    columns: dict[str, tuple[str, str]] = {}
     for name, quantity, unit in table.quantities("rain [mm]"):
         if quantity in columns:
             raise table.refuse(f"there is a column of {quantity} before this one", name)
@@ -191,28 +173,7 @@ def _columns(table: Table, site: Site) -> dict[str, _Column]:
                 f"is not a known column; they are {', '.join(_QUANTITIES)}, each with its unit in "
                 "brackets", name,
             )
-        columns[quantity] = _column(table, name, quantity, unit, site)
-    _require(table, columns)
-    return columns
-
-
-def _column(table: Table, name: str, quantity: str, unit: str, site: Site) -> _Column:
-    """Return a column by its unit; refuse one that the quantity cannot have."""
-    limits, text = _QUANTITIES[quantity]
-    examples = text.split()
-    rate = _RATE.fullmatch(unit) if limits[0] == "mm/h" else None
-    if rate and (rate["amount"] == "mm" or "l" in examples):
-        per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
-        rate_s = _SECONDS[rate["time"]] * int(rate["count"] or 1) if rate["time"] else 0.0
-        return _Column(name, limits, Unit(unit, per_ours), rate_s)
-    if limits[0] == "mm/h" or unit not in examples:
-        units = ", ".join(f"[{one}]" for one in examples)
-        raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
-    return _Column(name, limits, Unit(unit, _PER_OURS[unit]))
-
-
-def _require(table: Table, columns: Collection[str]) -> None:
-    """Refuse a header that lacks what a fit needs."""
+        columns[quantity] = name, unit
     for there, what in (
         ("rain" in columns, "there must be a column 'rain [mm]'"),
         ("runoff" in columns or "level" in columns,
@@ -226,6 +187,30 @@ def _require(table: Table, columns: Collection[str]) -> None:
     ):
         if not there:
             raise table.refuse(what)
+    return columns
+
+
+def _unit(
+    table: Table, name: str, quantity: str, text: str, site: Site, step_s: float
+) -> tuple[Limits, Unit, bool]:
+    """Return what a column's unit means; refuse one that the quantity cannot have.
+
+    Returns:
+        The believable range, the unit by ours, which is mm in a step for amounts and rates, and
+        whether the numbers of two rows of one step add up, as amounts of their rows.
+    """
+    (ours, low, high), examples = _QUANTITIES[quantity]
+    per_ours = _PER_OURS.get(text) if text in examples.split() else None
+    if ours != "mm/h" and per_ours is not None:
+        return (ours, low, high), Unit(text, per_ours), False
+    rate = _RATE.fullmatch(text)
+    if ours != "mm/h" or rate is None or not (rate["amount"] == "mm" or "l/s" in examples):
+        units = ", ".join(f"[{one}]" for one in examples.split())
+        raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
+    per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
+    if rate["time"]:
+        per_ours *= _SECONDS[rate["time"]] * int(rate["count"] or 1) / step_s
+    return ("mm", low, high * step_s / HOUR_S), Unit(text, per_ours), not rate["time"]
 
 
 def _last_decimal(values: Values) -> float:
@@ -290,20 +275,6 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
             "were set explain: write rows a regular step apart", TIME, int(off[0]) + 1,
         )
     return np.floor(since / step_s + 0.5).astype(np.int64), step_s
-
-
-def _sums(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Add up the rows of each step; NaN where it has none, or one of them has no value."""
-    total = np.bincount(steps, values).astype(np.float64)
-    total[np.bincount(steps) == 0] = np.nan
-    return total
-
-
-def _means(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Average the values that the rows of each step have; NaN where there is none."""
-    count = np.bincount(steps, ~np.isnan(values))
-    total = np.bincount(steps, np.nan_to_num(values))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 # --- reference evapotranspiration -----------------------------------------------------------------
@@ -391,55 +362,36 @@ def _from_temperatures(
     dates, day = np.unique(
         np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
     )
-    extremes = []
-    for name, extreme in ((_LEAST, np.fmin), (_GREATEST, np.fmax)):
+    least, greatest = extremes = np.full((2, len(dates)), np.nan)
+    for name, extreme, of_days in ((_LEAST, np.fmin, least), (_GREATEST, np.fmax, greatest)):
         values = numbers[_COURSE if _COURSE in numbers else name]
-        of_days = np.full(len(dates), np.nan)
         extreme.at(of_days, day, values)
         of_days[np.bincount(day, ~np.isnan(values)) < enough] = np.nan
-        extremes.append(of_days)
-    least, greatest = extremes
     crossed = np.flatnonzero(least > greatest)
     if len(crossed):
         raise ConfigurationError(
             f"on {dates[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
             f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
         )
-    wanted, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
-    counted = np.unique(day_of_step[counts])
-    daily = hargreaves(
-        site.latitude, wanted.astype("datetime64[D]"),
-        *(_filled(record, wanted, counted, dates.astype(np.int64), one) for one in extremes),
-    )
-    east = site.longitude - record.offset_s / 240
-    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
-
-
-def _filled(
-    record: Record, days: NDArray[np.int64], counted: NDArray[np.intp], dates: NDArray[np.int64],
-    values: Values,
-) -> Values:
-    """Return the value of each day; of one without, that between its neighbours.
-
-    Args:
-        record: for messages.
-        days: wanted, since 1970.
-        counted: index of each of them that is fitted or judged, and must not be far from a value.
-        dates: of the values, since 1970.
-        values: NaN where there is none.
-
-    Raises:
-        ConfigurationError: one is.
-    """
-    there = ~np.isnan(values)
+    there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
-    nearest = np.abs(days[counted, None] - dates[there]).min(axis=1)
-    if nearest.max() > _LONGEST_GAP:
-        worst = days[counted[np.argmax(nearest > _LONGEST_GAP)]].astype("datetime64[D]")
+    days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
+    wanted = days.astype("datetime64[D]")
+    counted = np.unique(day_of_step[counts])
+    at = dates.astype(np.int64)
+    far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
+    if far.any():
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {worst}, from which "
-            "evapotranspiration is computed; add a row of each day without, its temperatures in it "
-            "and the other cells empty, or leave its month out with --months", file=record.source,
+            f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
+            "which evapotranspiration is computed; add a row of each day without, its temperatures "
+            "in it and the other cells empty, or leave its month out with --months",
+            file=record.source,
         )
-    return np.interp(days, dates[there], values[there])
+    lines = []
+    for values in extremes:
+        known = ~np.isnan(values)
+        lines.append(np.interp(days, at[known], values[known]))
+    daily = hargreaves(site.latitude, wanted, *lines)
+    east = site.longitude - record.offset_s / 240
+    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -94,18 +94,20 @@ def ranges(site: Site, record: Record) -> list[Range]:
 
     Field capacity and wilting point never cross: what the driest level leaves is above the wilting
     point. The drainage layer's storage is not among them: its outflow k V^2 depends on
-    storage times time constant alone, as long as it is not full.
+    storage times time constant alone, as long as it is not full. Nor is its time constant where
+    steps are longer than an hour.
     """
     if record.level is None:
         most = max(0.1, (site.wilting_point or 0.0) + 0.01)
     else:
         driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
         most = min(0.3, max(0.03, driest))
+    drainage = Range(_DRAINAGE, 10.0, 2e4, logarithmic=True)
     return [
         Range("field_capacity", most + 0.01, 0.9),
         Range("wilting_point", 0.0, most),
         Range("depletion_fraction", 0.0, 0.95),
-        Range(_DRAINAGE, 10.0, 2e4, logarithmic=True),
+        *([drainage] if record.step_s <= _TELLS_DRAINAGE_S else []),
         Range("crop_coefficient", 0.1, 2.5),
         Range(FILLED, 0.0, 1.0),
     ]
@@ -226,12 +228,10 @@ def fit(
         tell: how far the fit is, with each simulation.
     """
     site = measured_roof(site)
-    known = ranges(site, record)
-    too_long = record.step_s > _TELLS_DRAINAGE_S
-    every = [one for one in known if one.name != _DRAINAGE or not too_long]
+    every = ranges(site, record)
     as_it_was = np.array([one.share(getattr(site, one.name, _HALF_FILLED)) for one in every])
     at = np.clip(as_it_was, 0.01, 0.99)
-    compare = _Comparison(record, steps)
+    residuals, weeks = _comparison(record, steps)
     stages = _Stages(tell)
     least = least_reading(record)
 
@@ -244,19 +244,26 @@ def fit(
 
     def differences(shares: Values, least: float = least) -> Values:
         stages.simulated()
-        return compare(simulated(shares, least)[1])
+        return residuals(simulated(shares, least)[1])
 
-    def without_meter() -> Values:
-        """Return the Jacobian of a meter without a least reading.
+    def jacobian() -> Values:
+        """Return how residuals change along the whole of each range, shape (n, ranges).
 
-        That reading makes steps of a smooth simulation: a short difference sees a few of them, and
-        takes one parameter for well told, or equal columns for different ones.
+        It is of a meter without a least reading. That makes steps of a smooth simulation: a short
+        difference sees a few of them, and takes one parameter for well told, or equal columns for
+        different ones.
         """
-        return _jacobian(lambda near: differences(near, 0.0), at)
+        base = differences(at, 0.0)
+        columns = []
+        for place, share in enumerate(at):
+            moved = at.copy()
+            moved[place] += _STEP if share < 0.5 else -_STEP
+            columns.append((differences(moved, 0.0) - base) / (moved[place] - share))
+        return np.column_stack(columns)
 
-    def tell_apart() -> tuple[Steps, dict[str, str]]:
+    def tell_apart() -> tuple[Steps, list[str]]:
         stages.begin(1 + len(every))
-        return _tell_apart([one.name for one in every], without_meter())
+        return _tell_apart([one.name for one in every], jacobian())
 
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
@@ -291,23 +298,20 @@ def fit(
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     robust = 1 + (found.fun / _ROBUST_FROM) ** 2
-    rows = without_meter() * robust[:, None] ** -0.75
+    rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
     half[free] = np.hypot(
-        half_intervals(moves(rows[:, free], found.fun * robust**0.25, compare.weeks)),
+        half_intervals(moves(rows[:, free], found.fun * robust**0.25, weeks)),
         _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
     )
-    parameters = {
-        one.name: _judged(one, share, width, why.get(one.name, ""))
-        for one, share, width in zip(every, at.tolist(), half.tolist(), strict=True)
-    }
-    if too_long:
+    parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
+    if record.step_s > _TELLS_DRAINAGE_S:
         assert site.drainage_time is not None
         words = f"steps of {time_name(record.step_s)} are too long to tell it"
-        parameters[_DRAINAGE] = Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words)
+        parameters.insert(3, Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words))
     fitted, shown = simulated(at, least)
     tell("done", 1.0)
-    return Fit(fitted, [parameters[one.name] for one in known], shown)
+    return Fit(fitted, parameters, shown)
 
 
 def _cost(residuals: Values) -> float:
@@ -315,60 +319,48 @@ def _cost(residuals: Values) -> float:
     return float(np.sum(np.sqrt(1 + (residuals / _ROBUST_FROM) ** 2) - 1))
 
 
-class _Comparison:
-    """Turns a simulation into residuals, in standard deviations of what was measured."""
+def _comparison(
+    record: Record, steps: Steps
+) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
+    """Return what makes residuals of a simulation, and the week of each of them.
 
-    def __init__(self, record: Record, steps: Steps) -> None:
-        self._steps = steps & record.known
-        self._seconds = record.seconds[self._steps]
-        self._over = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
-        self._names = tuple(record.measured)
-        self._measured = [self._together(name, record.measured[name]) for name in self._names]
-        self._spread = [float(np.std(series)) or 1.0 for series in self._measured]
-        begin = np.unique(self._seconds // self._over) * self._over
-        self.weeks = np.tile(begin // _WEEK_S, len(self._names))
+    They are in standard deviations of what was measured.
+    """
+    counts = steps & record.known
+    seconds = record.seconds[counts]
+    over_s = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
 
-    def _together(self, name: str, values: Values) -> Values:
-        return TOGETHER[name](values[self._steps], self._seconds, self._over)
+    def together(series: Mapping[str, Values]) -> list[Values]:
+        return [TOGETHER[name](series[name][counts], seconds, over_s) for name in record.measured]
 
-    def __call__(self, simulated: Simulated) -> Values:
-        return np.concatenate([
-            (self._together(name, getattr(simulated, name)) - measured) / spread
-            for name, measured, spread in zip(
-                self._names, self._measured, self._spread, strict=True
-            )
-        ])
+    measured = together(record.measured)
+    spread = [float(np.std(series)) or 1.0 for series in measured]
 
+    def residuals(simulated: Simulated) -> Values:
+        both = zip(together(simulated._asdict()), measured, spread, strict=True)
+        return np.concatenate([(ours - theirs) / scale for ours, theirs, scale in both])
 
-def _jacobian(residuals: Callable[[Values], Values], shares: Values) -> Values:
-    """Return how residuals change along the whole of each range, shape (n, ranges)."""
-    base = residuals(shares)
-    columns = []
-    for place, share in enumerate(shares):
-        moved = shares.copy()
-        moved[place] += _STEP if share < 0.5 else -_STEP
-        columns.append((residuals(moved) - base) / (moved[place] - share))
-    return np.column_stack(columns)
+    begin = np.unique(seconds // over_s) * over_s
+    return residuals, np.tile(begin // _WEEK_S, len(measured))
 
 
-def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, dict[str, str]]:
-    """Return which parameters the data tell, and why they do not tell the others, by name."""
+def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
+    """Return which parameters the data tell, and of each why they do not, empty where they do."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
     # Fewer residuals than parameters tell no more of these than there are of those.
     size = np.zeros(len(names))
     size[order[:len(triangle)]] = np.abs(np.diag(triangle))
     free = size > _TELLS_NOTHING * size.max()
     lengths = np.linalg.norm(jacobian, axis=0)
-    why = {}
+    why = [""] * len(names)
     for place in np.flatnonzero(~free).tolist():
         if lengths[place] <= _TELLS_NOTHING * size.max():
-            why[names[place]] = "the data do not depend on it"
+            why[place] = "the data do not depend on it"
             continue
         weights = np.linalg.lstsq(jacobian[:, free], jacobian[:, place], rcond=None)[0]
-        parts = np.zeros(len(names))
-        parts[free] = np.abs(weights) * lengths[free]
-        others = [names[other] for other in np.flatnonzero(parts > 0.1 * lengths[place]).tolist()]
-        why[names[place]] = f"the data cannot tell it apart from {' and '.join(others)}"
+        alike = np.flatnonzero(free)[np.abs(weights) * lengths[free] > 0.1 * lengths[place]]
+        others = " and ".join(names[other] for other in alike)
+        why[place] = f"the data cannot tell it apart from {others}"
     return free, why
 
 

@@ -108,39 +108,30 @@ def _figure(
         "the line."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
-    series = data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"])
     rule = alt.Chart(alt.InlineData(boundary)).mark_rule(
         strokeDash=[4, 3], color="#555555"
     ).encode(x=alt.X("t:T", scale=alt.Scale(type="utc")))
-
-    def lines(chart: alt.Chart, value: str, field: str, axis: str, *, zero: bool) -> alt.Chart:
-        shown = alt.Tooltip(f"{value}:Q", title=axis, format=".4~g")
-        drawn: alt.Chart = chart.mark_line(
-            clip=True, strokeWidth=1.2, interpolate="step-after"
-        ).encode(
-            x=_TIME, y=alt.Y(f"{value}:Q", title=axis, scale=alt.Scale(zero=zero)),
-            tooltip=pointed(f"{field}:N", _WHEN, shown),
-        )
-        return drawn
-
+    panels = []
     axis = _axis(quantity, DAY_S)
+    for chart, title, value, field, names, label, zero in (
+        (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "Measured and simulated",
+         "v", "series", [MEASURED, SIMULATED], axis, adds_up),
+        (data, "Residuals", "error", "part", [*halves], f"too much {axis}", True),
+    ):
+        lines = chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
+            x=_TIME, y=alt.Y(f"{value}:Q", title=label, scale=alt.Scale(zero=zero)),
+            tooltip=pointed(
+                f"{field}:N", _WHEN, alt.Tooltip(f"{value}:Q", title=label, format=".4~g")
+            ),
+        )
+        panels.append(series_panel(lines, field, names, title, below=[rule], zoom=True))
+    panels += [
+        _scatter(quantity, name, part, colour, ends, over_s)
+        for part, colour in zip(halves, COLOURS, strict=False)
+    ]
     return Figure(
-        name, _QUANTITIES[quantity][0], caption,
-        (
-            series_panel(
-                lines(series, "v", "series", axis, zero=adds_up), "series",
-                [MEASURED, SIMULATED], "Measured and simulated", below=[rule], zoom=True,
-            ),
-            series_panel(
-                lines(data, "error", "part", f"too much {axis}", zero=True), "part", [*halves],
-                "Residuals", below=[rule], zoom=True,
-            ),
-            *(
-                _scatter(quantity, name, part, colour, ends, over_s)
-                for part, colour in zip(halves, COLOURS, strict=False)
-            ),
-        ),
-        2, {f"{name}-days": days, f"{name}-points": points},
+        name, _QUANTITIES[quantity][0], caption, tuple(panels), 2,
+        {f"{name}-days": days, f"{name}-points": points},
     )
 
 
@@ -161,8 +152,8 @@ def _together(
         )
         times = np.unique(seconds // over_s) * over_s * 1000
         larger = np.maximum(ours, theirs)
-        for place in np.flatnonzero((larger > seen * larger.max()) | (seen == 0)).tolist():
-            was, now = float(theirs[place]), float(ours[place])
+        for place in np.flatnonzero((larger > seen * larger.max()) | (seen == 0)):
+            was, now = theirs[place], ours[place]
             rows.append({
                 "t": int(times[place]), "part": part, MEASURED: short(was), SIMULATED: short(now),
                 "error": short(now - was),

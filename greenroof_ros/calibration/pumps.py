@@ -12,7 +12,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from greenroof_ros.calibration.checks import FINDINGS
 from greenroof_ros.calibration.fit import Parameter, freedom, half_intervals, moves
-from greenroof_ros.calibration.record import Record, Steps, Values, lately
+from greenroof_ros.calibration.record import Record, Steps, Values, greatest_rise, lately
 from greenroof_ros.common.quality import Finding
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -256,10 +256,18 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     all_count = np.full(record.steps, True)
     fall = _Fall(site, record.step_s, command, cistern, runs, all_count)
     coarse = fall.solve(3, standing + 1)
-    doubts = _doubts(record, coarse, fall.most, standing)
-    if doubts:
-        return PumpFit(site, (), doubts)
-    late = round(coarse.shares[0])
+    delay, share = coarse.shares[:2].tolist()
+    if not 1 / _BELIEVABLE < share < _BELIEVABLE:
+        return PumpFit(site, (), [FINDINGS.make(
+            "unit-error", "pump", "cistern level", flow=1000 * fall.most * share,
+            curve=1000 * fall.most,
+        )])
+    if abs(delay) > standing + 0.5 and coarse.half[1] < _HARDLY * share:
+        return PumpFit(site, (), [FINDINGS.make(
+            "clock-shifted", "pump", "pump state", minutes=standing * record.step_s / 60,
+            side="after" if delay > 0 else "before",
+        )])
+    late = round(delay)
     # The command as it was so many steps earlier.
     command = np.pad(command, abs(late), constant_values=np.nan)[abs(late) + late:][:len(command)]
     # The levels at which pumps start or stop do not count: the least part of a step by which the
@@ -270,7 +278,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
         if np.count_nonzero(counts[run]) >= _FEWEST_LEVELS
     ]
     every = len(runs)
-    runs = [run for run in runs if _rise(cistern[run]) <= _RISE * coarse.size]
+    runs = [run for run in runs if greatest_rise(cistern[run]) <= _RISE * coarse.size]
     if len(runs) < _FEWEST_RUNS:
         return unseen
     fall = _Fall(site, record.step_s, command, cistern, runs, counts)
@@ -294,52 +302,14 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     )]
     if every > count:
         findings.append(FINDINGS.make("pumps", "left out", "pumps", runs=every - count))
-    findings += _logger(record, command, runs, delay)
-    return PumpFit(replace(site, a_hat=shape.value, c_hat=c_hat), [shape, height], findings)
-
-
-def _rise(level: Values) -> float:
-    """Return by how much a level is above an earlier one, at most (m)."""
-    return float(np.max(level - np.minimum.accumulate(level)))
-
-
-def _logger(
-    record: Record, command: Values, runs: Sequence[NDArray[np.int64]], late: float
-) -> list[Finding]:
-    """Return what the logger does: it is late or early, or too coarse for the runs.
-
-    A logger that writes what it sees once a step makes runs longer or shorter by up to a step; and
-    of those shorter than a step it sees the longer ones more often.
-    """
-    findings = []
-    if abs(late) >= _NAMED:
+    if abs(delay) >= _NAMED:
         findings.append(FINDINGS.make(
-            "pumps", "shifted", "pumps", minutes=abs(late) * record.step_s / 60,
-            side="late" if late > 0 else "early",
+            "pumps", "shifted", "pumps", minutes=abs(delay) * record.step_s / 60,
+            side="late" if delay > 0 else "early",
         ))
+    # A logger that writes what it sees once a step makes runs longer or shorter by up to a step;
+    # and of those shorter than a step it sees the longer ones more often.
     steps = float(np.quantile([np.count_nonzero(command[run] > 0) for run in runs], 0.9))
     if steps <= _SHORT:
         findings.append(FINDINGS.make("pumps", "short", "pumps", steps=steps))
-    return findings
-
-
-def _doubts(record: Record, found: _Solution, most: float, standing: int) -> list[Finding]:
-    """Return why a fall is not these pumps', or not at the time that they run.
-
-    Args:
-        record: its steps.
-        found: by the fall.
-        most: flow by the site's curve (m3/s).
-        standing: see :func:`standing_steps`.
-    """
-    late, share = found.shares[:2].tolist()
-    if not 1 / _BELIEVABLE < share < _BELIEVABLE:
-        return [FINDINGS.make(
-            "unit-error", "pump", "cistern level", flow=1000 * most * share, curve=1000 * most,
-        )]
-    if abs(late) > standing + 0.5 and found.half[1] < _HARDLY * share:
-        return [FINDINGS.make(
-            "clock-shifted", "pump", "pump state", minutes=standing * record.step_s / 60,
-            side="after" if late > 0 else "before",
-        )]
-    return []
+    return PumpFit(replace(site, a_hat=shape.value, c_hat=c_hat), [shape, height], findings)

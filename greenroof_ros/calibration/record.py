@@ -98,14 +98,9 @@ class Record:
 
     def only(self, steps: Steps) -> Record:
         """Return the record with nothing measured outside of some steps: NaN is there instead."""
-        def there(series: Values) -> Values:
-            return np.where(steps, series, np.nan)
-
-        return replace(
-            self, rain=there(self.rain),
-            runoff=None if self.runoff is None else there(self.runoff),
-            level=None if self.level is None else there(self.level),
-        )
+        series = {"rain": self.rain, **self.measured}
+        there = {name: np.where(steps, values, np.nan) for name, values in series.items()}
+        return replace(self, **there)  # type: ignore[arg-type]
 
     @property
     def known(self) -> Steps:
@@ -113,24 +108,22 @@ class Record:
 
         A sensor that failed in a step has often seen but a part of the step beside it.
         """
-        series = (self.rain, self.pumped, *self.measured.values())
-        missing = np.any([np.isnan(one) for one in series], axis=0)
+        series = [self.rain, self.pumped, *self.measured.values()]
+        missing = np.isnan(series).any(axis=0)
         beside = np.convolve(missing, np.ones(3), "same") > 0
         return np.asarray(~beside)
 
 
 def time_name(seconds: float) -> str:
     """Name a time of whole seconds: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
-    seconds = round(seconds)
-    if seconds >= 2 * DAY_S and seconds % DAY_S == 0:
-        return f"{seconds // DAY_S} days"
-    for unit, size in (("day", DAY_S), ("h", HOUR_S), ("min", 60)):
-        if seconds % size == 0:
-            return f"{seconds // size} {unit}"
-    return f"{seconds} s"
+    whole = round(seconds)
+    units = {"day": DAY_S, "h": HOUR_S, "min": 60, "s": 1}
+    unit = next(unit for unit, size in units.items() if whole % size == 0)
+    count = whole // units[unit]
+    return f"{count} {'days' if unit == 'day' and count > 1 else unit}"
 
 
-def sums(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
+def sums(values: Values | Steps, seconds: NDArray[np.int64], over_s: int) -> Values:
     """Add up values by the spans of the clock that they begin in, of ``over_s`` seconds each.
 
     Spans in which there is no value are left out.
@@ -140,8 +133,13 @@ def sums(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
 
 
 def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
-    """Average values by the spans of the clock that they begin in, as :func:`sums` adds them up."""
-    return sums(values, seconds, over_s) / sums(np.ones(len(values)), seconds, over_s)
+    """Average values by the spans of the clock that they begin in, as :func:`sums` adds them up.
+
+    NaN do not count; of nothing else the mean is NaN.
+    """
+    count = sums(~np.isnan(values), seconds, over_s)
+    total = sums(np.nan_to_num(values), seconds, over_s)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 TOGETHER = {"runoff": sums, "level": means}
@@ -149,6 +147,11 @@ TOGETHER = {"runoff": sums, "level": means}
 
 Amounts add up. Levels do not: of a span with gaps their sum would tell how long the gaps are.
 """
+
+
+def greatest_rise(values: Values) -> float:
+    """Return by how much a value is above an earlier one, at most."""
+    return float(np.max(values - np.minimum.accumulate(values)))
 
 
 def lately(steps: Steps, count: int) -> Steps:
@@ -161,25 +164,23 @@ class Storm(NamedTuple):
 
     first: int
     end: int
+    """one after its last step"""
+    dry: int
+    """one after its last rain"""
     rain: float
     """mm"""
 
 
 def storms(record: Record) -> list[Storm]:
     """Return all storms: rain with less than six hours between, and less than a dry step."""
-    wet = np.flatnonzero(np.nan_to_num(record.rain) > 0)
-    if not len(wet):
-        return []
-    after = math.ceil(_AFTER_S / record.step_s)
+    wet = np.flatnonzero(record.rain > 0)
     apart = max(1.0, _APART_S / record.step_s)
-    parts = np.split(wet, np.flatnonzero(np.diff(wet) > apart) + 1)
-    starts = [int(part[0]) for part in parts] + [record.steps]
+    firsts = wet[np.diff(wet, prepend=-np.inf) > apart].tolist()
+    dries = (wet[np.diff(wet, append=np.inf) > apart] + 1).tolist()
+    after = math.ceil(_AFTER_S / record.step_s)
     return [
-        Storm(
-            int(part[0]), int(min(part[-1] + 1 + after, following)),
-            float(np.nansum(record.rain[part[0]:part[-1] + 1])),
-        )
-        for part, following in zip(parts, starts[1:], strict=True)
+        Storm(first, min(dry + after, following), dry, float(np.nansum(record.rain[first:dry])))
+        for first, dry, following in zip(firsts, dries, [*firsts[1:], record.steps], strict=False)
     ]
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
-from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
+from greenroof_ros.calibration.fit import FILLED, Fit
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml
@@ -34,23 +34,18 @@ _ROOF = (
     "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
     "crop_coefficient",
 )
-# What follows from the roof, as read_site computes it.
-_PRODUCTS = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 
 
-class Entry(NamedTuple):
-    """What is to stand in a site file: a value, and the words behind its unit."""
-
-    value: float
-    words: str
+Entries = dict[str, tuple[float, str]]
+"""What is to stand in a site file: of each name a value, and the words behind its unit."""
 
 
-def sheet_entries(sheet: PumpCurve) -> dict[str, Entry]:
+def sheet_entries(sheet: PumpCurve) -> Entries:
     """Return the entries of a curve that was fitted to a data sheet."""
-    return {name: Entry(value, _FROM_SHEET) for name, value in sheet._asdict().items()}
+    return {name: (value, _FROM_SHEET) for name, value in sheet._asdict().items()}
 
 
-def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> dict[str, Entry]:
+def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
     """Return the entries of a fit: each with its interval, or why the record cannot tell it.
 
     Args:
@@ -58,32 +53,25 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> dict[str, E
         target: depth on the roof (m) that the site file had.
         sheet: what was fitted to the pumps' data sheet before.
     """
-    told = {one.name: one for one in fit.parameters if one.name != FILLED}
-    entries = {} if sheet is None else sheet_entries(sheet)
-    for name in _ROOF:
-        words = _words(told[name]) if name in told else "as it was, not fitted"
-        if name == "crop_coefficient":
-            words += f"; {CROP_NOTE}"
-        entries[name] = Entry(getattr(fit.site, name), words)
-    if fit.site.z_veg != target:
-        entries["z_veg"] = Entry(fit.site.z_veg, "choose your own")
-    for name in told.keys() - set(_ROOF):
-        one = told[name]
-        words = _words(one)
-        if sheet is not None and not one.told:
+    entries: Entries = {name: (getattr(fit.site, name), "as it was, not fitted") for name in _ROOF}
+    entries |= {} if sheet is None else sheet_entries(sheet)
+    for one in fit.parameters:
+        words = f"as it was: {one.words}"
+        if one.told:
+            interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
+            words = f"{interval}; {one.words}" if one.words else interval
+        elif one.name in entries and one.name not in _ROOF:
             words = f"{_FROM_SHEET}; {one.words}"
-        entries[name] = Entry(one.value, words)
+        if one.name == "crop_coefficient":
+            words += f"; {CROP_NOTE}"
+        if one.name != FILLED:
+            entries[one.name] = one.value, words
+    if fit.site.z_veg != target:
+        entries["z_veg"] = fit.site.z_veg, "choose your own"
     return entries
 
 
-def _words(one: Parameter) -> str:
-    if not one.told:
-        return f"as it was: {one.words}"
-    interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
-    return f"{interval}; {one.words}" if one.words else interval
-
-
-def edited_site_file(file: Path, entries: Mapping[str, Entry], heading: Sequence[str]) -> str:
+def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> str:
     """Return the text of a site file with other entries; all else in it stays as it is.
 
     What it has from a file that it extends is put into it, so that it stands by itself.
@@ -97,20 +85,15 @@ def edited_site_file(file: Path, entries: Mapping[str, Entry], heading: Sequence
         ConfigurationError: the text would be no site, since a value is out of its range.
     """
     yaml = site_yaml()
-    site: CommentedMap = yaml.load(edited(file, {}))
+    values = {name: f"{value:.6g}" for name, (value, _) in entries.items()}
+    missing = [name for name in entries if name not in yaml.load(edited(file, {}))]
+    site: CommentedMap = yaml.load(edited(file, {key: float(one) for key, one in values.items()}))
     site.fa.set_block_style()
-    missing = [name for name in entries if name not in site]
-    for name, entry in entries.items():
-        site[name] = f"{entry.value:.6g}"
-        _comment(site, name, f"# {_UNITS[name]:<7} {entry.words}")
+    for name, (_, words) in entries.items():
+        site[name] = values[name]
+        _comment(site, name, f"# {_UNITS[name]:<7} {words}")
     if missing:
         site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured roof")
-    for name, factors in _PRODUCTS.items():
-        if name in site and not entries.keys().isdisjoint(factors):
-            product = 1.0
-            for factor in factors:
-                product *= float(site.get(factor, 1.0))
-            site[name] = repr(product)
     stream = io.StringIO()
     yaml.dump(site, stream)
     text = "\n".join([*(f"# {line}" for line in heading), "", stream.getvalue()])

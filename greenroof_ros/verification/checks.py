@@ -58,11 +58,9 @@ def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
     for one, of_class in scores.items():
         if of_class.n * one.sum.hours >= _LEAST_HOURS and not math.isnan(of_class.bias):
             water.setdefault(one.lead, of_class.bias)
-    if len(water) < 3:
-        return {}
-    found = {}
-    for lead, bias in water.items():
+    odd = {}
+    for lead, bias in water.items() if len(water) > 2 else ():
         usual = median(other for name, other in water.items() if name != lead)
         if not _LEAST_SHARE * usual <= bias <= usual / _LEAST_SHARE:
-            found[lead] = bias / usual if usual else math.inf
-    return found
+            odd[lead] = bias / usual if usual else math.inf
+    return odd

@@ -28,9 +28,9 @@ class Worth(NamedTuple):
     """issues with that many hours in forecast and record"""
     fell: float
     """mean of the observed sums (mm)"""
-    bias: tuple[float, float, float]
+    bias: list[float]
     """water as issued, dressed and by climatology, each over what fell"""
-    crps: tuple[float, float, float]
+    crps: list[float]
     """mean fair CRPS of these (mm)"""
 
 
@@ -76,17 +76,14 @@ def worth(
             fell = float(rain[begin : begin + hours].sum())
             sums = [each[:, :hours].sum(axis=1) for each in ensembles]
             found[hours].append([
-                fell, *(float(each.mean()) for each in sums),
-                *(float(crps(each[:, None], np.array([fell]))[0]) for each in sums),
+                fell, *(each.mean() for each in sums),
+                *(crps(each[:, None], np.array([fell]))[0] for each in sums),
             ])
         done(1)
     results = []
     for hours, rows in found.items():
         if rows:
-            fallen, *means = map(float, np.mean(rows, axis=0))
+            fallen, *means = np.mean(rows, axis=0).tolist()
             bias = [mean / fallen if fallen else np.nan for mean in means[:3]]
-            results.append(
-                Worth(hours, len(rows), fallen, (bias[0], bias[1], bias[2]),
-                      (means[3], means[4], means[5]))
-            )
+            results.append(Worth(hours, len(rows), fallen, bias, means[3:]))
     return results

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Key, keys
+from greenroof_ros.common.parameter import keys
 from greenroof_ros.forecast.models import NormalRecords
 from greenroof_ros.forecast.skill import REAL, Climate, Errors, Skill, read_skill
 from greenroof_ros.formats.records import gaps
@@ -189,24 +189,20 @@ class Sample:
         twice[[0, -1]] = 1.0
         unknown = np.sqrt(((1 - coherence**2) * twice * self._power).sum() / self._hours)
         amount = 1 + (errors.amount - 1) * unknown
-        found = []
+        scores = []
         for noise in self._noise:
             known = coherence * self._records + np.sqrt(1 - coherence**2) * noise
             normal = irfft(known, self._hours) + errors.wetness * unknown
-            found.append(self._scores(amount * self._climate.rain(normal)))
-        return np.asarray(np.mean(found, axis=0))
-
-    def _scores(self, forecast: Array) -> Array:
-        """Return r, POD and FAR of forecasts of each hour (mm), shape (sums, 3)."""
-        found = []
-        for one in self._sums:
-            tally = Tally(one.event, 1)
-            tally.add(
-                forecast.reshape(1, -1, one.hours).sum(axis=2),
-                self._rain.reshape(-1, one.hours).sum(axis=1),
-            )
-            found.append(tally.scores()[2:5])
-        return np.array(found)
+            forecast = amount * self._climate.rain(normal)
+            for hours, event in self._sums:
+                tally = Tally(event, 1)
+                tally.add(
+                    forecast.reshape(1, -1, hours).sum(axis=2),
+                    self._rain.reshape(-1, hours).sum(axis=1),
+                )
+                scores.append(tally.scores()[2:5])
+        by_draw = np.reshape(scores, (len(self._noise), len(self._sums), 3))
+        return np.asarray(np.mean(by_draw, axis=0))
 
 
 def fit_errors(
@@ -261,9 +257,7 @@ def skill_text(skill: Skill, source: str) -> str:
     lines = ["# Fitted by greenroof_ros.verify to", f"# {source}."]
     for part in fields(skill):
         values = getattr(skill, part.name)
-        lines += ["", f"{part.name}:", *(_line(values, key) for key in keys(type(values)))]
+        lines += ["", f"{part.name}:"]
+        for key in keys(type(values)):
+            lines.append(f"  {key.name}: {getattr(values, key.name):#.5g}  # {key.entry.meaning}")
     return "\n".join([*lines, ""])
-
-
-def _line(values: object, key: Key) -> str:
-    return f"  {key.name}: {getattr(values, key.name):#.5g}  # {key.entry.meaning}"

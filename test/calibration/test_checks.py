@@ -18,9 +18,10 @@ from greenroof_ros.calibration.record import Record, in_months
 from greenroof_ros.calibration.scores import Scores, score
 from greenroof_ros.calibration.simulation import simulate
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.quality import Finding, Severity, accept
+from greenroof_ros.common.quality import Severity, accept
 
-Change = Callable[[Record], Record]
+Change = Callable[[np.ndarray, int], np.ndarray]
+"""What becomes of a column, by how many of its steps are a day."""
 
 
 @cache
@@ -32,27 +33,30 @@ def twin(days: int, hours: int = 0, *, gaps: bool = False) -> Record:
         return read_csv_record(file, TWIN)
 
 
-def scaled(column: str, factor: float) -> Change:
-    return lambda record: replace(record, **{column: factor * getattr(record, column)})
+def scaled(factor: float) -> Change:
+    return lambda values, day: factor * values
 
 
-def shifted(column: str, steps: int) -> Change:
-    """Shift a column in time, round its ends."""
-    return lambda record: replace(record, **{column: np.roll(getattr(record, column), steps)})
+def shifted(hours: float) -> Change:
+    return lambda values, day: np.roll(values, round(hours * day / 24))
 
 
-def fixed(column: str, value: float, first: int, end: int | None = None) -> Change:
-    """The same value in some steps."""
-    def changed(record: Record) -> Record:
-        series = getattr(record, column).copy()
-        series[first:end] = value
-        return replace(record, **{column: series})
+def fixed(value: float, first: float, end: float = np.inf) -> Change:
+    """The same value from a day on."""
+    def changed(values: np.ndarray, day: int) -> np.ndarray:
+        at = np.arange(len(values)) / day
+        return np.where((at >= first) & (at < end), value, values)
     return changed
 
 
-def of_level(change: Change) -> Change:
-    """Change a record without runoff."""
-    return lambda record: change(replace(record, runoff=None))
+def sparse(values: np.ndarray, day: int) -> np.ndarray:
+    """Of every third row."""
+    return np.where(np.arange(len(values)) % 3, np.nan, values)
+
+
+def changed(record: Record, column: str, change: Change) -> Record:
+    day = round(86400 / record.step_s)
+    return replace(record, **{column: change(getattr(record, column), day)})
 
 
 def found(record: Record) -> list[tuple[str, str, str]]:
@@ -62,71 +66,56 @@ def found(record: Record) -> list[tuple[str, str, str]]:
 
 # --- records --------------------------------------------------------------------------------------
 
-
-def sparse(record: Record) -> Record:
-    """A level of every third row."""
-    return replace(record, level=np.where(np.arange(record.steps) % 3, np.nan, record.level))
-
-
-WRONG: dict[str, tuple[Change, tuple[str, str, str]]] = {
-    "rain in metres": (scaled("rain", 0.001), ("unit-error", "little rain", "rain")),
-    "rain of a day in an hour": (scaled("rain", 24), ("unit-error", "much rain", "rain")),
-    "level in cm called m": (scaled("level", 100), ("unit-error", "high level", "level")),
-    "runoff in m called mm": (scaled("runoff", 1e-4), ("unit-error", "little runoff", "runoff")),
-    "rain of the hour in 5 minutes": (scaled("rain", 12), ("unit-error", "held", "runoff")),
-    "a dead runoff sensor": (scaled("runoff", 0.0), ("sensor-dead", "nothing", "runoff")),
-    "a stuck runoff": (fixed("runoff", 0.05, 5 * DAY), ("sensor-stuck", "stuck", "runoff")),
-    "a blocked rain gauge beside a level": (
-        of_level(fixed("rain", 0.0, 8 * DAY)), ("gauge-blocked", "rise", "rain")),
-    "a level of every third row": (sparse, ("sensor-sparse", "sparse", "level")),
-    "runoff an hour early": (shifted("runoff", -12), ("clock-shifted", "roof", "runoff")),
-    "level an hour early": (
-        of_level(shifted("level", -12)), ("clock-shifted", "roof", "level")),
-    "runoff of another time zone": (shifted("runoff", 96), ("clock-shifted", "roof", "runoff")),
-    "level a day late": (
-        of_level(shifted("level", 288)), ("clock-shifted", "roof", "level")),
+# Of a month by five minutes, and of longer sums of a season: columns that are there, the one that
+# is changed and how, and what is found.
+BOTH, LEVEL = ("runoff", "level"), ("level",)
+OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str, str]]] = {
+    "rain in metres": (BOTH, "rain", scaled(0.001), ("unit-error", "little rain", "rain")),
+    "rain of a day": (BOTH, "rain", scaled(24), ("unit-error", "much rain", "rain")),
+    "level in cm": (BOTH, "level", scaled(100), ("unit-error", "high level", "level")),
+    "runoff in m": (BOTH, "runoff", scaled(1e-4), ("unit-error", "little runoff", "runoff")),
+    "rain of the hour": (BOTH, "rain", scaled(12), ("unit-error", "held", "runoff")),
+    "dead": (BOTH, "runoff", scaled(0.0), ("sensor-dead", "nothing", "runoff")),
+    "stuck": (BOTH, "runoff", fixed(0.05, 5), ("sensor-stuck", "stuck", "runoff")),
+    "blocked": (LEVEL, "rain", fixed(0.0, 8), ("gauge-blocked", "rise", "rain")),
+    "sparse": (BOTH, "level", sparse, ("sensor-sparse", "sparse", "level")),
+    "early": (BOTH, "runoff", shifted(-1), ("clock-shifted", "roof", "runoff")),
+    "late": (BOTH, "runoff", shifted(8), ("clock-shifted", "roof", "runoff")),
+    "early level": (LEVEL, "level", shifted(-1), ("clock-shifted", "roof", "level")),
+    "late level": (LEVEL, "level", shifted(24), ("clock-shifted", "roof", "level")),
+}
+OF_A_SEASON: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str, str]]] = {
+    "runoff too large": (BOTH, "runoff", scaled(10), ("unit-error", "excess", "runoff")),
+    "runoff too small": (BOTH, "runoff", scaled(0.1), ("unit-error", "shares", "runoff")),
+    "level too small": (LEVEL, "level", scaled(0.01), ("unit-error", "rises", "level")),
+    "level too large": (BOTH, "level", scaled(10), ("unit-error", "rises", "level")),
+    "stuck level": (BOTH, "level", fixed(0.03, 20), ("sensor-stuck", "stuck", "level")),
+    "stuck rain": (BOTH, "rain", fixed(0.3, 12, 20), ("sensor-stuck", "stuck", "rain")),
+    "blocked": (BOTH, "rain", fixed(0.0, 30), ("gauge-blocked", "runoff", "rain")),
+    "early": (BOTH, "runoff", shifted(-24), ("clock-shifted", "roof", "runoff")),
+    "early level": (LEVEL, "level", shifted(-24), ("clock-shifted", "roof", "level")),
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_with_a_month_is_found(name: str) -> None:
-    changed, finding = WRONG[name]
-    assert finding in found(changed(twin(30)))
-
-
-def test_right_records_have_nothing_wrong() -> None:
-    assert found(twin(60, gaps=True)) == []
-    assert found(twin(100)) == []
-
-
-@pytest.mark.parametrize("hours", [1, 24])
-def test_longer_sums(hours: int) -> None:
-    """Units of a season, too; a day's steps are 24 / hours."""
-    record, day = twin(100, hours), 24 // hours
-    for right in (record, replace(record, runoff=None)):
+@pytest.mark.parametrize("hours", [0, 1, 24])
+def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> None:
+    record = twin(100, hours)
+    for right in (record, replace(record, runoff=None), *[twin(60, gaps=True)] * (hours == 0)):
         assert found(right) == []
-    for changed, finding in (
-        (scaled("runoff", 10), ("unit-error", "excess", "runoff")),
-        (scaled("runoff", 0.1), ("unit-error", "shares", "runoff")),
-        (of_level(scaled("level", 0.01)), ("unit-error", "rises", "level")),
-        (scaled("level", 10), ("unit-error", "rises", "level")),
-        (fixed("level", 0.03, 20 * day), ("sensor-stuck", "stuck", "level")),
-        (fixed("rain", 0.3, 12, 20), ("sensor-stuck", "stuck", "rain")),
-        (fixed("rain", 0.0, 30 * day), ("gauge-blocked", "runoff", "rain")),
-        (shifted("runoff", -day), ("clock-shifted", "roof", "runoff")),
-        (of_level(shifted("level", -day)), ("clock-shifted", "roof", "level")),
-    ):
-        assert finding in found(changed(record))
+    seen = record if hours else twin(30)
+    for name, (there, *change, finding) in (OF_A_SEASON if hours else OF_A_MONTH).items():
+        alone = seen if "runoff" in there else replace(seen, runoff=None)
+        assert finding in found(changed(alone, *change)), name
 
 
 def test_a_column_of_nothing_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="level: has 0 values; it must have 100 at least"):
-        found(fixed("level", np.nan, 0)(twin(30)))
+        found(changed(twin(30), "level", fixed(np.nan, 0)))
 
 
 def test_what_is_wrong_in_other_months_does_not_count() -> None:
     """A flow meter that is stuck in April; May to July are right."""
-    record = fixed("runoff", 0.05, 0, 30 * DAY)(twin(100))
+    record = changed(twin(100), "runoff", fixed(0.05, 0, 30))
     assert "sensor-stuck" in [one.code for one in check_record(record, TWIN)]
     assert check_record(record.only(in_months(record, "5-7")), TWIN) == []
 
@@ -219,17 +208,16 @@ def test_a_refusal_stands_unless_it_is_accepted() -> None:
     )
     dead = FINDINGS.make("sensor-dead", "nothing", "runoff", came=80.0)
     note = FINDINGS.make("months", "counted", "months", months="4-10")
-    with pytest.raises(ConfigurationError) as error:
-        accept([stuck, note, dead], ["unit-error"], Path("roof.csv"))
-    first, second, way_out = str(error.value).splitlines()
-    assert first.startswith("roof.csv: level: is 0.03 m for 30 h from noon")
-    assert first.endswith("[sensor-stuck]") and second.endswith("[sensor-dead]")
-    assert way_out.endswith("--accept sensor-stuck sensor-dead")
-    with pytest.raises(ConfigurationError, match="sensor-dead"):
-        accept([stuck, dead], ["sensor-stuck"], Path("roof.csv"))
-    accepted = accept([stuck, note], ["sensor-stuck"], Path("roof.csv"))
-    assert [one.severity for one in accepted] == [Severity.WARNING, Severity.NOTE]
-    assert accepted[0].text.startswith("level (sensor-stuck, accepted): is 0.03 m for 30 h")
+    for accepted, codes in (([], "sensor-stuck sensor-dead"), (["sensor-stuck"], "sensor-dead")):
+        with pytest.raises(ConfigurationError) as error:
+            accept([stuck, note, dead], accepted, Path("roof.csv"))
+        *lines, way_out = str(error.value).splitlines()
+        assert lines[0].startswith("roof.csv: ")
+        assert way_out.endswith(f"--accept {codes}")
+        assert " ".join(line.split("[")[-1].strip("]") for line in lines) == codes
+    done = accept([stuck, note], ["sensor-stuck"], Path("roof.csv"))
+    assert [one.severity for one in done] == [Severity.WARNING, Severity.NOTE]
+    assert done[0].text.startswith("level (sensor-stuck, accepted): is 0.03 m for 30 h from noon")
 
 
 # --- fits -----------------------------------------------------------------------------------------
@@ -245,40 +233,24 @@ def row(part: str, simulated: np.ndarray, step_s: float = 3600.0) -> Scores:
     return score("runoff", part, simulated, MEASURED, seconds, step_s)
 
 
-def of_fit(*rows: Scores) -> Finding | None:
-    findings = check_fit(rows)
-    assert len(findings) <= 1
-    return findings[0] if findings else None
-
-
-def test_worse_than_the_mean_everywhere_is_no_fit() -> None:
-    one = of_fit(row("fit", OPPOSITE), row("validation", OPPOSITE))
-    assert (one.code, one.severity) == ("no-fit", Severity.REFUSAL)
-    assert one.text.startswith(
-        "fit: no roof fits this record: NSE of runoff, fit: -3.00 (1 h) and -3.00 (1 day); runoff, "
-        "validation: -3.00"
-    )
-
-
-def test_a_part_that_fits_is_a_fit_but_a_poor_one() -> None:
-    one = of_fit(row("fit", GOOD), row("validation", OPPOSITE))
-    assert (one.code, one.severity) == ("poor-fit", Severity.WARNING)
-    assert one.text.startswith(
-        "fit: worse than the mean of what was measured in the half that it has not seen (NSE of "
-        "runoff -3.00 (1 day)): do not use it. Look at units,"
-    )
-
-
-def test_what_the_fit_has_not_seen_judges_its_volume_too() -> None:
-    one = of_fit(row("fit", GOOD), row("validation", HALF_MORE))
-    assert "wrong by much" in one.text and "(volume of runoff +60 %)" in one.text
-    assert of_fit(row("fit", OPPOSITE), row("validation", GOOD)) is None
-
-
-def test_of_daily_sums_days_judge() -> None:
-    fitted, judged = (row(part, OPPOSITE, step_s=86400.0) for part in ("fit", "validation"))
-    assert of_fit(row("fit", GOOD, step_s=86400.0), judged).code == "poor-fit"
-    assert "NSE of runoff, fit: -3.00 (1 day); " in of_fit(fitted, judged).text
+def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
+    """And is none where it is worse than the mean everywhere; of daily sums days judge."""
+    worse = "worse than the mean of what was measured in the half that it has not seen (NSE of run"
+    for fitted, judged, step_s, code, text in (
+        (OPPOSITE, OPPOSITE, 3600.0, "no-fit",
+         "no roof fits this record: NSE of runoff, fit: -3.00 (1 h) and -3.00 (1 day); run"),
+        (GOOD, OPPOSITE, 3600.0, "poor-fit", f"{worse}off -3.00 (1 day)): do not use it. Look"),
+        (GOOD, HALF_MORE, 3600.0, "poor-fit",
+         "wrong by much in the half that it has not seen (volume of runoff +60 %)"),
+        (OPPOSITE, OPPOSITE, 86400.0, "no-fit",
+         "no roof fits this record: NSE of runoff, fit: -3.00 (1 day); "),
+        (GOOD, OPPOSITE, 86400.0, "poor-fit", worse),
+    ):
+        (one,) = check_fit([row("fit", fitted, step_s), row("validation", judged, step_s)])
+        refused = one.severity is Severity.REFUSAL
+        assert (one.code, refused) == (code, code == "no-fit")
+        assert one.text.startswith(f"fit: {text}")
+    assert check_fit([row("fit", OPPOSITE), row("validation", GOOD)]) == []
 
 
 # --- level sensors --------------------------------------------------------------------------------

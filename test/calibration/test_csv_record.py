@@ -54,32 +54,25 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: 
 
 
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
-    """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e."""
-    file = tmp_path / "record.csv"
-    file.write_text(small(
+    """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
+
+    Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0.
+    """
+    text = small(
         "time,rain [mm],level [m],pump state [%],cistern level [m],"
         "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0.1",
-    ))
-    flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
-    record = read_csv_record(file, TWIN)
-    assert record.pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
-    assert record.command == pytest.approx(np.full(120, 0.5))
-    assert record.cistern == pytest.approx(np.full(120, 3.0))
-
-
-def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
-    """Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0."""
-    text = small(
-        "time,rain [mm],level [m],pump state [1],cistern level [m],"
-        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0.1",
     )
     for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
-        text = text.replace(f"T00:{minute},0,0.02,0,3,", f"T00:{minute},0,0.02,{state},{level},")
+        text = text.replace(f"T00:{minute},0,0.02,50,3,", f"T00:{minute},0,0.02,{state},{level},")
     file = tmp_path / "record.csv"
     file.write_text(text)
     record = read_csv_record(file, TWIN)
+    flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
+    assert record.pumped[8:] == pytest.approx(np.full(112, flow * 300 / 100 * 1e3))
+    assert record.command[8:] == pytest.approx(np.full(112, 0.5))
+    assert record.cistern[8:] == pytest.approx(np.full(112, 3.0))
     assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [3, 7]
-    assert np.nansum(record.pumped) == 0
+    assert record.pumped[5] == 0
     assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
 
 

@@ -100,8 +100,7 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
 
 def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
     record = replace(twin(1, 100), runoff=None)
-    found = fit(ELSEWHERE, record, record.known)
-    by_name = {one.name: one for one in found.parameters}
+    by_name = {one.name: one for one in fit(ELSEWHERE, record, record.known).parameters}
     assert by_name["drainage_time"].words == "the data do not depend on it"
     assert by_name["drainage_time"].value == pytest.approx(300.0)
     assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.03)
@@ -112,9 +111,8 @@ def test_a_dead_day_of_a_sensor_does_not_decide() -> None:
     record = twin(1, 100)
     level = record.level.copy()
     level[20 * 24:21 * 24] += 0.08
-    found = fit(ELSEWHERE, replace(record, level=level), record.known)
-    field_capacity = next(one for one in found.parameters if one.name == "field_capacity")
-    assert field_capacity.value == pytest.approx(TWIN.field_capacity, rel=0.03)
+    fitted = fit(ELSEWHERE, replace(record, level=level), record.known)
+    assert fitted.site.field_capacity == pytest.approx(TWIN.field_capacity, rel=0.03)
 
 
 def test_longer_steps_do_not_make_more_runoff() -> None:

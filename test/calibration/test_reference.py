@@ -73,10 +73,8 @@ def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
 
 
 def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "record.csv"
-    with pytest.raises(ConfigurationError) as error:
-        read(file, 5 * np.arange(120), ["0"] * 120)
-    assert str(error.value).startswith(f"{file}: {NAME}: is 0 throughout")
+    with pytest.raises(ConfigurationError, match="is 0 throughout"):
+        read(tmp_path / "record.csv", 5 * np.arange(120), ["0"] * 120)
 
 
 def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:

@@ -59,22 +59,22 @@ def of_runoff(runoff: np.ndarray | None, last_decimal: float = 0.0) -> Record:
 
 
 def test_a_counter_of_tips_misses_nothing() -> None:
-    """Tips of a litre off 194 m2, as in Berlin; nor does anything get lost without a meter."""
-    for empty in (None, np.zeros(6)):
-        assert least_reading(of_runoff(empty)) == 0.0
+    """Tips of a litre off 194 m2, as in Berlin, or printed with two decimals; a flow meter does.
+
+    Nor does anything get lost without a meter.
+    """
     tip = 1 / 194
-    assert least_reading(of_runoff(np.array([0, tip, 2 * tip, 0, 60 * tip, np.nan]))) == 0.0
-
-
-def test_what_is_printed_with_two_decimals() -> None:
-    """A counter of tips is one all the same, and a flow meter none."""
     counts = np.random.default_rng(4).geometric(0.1, 500)
     assert counts.max() > 40
     printed = np.array([float(f"{count * 0.0297:.2f}") for count in counts])
-    assert least_reading(of_runoff(printed, 0.01)) == 0.0
-    assert least_reading(of_runoff(printed)) > 0.0  # with more decimals it would be no counter
     flows = np.round(0.02 + np.random.default_rng(5).exponential(0.2, 500), 2)
-    assert least_reading(of_runoff(flows, 0.01)) == flows.min()
+    for runoff, last_decimal, least in (
+        (None, 0.0, 0.0), (np.zeros(6), 0.0, 0.0),
+        (np.array([0, tip, 2 * tip, 0, 60 * tip, np.nan]), 0.0, 0.0),
+        (printed, 0.01, 0.0), (printed, 0.0, printed.min()),  # with more decimals it is no counter
+        (flows, 0.01, flows.min()),
+    ):
+        assert least_reading(of_runoff(runoff, last_decimal)) == least
 
 
 def test_a_flow_meter_shows_nothing_below_its_least() -> None:

@@ -6,16 +6,15 @@ import csv
 import json
 import os
 import subprocess
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import run_command
+from gauges import write_gauge, write_previous_runs
 
 from greenroof_ros.forecast.dressing import read_dressing
 
-FIRST = datetime.fromisoformat("2024-03-01T00:00+00:00")
 DAYS = 100
 
 
@@ -34,19 +33,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(3)
     wet = np.repeat(rng.random(DAYS * 4) < 0.15, 6)
     rain = np.round(wet * rng.gamma(0.7, 2.0, DAYS * 24), 1)
-    hours = [FIRST + number * timedelta(hours=1) for number in range(DAYS * 24)]
-    with (directory / "gauge.csv").open("w") as stream:
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(["time", "precipitation [mm/h]", "given evapotranspiration [mm/day]"])
-        rows.writerows(
-            [hour.isoformat(), value, 2.0] for hour, value in zip(hours, rain, strict=True)
-        )
-    with (directory / "archive.csv").open("w") as stream:
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(["datetime", *(f"precipitation_previous_day{day}" for day in (1, 2))])
-        for number, hour in enumerate(hours):
-            said = 2.0 * rain[[number, number - 3]]
-            rows.writerow([f"{hour + timedelta(hours=1):%Y-%m-%d %H:%M:%S}", *said])
+    write_gauge(directory / "gauge.csv", rain)
+    write_previous_runs(directory / "archive.csv", {1: 2 * rain, 2: 2 * np.roll(rain, 3)})
     done = command(
         directory, "verify", "--dress", "archive.csv", "--weather", "gauge.csv", "--horizon", "60",
         "-o", "dressed.csv",

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import run_command
 from forecast_skill.figures import TIP, begin, days_ahead, figures, seasons
+from gauges import write_gauge
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -111,13 +110,7 @@ def test_what_says_nothing_of_errors(rain: dict[int, Array], hours: int, message
 def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:
     """One that is read as any other, of the records' climate and not so good as ``real``."""
     season = rain[2017][:2208]
-    with (tmp_path / "records.csv").open("w", newline="") as stream:
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(["time", "precipitation [mm/h]", "given evapotranspiration [mm/day]"])
-        rows.writerows(
-            [(begin(2017) + hour * timedelta(hours=1)).isoformat(), depth, 2.0]
-            for hour, depth in enumerate(season)
-        )
+    write_gauge(tmp_path / "records.csv", season, begin(2017))
     done = run_command(
         "verify", "errors", "--forecast-skill", "much_worse", "--weather", "records.csv",
         "--sums", "12", "--events", "3", "--horizon", "48", "--fit", "mine.yaml",

@@ -29,28 +29,27 @@ def cases(
 
 
 @pytest.mark.parametrize(
-    ("hours", "last", "odd"),
-    [(8900, 0.45, True), (8900, 2.5, True), (8900, 0.7, False), (4000, 0.45, False)],
+    ("hours", "shares", "odd"),
+    [
+        (8900, (1.0, 1.1, 0.9, 1.0, 0.45), 0.45), (8900, (1.0, 1.1, 0.9, 1.0, 2.5), 2.5),
+        (8900, (1.0, 1.1, 0.9, 1.0, 0.7), None), (4000, (1.0, 1.1, 0.9, 1.0, 0.45), None),
+        (8900, (1.0, 0.4), None),
+    ],
 )
-def test_a_day_without_half_of_its_water(hours: int, last: float, odd: bool) -> None:
-    """It is named, as GFS's fifth would be; what storms may do is not, nor less than a year.
+def test_a_day_without_half_of_its_water(
+    hours: int, shares: Sequence[float], odd: float | None
+) -> None:
+    """It is named, as GFS's fifth would be, with its ratio to the median of the others, 1.
 
-    The ratio is that to the median of the others, 1.
+    What storms may do is not, nor less than a year, nor one of two days.
     """
-    found = cases(hours, (1.0, 1.1, 0.9, 1.0, last))
-    assert [code for code, _ in found] == ["odd-lead"] * odd
-    if odd:
-        assert found[0][1] == {"lead": "day 5", "ratio": pytest.approx(last, abs=0.01)}
-    assert cases(hours, (1.0, 1.1, 0.9, 1.0, last), previous_runs=False) == []
-
-
-def test_two_leads_do_not_say_which_is_odd() -> None:
-    assert cases(8900, (1.0, 0.4)) == []
+    named = {"lead": "day 5", "ratio": pytest.approx(odd, abs=0.01)}
+    assert cases(hours, shares) == [("odd-lead", named)] * (odd is not None)
+    assert cases(hours, shares, previous_runs=False) == []
 
 
 @pytest.mark.parametrize(("pairs", "named"), [(1300, True), (900, False)])
 def test_forecasts_that_know_nothing(pairs: int, named: bool) -> None:
     """Less than 1000 pairs tell nothing."""
-    codes = [code for code, _ in cases(pairs, (1.0,), known=False)]
-    assert codes == ["unrelated"] * named
+    assert [code for code, _ in cases(pairs, (1.0,), known=False)] == ["unrelated"] * named
     assert cases(pairs, (1.0,)) == []

@@ -6,22 +6,20 @@ import csv
 import json
 import os
 import subprocess
-from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from browsers import started_browser
+from browsers import drawn_page
 from commands import run_command
+from gauges import HOUR, write_gauge, write_previous_runs
 from places import DATA
 from scipy import stats
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
 SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
-HOUR = timedelta(hours=1)
 
 
 def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -37,15 +35,6 @@ def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
     assert done.returncode == 0, done.stderr
     with (directory / "scores.csv").open() as stream:
         return list(csv.DictReader(stream))
-
-
-def gauge(directory: Path, rain: Sequence[object], first: str = "2024-03-01T00:00+00:00") -> None:
-    """Write hours of rain as a weather file; an empty cell is an hour that is missing."""
-    begin = datetime.fromisoformat(first)
-    (directory / "own.csv").write_text("\n".join([
-        "time,precipitation [mm/h],given evapotranspiration [mm/day]",
-        *(f"{(begin + hour * HOUR).isoformat()},{one},1.0" for hour, one in enumerate(rain)), "",
-    ]))
 
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
@@ -68,7 +57,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
         }
     rain = {start: "" if number in (30, 31, 200) else cells[0]
             for number, (start, cells) in enumerate(hours.items())}
-    gauge(tmp_path, list(rain.values()), min(hours).isoformat())
+    write_gauge(tmp_path / "own.csv", rain.values(), min(hours))
     rows = scores(tmp_path, str(GEM), "--weather", "own.csv")
     got = {(int(row["lead_to_h"]) // 24, int(row["sum_hours"])): row for row in rows}
     assert len(got) == 20
@@ -106,7 +95,7 @@ def test_runs_by_lead(tmp_path: Path) -> None:
                 "precipitation_member01": [None, *[members[1]] * 12],
             },
         }))
-    gauge(tmp_path, [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
+    write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
     rows = scores(
         tmp_path, "runs", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
     )
@@ -146,13 +135,8 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
     """Rain that is independent of the records: output and page say so."""
     rng = np.random.default_rng(7)
     rain, elsewhere = np.round(rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06), 2)
-    gauge(tmp_path, rain.tolist())
-    first = datetime.fromisoformat("2024-03-01T00:00")
-    lines = ["datetime,precipitation_previous_day2"]
-    lines += [
-        f"{first + hour * HOUR:%Y-%m-%d %H:%M:%S},{said}" for hour, said in enumerate(elsewhere)
-    ]
-    (tmp_path / "archive.csv").write_text("\n".join([*lines, ""]))
+    write_gauge(tmp_path / "own.csv", rain)
+    write_previous_runs(tmp_path / "archive.csv", {2: elsewhere})
     done = verify(tmp_path, "archive.csv", "--weather", "own.csv", "-o", "page.html")
     assert (done.returncode, "day 2" in done.stdout) == (0, True)
     header = (tmp_path / "page.html").read_text(encoding="utf-8").partition("</header>")[0]
@@ -209,15 +193,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_page_draws_everything_and_asks_for_nothing(page: Path) -> None:
     """Six panels by lead, then four of reliability and four of ranks."""
-    with started_browser() as browser:
-        opened: Any = browser.new_page(viewport={"width": 1200, "height": 900})
-        asked, wrong = [], []
-        opened.on("request", lambda request: asked.append(request.url))
-        opened.on("pageerror", lambda error: wrong.append(str(error)))
-        opened.goto(page.as_uri())
-        opened.wait_for_selector("html[data-drawn='14']", timeout=60_000)
-        assert wrong == []
-        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+    with drawn_page(page, 14) as opened:
         assert opened.locator("tbody tr").count() == 20
         assert "124 issues of 5 members" in opened.inner_text("header")
 
