@@ -18,10 +18,10 @@ from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 WRONG = {
-    "unknown-key": (GRID + "engine: ros\n", "line 14: engine: is not known here"),
+    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not known here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
     "site-kind": (
-        edited(SITE, "site: {tau: 10}"),
+        edited(SITE, "site: [{file: site.yaml}, 10]"),
         "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
@@ -29,7 +29,7 @@ WRONG = {
         GRID + "bound_block: 0.5\n",
         "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
     ),
-    "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "start: is missing in a window"),
+    "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "line 4: start: is missing or empty"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "hours": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
     "gaps": (
@@ -44,7 +44,7 @@ WRONG = {
         edited("low-low", "site"),
         "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
     ),
-    "one-value": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not"),
+    "one-value": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern = [40, 41]: must be a number"),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-of-two": (
@@ -64,8 +64,8 @@ WRONG = {
         edited("weight", "wieght"),
         "line 11: wieght: is not a parameter of mpc; did you mean weight?",
     ),
-    "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
-    "nan": (edited("0.1]", ".nan]"), "line 11: weight: must not be nan"),
+    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
+    "nan": (edited("0.1]", ".nan]"), "line 11: weight = nan: must be from 1e-09 to 1e+06"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
     "forecast": (
@@ -75,14 +75,14 @@ WRONG = {
     "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
     "forecast-option": (
         GRID + "forecast: {model: errors, members: 3}\n",
-        "line 14: members: is not known here; there are model, skill, seed",
+        "line 14: members = 3: is not known here; there are model, skill, seed",
     ),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
-        "skill: 'large' must be one of much_",
+        "skill = 'large': 'large' must be one of much_",
     ),
     "forecast-seed": (
-        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number, or"
+        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number from 0 to"
     ),
     "forecast-twice": (
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
@@ -93,7 +93,7 @@ WRONG = {
     ),
     "sensor_pump_errors-range": (
         GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n",
-        "minimum_on: -1.0 must be from 0.0 to 86",
+        "minimum_on = -1: must be from 0 to 86400",
     ),
     "sensor_pump_errors-twice": (
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
