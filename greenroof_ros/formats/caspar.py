@@ -14,19 +14,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue, ensemble
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
@@ -58,15 +55,6 @@ _Refuse: TypeAlias = Callable[..., ConfigurationError]
 """What is wrong with a file, by what would be right, key and value."""
 
 
-class _Member(NamedTuple):
-    """A file."""
-
-    issue: Issue
-    """of this member alone"""
-    number: int
-    product: str
-
-
 def recognises(file: Path, head: bytes, /) -> bool:
     """Whether a file is NetCDF by its first bytes, or said to be by its name."""
     return head.startswith(_MAGIC) or file.suffix == ".nc"
@@ -89,43 +77,20 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
             file=files[0],
         )
     members = [_read(file, site.latitude, site.longitude) for file in files]
-    product = members[0].product
-    by_issue: dict[datetime, list[_Member]] = {}
-    for member in sorted(members, key=lambda one: (one.issue.issued, one.number)):
-        by_issue.setdefault(member.issue.issued, []).append(member)
-        if member.product != product:
+    product = members[0][2]
+    by_issue: dict[datetime, list[tuple[int, Issue]]] = {}
+    for issue, number, other in members:
+        by_issue.setdefault(issue.issued, []).append((number, issue))
+        if other != product:
             raise ConfigurationError(
-                f"must be of {product}, as {files[0].name} is, not of {member.product}",
-                file=member.issue.file,
+                f"must be of {product}, as {files[0].name} is, not of {other}", file=issue.file
             )
-    issues = [_issue(issue) for issue in by_issue.values()]
+    issues = [ensemble(by_issue[issued]) for issued in sorted(by_issue)]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 
-def _issue(members: Sequence[_Member]) -> Issue:
-    """Return an issue of all its members."""
-    first, wrong = members[0].issue, ""
-    numbers = [member.number for member in members]
-    if numbers != list(range(len(members))):
-        listed = ", ".join(f"{number:03}" for number in numbers)
-        wrong = f"members {listed}; they must be 000, 001 and so on, each once"
-    elif len(members) > MOST_MEMBERS:
-        wrong = f"{len(members)} members, and must have at most {MOST_MEMBERS}"
-    if wrong:
-        raise ConfigurationError(
-            f"the issue of {to_minutes(first.issued)} has {wrong}", file=first.file
-        )
-    for issue, *_ in members:
-        if issue.hours != first.hours:
-            raise ConfigurationError(
-                f"has {issue.hours} hours, but must have {first.hours} as {first.file.name}",
-                file=issue.file,
-            )
-    return replace(first, rain=np.concatenate([issue.rain for issue, *_ in members]))
-
-
-def _read(file: Path, latitude: float, longitude: float) -> _Member:
-    """Read a file at the point that is nearest to a place (degrees)."""
+def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, str]:
+    """Return a file's member at the point nearest to a place (degrees), its number and product."""
     with in_extra("netcdf"):
         from netCDF4 import Dataset
     refuse = partial(ConfigurationError, file=file)
@@ -144,7 +109,7 @@ def _read(file: Path, latitude: float, longitude: float) -> _Member:
             rain = _rain(partial(refuse, key=variable.name), leads, sums)
     except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
         raise refuse(f"is not NetCDF that can be read: {error}") from error
-    return _Member(Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product)
+    return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
 
 
 def _variable(refuse: _Refuse, dataset: Dataset) -> tuple[Variable[Any], str]:

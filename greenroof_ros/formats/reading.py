@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import caspar, eccc, open_meteo, own_csv
-from greenroof_ros.formats.records import Archive, Issue, Records
+from greenroof_ros.formats.records import Archive, Records, check_alike
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json", ".nc")
@@ -80,26 +79,10 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
     archive = read(files, site)
     issues = sorted(archive.issues, key=lambda issue: issue.issued)
     for one, other in itertools.pairwise(issues):
-        _check_alike(one, other)
+        check_alike(one, other)
     return replace(
         archive, source=source, issues=issues, delay=archive.delay if delay is None else delay
     )
-
-
-def _check_alike(one: Issue, other: Issue) -> None:
-    """Refuse an issue after another one in an archive, if it is no other, or not alike."""
-    wrong, when = "", to_minutes(other.issued)
-    if one.issued == other.issued:
-        wrong = f"has the issue of {when}, which {one.file.name} has already"
-    elif len(one.rain) != len(other.rain):
-        wrong = (
-            f"the issue of {when} must have as many members as that before it in {one.file.name}, "
-            f"{len(one.rain)}, not {len(other.rain)}"
-        )
-    elif (one.evapotranspiration is None) != (other.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or have none, as {one.file.name}"
-    if wrong:
-        raise ConfigurationError(wrong, file=other.file, line=other.line)
 
 
 def _reader_of(file: Path, formats: Mapping[Callable[[Path, bytes], bool], _Read]) -> _Read:
