@@ -166,19 +166,16 @@ def write_forecasts(issues: Sequence[Issue]) -> str:
     Args:
         issues: an archive's, in the order of time, all with the quantities of the first.
     """
-    also = {
-        quantity: [getattr(issue, quantity) for issue in issues]
-        for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
-        if getattr(issues[0], quantity) is not None
-    }
-    columns = ["issued", "time", "member", *(_FORECAST[name] for name in (PRECIPITATION, *also))]
-    lines = [",".join(columns)]
-    for number, issue in enumerate(issues):
+    quantities = [PRECIPITATION] + [
+        name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None
+    ]
+    lines = [",".join(["issued", "time", "member", *(_FORECAST[name] for name in quantities)])]
+    for issue in issues:
         times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
-        further = list(zip(*(series[number].tolist() for series in also.values()), strict=True))
+        further = [getattr(issue, name).tolist() for name in quantities[1:]]
         lines += [
-            ",".join([times[0], time, str(member), *map(repr, (rain, *more))])
-            for member, series in enumerate(issue.rain.tolist())
-            for time, rain, more in zip(times, series, further or [()] * len(times), strict=True)
+            ",".join([times[0], time, str(member), *map(repr, values)])
+            for member, rain in enumerate(issue.rain.tolist())
+            for time, *values in zip(times, rain, *further, strict=True)
         ]
     return "\n".join([*lines, ""])
