@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 from places import DATA
+from refusals import refusal
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import parse_time
