@@ -167,16 +167,12 @@ def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
     assert said.replace(", line", ": line").startswith(f"{path}: {reason}")
 
 
-def test_local_standard_time_needs_its_offset(tmp_path: Path) -> None:
-    """Which the file does not say."""
-    with pytest.raises(ConfigurationError, match="the site file must say its offset from UTC"):
-        read_weather([write(tmp_path, day())], replace(TORONTO, utc_offset=None))
-
-
-def test_no_published_method(tmp_path: Path) -> None:
-    """The authors' figures are of their 72 hours alone."""
-    with pytest.raises(ConfigurationError, match="evapotranspiration = 'published': must be fao56"):
-        read_weather([write(tmp_path, day())], TORONTO, "published")
+def test_refused_with_a_site_or_a_method(tmp_path: Path) -> None:
+    """Local standard time needs an offset; the authors' figures are of their 72 hours alone."""
+    files, nowhere = [write(tmp_path, day())], replace(TORONTO, utc_offset=None)
+    refusal(read_weather, files, nowhere, match="the site file must say its offset from UTC")
+    wrong = "evapotranspiration = 'published': must be fao56"
+    refusal(read_weather, files, TORONTO, "published", match=wrong)
 
 
 def test_july_2021() -> None:

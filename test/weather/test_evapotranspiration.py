@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from paper import PAPER_SITE
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.formats.records import Records
 from greenroof_ros.model.site import Site, read_site
@@ -159,5 +159,5 @@ def test_a_missing_record_is_not_made_up() -> None:
 @pytest.mark.parametrize("key", ["latitude", "elevation"])
 def test_place_is_needed(key: str) -> None:
     """Named when it is not in the site file."""
-    with pytest.raises(ConfigurationError, match=f"fao56 needs {key} in the site file"):
-        fao56(day_of_records(), replace(TORONTO, **{key: None}))
+    nowhere = replace(TORONTO, **{key: None})
+    refusal(fao56, day_of_records(), nowhere, match=f"fao56 needs {key} in the site file")
