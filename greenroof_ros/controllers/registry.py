@@ -8,9 +8,10 @@ import importlib
 import inspect
 import re
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, number, read_ros_parameters, shared_directory
@@ -183,14 +184,7 @@ class ControllerChoice:
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue
             self.check_name(key, path, line)
-            value = number(path, given, key)
-            parameter = self.parameters[key]
-            if not parameter.accepts(value):
-                raise ConfigurationError(
-                    parameter.expected, file=path, line=line, key=key, value=given[key]
-                )
-            values[key] = int(value) if parameter.whole else value
-        return values
+        return values | read_numbers(path, given, self.parameters)
 
     def check_name(self, key: str, path: Path, line: int) -> None:
         """Refuse the name of a parameter that it does not have.
@@ -203,6 +197,25 @@ class ControllerChoice:
                 f"is not a parameter of {self.name}; {did_you_mean(key, self.parameters)}",
                 file=path, line=line, key=key,
             )
+
+
+def read_numbers(
+    path: Path, given: YamlMapping, parameters: Mapping[str, Parameter]
+) -> dict[str, Any]:
+    """Return the values of those parameters that a mapping of a file has.
+
+    Raises:
+        ConfigurationError: one is not a number, or not in its range.
+    """
+    values = {}
+    for key in (key for key in given if key in parameters):
+        value, parameter = number(path, given, key), parameters[key]
+        if not parameter.accepts(value):
+            raise ConfigurationError(
+                parameter.expected, file=path, line=given.lines[key], key=key, value=given[key]
+            )
+        values[key] = int(value) if parameter.whole else value
+    return values
 
 
 def controller_names() -> list[str]:

@@ -53,15 +53,10 @@ class ForecastFile:
         """Read the file if it is another one than before, and return whether it has been."""
         try:
             found = self._path.stat()
-        except OSError as error:
-            self.problem = f"{self._path}: cannot be read: {error.strerror}"
-            self._seen = None
-            return False
-        seen = (found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size)
-        if seen == self._seen:
-            return False
-        self._seen = seen
-        try:
+            seen = (found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size)
+            if seen == self._seen:
+                return False
+            self._seen = seen
             issues = read_forecasts(self._path)
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
@@ -69,11 +64,13 @@ class ForecastFile:
                     "a live site",
                     file=self._path,
                 )
+        except OSError as error:
+            self.problem, self._seen = f"{self._path}: cannot be read: {error.strerror}", None
+            return False
         except ConfigurationError as error:
             self.problem = str(error)
             return False
-        self.issues = issues
-        self.problem = ""
+        self.issues, self.problem = issues, ""
         self.count += 1
         return True
 

@@ -235,7 +235,6 @@ class NormalRecords:
             first: hours since 1970 of the first.
         """
         self._climate, self._rain, self._first = climate, rain, first
-        self._part = lru_cache(maxsize=None)(self._new_part)
 
     def at(self, hours: NDArray[np.intp]) -> Array:
         """Return z (1) of some hours by their index, of the first or last beyond the ends."""
@@ -244,16 +243,12 @@ class NormalRecords:
         normal = np.empty(len(index))
         for part in np.unique(parts):
             here = parts == part
-            begin, values = self._part(int(part))
-            normal[here] = values[index[here] - begin]
+            # A part's first hour, and its hours with a margin on either side.
+            begin = int(part) * _PART * _BLOCK - self._first
+            low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
+            of_part = _drawn(self._climate, self._rain[low:high].tobytes(), self._first + low)
+            normal[here] = of_part[index[here] - low]
         return normal
-
-    def _new_part(self, part: int) -> tuple[int, Array]:
-        """Return the index of a part's first hour, and its z with a margin on either side."""
-        begin = part * _PART * _BLOCK - self._first
-        low = max(begin - _BLOCK, 0)
-        high = min(begin + (_PART + 1) * _BLOCK, len(self._rain))
-        return low, _drawn(self._climate, self._rain[low:high].tobytes(), self._first + low)
 
 
 @lru_cache(maxsize=64)
@@ -273,7 +268,11 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
     missing = np.isnan(rain)
     drawn = missing | (rain == 0)
     ceiling = np.where(missing, np.inf, climate.threshold)
-    pull, spread = _given_neighbours(climate, len(rain))
+    # What an hour's mean is of its neighbours' sum, and its standard deviation then.
+    near = np.exp(-1 / climate.memory)
+    pull = np.full(len(rain), near / (1 + near**2))
+    spread = np.full(len(rain), np.sqrt((1 - near**2) / (1 + near**2)))
+    pull[[0, -1]], spread[[0, -1]] = near, np.sqrt(1 - near**2)
     odd = (np.arange(len(rain)) + first) % 2 == 1
     turns = [np.flatnonzero(drawn & odd), np.flatnonzero(drawn & ~odd)]
     normal = np.zeros(len(rain) + 2)  # and one on either side, of no weight
@@ -290,16 +289,6 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
             # 1e-300: as far below as a normal number can be
             normal[hours + 1] = mean + spread[hours] * ndtri(np.maximum(share, 1e-300))
     return normal[1:-1]
-
-
-def _given_neighbours(climate: Climate, hours: int) -> tuple[Array, Array]:
-    """Return what an hour's mean is of its neighbours' sum, and its standard deviation then (1)."""
-    near = np.exp(-1 / climate.memory)
-    pull = np.full(hours, near / (1 + near**2))
-    spread = np.full(hours, np.sqrt((1 - near**2) / (1 + near**2)))
-    ends = [0, -1]
-    pull[ends], spread[ends] = near, np.sqrt(1 - near**2)
-    return pull, spread
 
 
 class ErrorModel(ForecastModel):
@@ -339,7 +328,12 @@ class ErrorModel(ForecastModel):
         )
         timing = skill.errors.timing * (_LEADS / 24) ** skill.errors.timing_growth
         self._reach = math.ceil(_REACH * max(skill.climate.memory, timing))
-        self._noise = _Noise(seed, members, skill.errors.persistence)
+        self._seed, persistence = seed, skill.errors.persistence
+        ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
+        weights = np.exp(-ages * ISSUE_HOURS / persistence)
+        self._weights = weights / np.sqrt((weights**2).sum())
+        # Twice as many as an issue needs: nothing that the next needs, too, makes room for it.
+        self._drawn = lru_cache(maxsize=2 * len(weights))(self._draw)
         self._newest = lru_cache(maxsize=1)(self._make)  # it is asked for hour after hour
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
@@ -368,7 +362,7 @@ class ErrorModel(ForecastModel):
         """
         filters = _filters(self._skill, self._reach, math.ceil(leads / _LEADS))
         hours = np.arange(issued - self._reach, issued + leads + self._reach)
-        common, own, dry = self._noise.of(issue, len(hours))
+        (common, *own), dry = self._noise(issue, len(hours))
         known = _filtered(filters.signal, self._normal.at(hours))
         known += _filtered(filters.common, common)
         members = np.stack([known + _filtered(filters.own, noise) for noise in own])
@@ -380,6 +374,39 @@ class ErrorModel(ForecastModel):
             np.minimum(rain, QUANTITIES[PRECIPITATION][2]),
             np.exp(spread * dry - spread**2 / 2),
         )
+
+
+    def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
+        """Return the white noise of an issue, which is not far from that of the issue before.
+
+        Args:
+            issue: h since 1970.
+            hours: how many, the first as far before each issue.
+
+        Returns:
+            That of all members and of each, shape (1 + members, hours); and of evapotranspiration.
+        """
+        longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
+        rain = np.zeros((self.members + 1, hours))
+        dry = 0.0
+        for age, weight in enumerate(self._weights):
+            begin = ISSUE_HOURS * age
+            noise, of_dry = self._drawn(issue - begin, -(-longest // _BLOCK) * _BLOCK)
+            rain += weight * noise[:, begin : begin + hours]
+            dry += weight * of_dry
+        return rain, dry
+
+    def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
+        """Draw what an issue adds, shape (1 + members, hours), and for evapotranspiration.
+
+        The first hours are the same however many there are.
+        """
+        chances = [
+            np.random.default_rng([self._seed, member, issue % 2**32])
+            for member in range(self.members + 1)
+        ]
+        dry = float(chances[0].standard_normal())
+        return np.stack([chance.standard_normal(hours) for chance in chances]), dry
 
 
 class _Filters(NamedTuple):
@@ -429,56 +456,6 @@ def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     return _Filters(
         weights(coherence), common * scale[:, None], own * scale[:, None], np.sqrt(unknown)
     )
-
-
-class _Noise:
-    """White noise of each issue, which is not far from the noise of the issue before."""
-
-    def __init__(self, seed: int, members: int, persistence: float) -> None:
-        """Take seed, number of members, and the persistence (h)."""
-        self._seed, self._members = seed, members
-        ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
-        weights = np.exp(-ages * ISSUE_HOURS / persistence)
-        self._weights = weights / np.sqrt((weights**2).sum())
-        # Twice as many as an issue needs: nothing that the next needs, too, makes room for it.
-        self._drawn = lru_cache(maxsize=2 * len(weights))(self._draw)
-        self._length = 0
-
-    def of(self, issue: int, hours: int) -> tuple[Array, Array, float]:
-        """Return the noise of an issue.
-
-        Args:
-            issue: h since 1970.
-            hours: how many, the first as far before each issue.
-
-        Returns:
-            Of all members, shape (hours,); of each of them, shape (members, hours); and
-            of evapotranspiration.
-        """
-        longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
-        if longest > self._length:
-            self._length = longest
-            self._drawn.cache_clear()
-        rain = np.zeros((self._members + 1, hours))
-        dry = 0.0
-        for age, weight in enumerate(self._weights):
-            begin = ISSUE_HOURS * age
-            noise, of_dry = self._drawn(issue - begin)
-            rain += weight * noise[:, begin : begin + hours]
-            dry += weight * of_dry
-        return rain[0], rain[1:], dry
-
-    def _draw(self, issue: int) -> tuple[Array, float]:
-        """Draw what an issue adds, shape (1 + members, hours), and for evapotranspiration.
-
-        The first hours are the same however many there are.
-        """
-        chances = [
-            np.random.default_rng([self._seed, member, issue % 2**32])
-            for member in range(self._members + 1)
-        ]
-        dry = float(chances[0].standard_normal())
-        return np.stack([chance.standard_normal(self._length) for chance in chances]), dry
 
 
 def _filtered(weights: Array, values: Array) -> Array:

@@ -13,20 +13,16 @@ where they are further apart, three hours or six, each hour between has its shar
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue, ensemble
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
@@ -54,19 +50,6 @@ _LONGEST_STEP = 6
 _ROUNDING_MM = 0.05
 
 
-_Refuse: TypeAlias = Callable[..., ConfigurationError]
-"""What is wrong with a file, by what would be right, key and value."""
-
-
-class _Member(NamedTuple):
-    """A file."""
-
-    issue: Issue
-    """of this member alone"""
-    number: int
-    product: str
-
-
 def recognises(file: Path, head: bytes, /) -> bool:
     """Whether a file is NetCDF by its first bytes, or said to be by its name."""
     return head.startswith(_MAGIC) or file.suffix == ".nc"
@@ -89,101 +72,85 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
             file=files[0],
         )
     members = [_read(file, site.latitude, site.longitude) for file in files]
-    product = members[0].product
-    by_issue: dict[datetime, list[_Member]] = {}
-    for member in sorted(members, key=lambda one: (one.issue.issued, one.number)):
-        by_issue.setdefault(member.issue.issued, []).append(member)
-        if member.product != product:
+    product = members[0][2]
+    by_issue: dict[datetime, list[tuple[int, Issue]]] = {}
+    for issue, number, other in members:
+        by_issue.setdefault(issue.issued, []).append((number, issue))
+        if other != product:
             raise ConfigurationError(
-                f"must be of {product}, as {files[0].name} is, not of {member.product}",
-                file=member.issue.file,
+                f"must be of {product}, as {files[0].name} is, not of {other}", file=issue.file
             )
-    issues = [_issue(issue) for issue in by_issue.values()]
+    issues = [ensemble(by_issue[issued]) for issued in sorted(by_issue)]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 
-def _issue(members: Sequence[_Member]) -> Issue:
-    """Return an issue of all its members."""
-    first, wrong = members[0].issue, ""
-    numbers = [member.number for member in members]
-    if numbers != list(range(len(members))):
-        listed = ", ".join(f"{number:03}" for number in numbers)
-        wrong = f"members {listed}; they must be 000, 001 and so on, each once"
-    elif len(members) > MOST_MEMBERS:
-        wrong = f"{len(members)} members, and must have at most {MOST_MEMBERS}"
-    if wrong:
-        raise ConfigurationError(
-            f"the issue of {to_minutes(first.issued)} has {wrong}", file=first.file
-        )
-    for issue, *_ in members:
-        if issue.hours != first.hours:
-            raise ConfigurationError(
-                f"has {issue.hours} hours, but must have {first.hours} as {first.file.name}",
-                file=issue.file,
-            )
-    return replace(first, rain=np.concatenate([issue.rain for issue, *_ in members]))
-
-
-def _read(file: Path, latitude: float, longitude: float) -> _Member:
-    """Read a file at the point that is nearest to a place (degrees)."""
+def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, str]:
+    """Return a file's member at the point nearest to a place (degrees), its number and product."""
     with in_extra("netcdf"):
         from netCDF4 import Dataset
-    refuse = partial(ConfigurationError, file=file)
     try:
         match = _NAME.fullmatch(file.stem)
         issued = datetime.strptime(f"{match and match[1]} +0000", "%Y%m%d%H %z")
     except ValueError:
-        raise refuse("must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc") from None
+        raise ConfigurationError(
+            "must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc", file=file
+        ) from None
     assert match is not None
     try:
         with Dataset(file) as dataset:
-            variable, product = _variable(refuse, dataset)
-            leads = _leads(refuse, dataset, issued)
-            point = _nearest(refuse, dataset, variable, latitude, longitude)
-            sums = 1000 * _numbers(refuse, variable, *point)
-            rain = _rain(partial(refuse, key=variable.name), leads, sums)
+            variable, product = _variable(dataset)
+            leads = _leads(dataset, issued)
+            point = _nearest(dataset, variable, latitude, longitude)
+            sums = 1000 * _numbers(variable, *point)
+            rain = _rain(variable.name, leads, sums)
+    except ConfigurationError as error:
+        raise ConfigurationError(error.wrong, file=file) from None
     except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
-        raise refuse(f"is not NetCDF that can be read: {error}") from error
-    return _Member(Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product)
+        raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
+    return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
 
 
-def _variable(refuse: _Refuse, dataset: Dataset) -> tuple[Variable[Any], str]:
+def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
     """Return the variable of precipitation, and its product."""
     found = [match for name in dataset.variables if (match := _VARIABLE.fullmatch(name))]
     if len(found) != 1:
         names = [match[0] for match in found] or dataset.variables
-        raise refuse(
+        raise ConfigurationError(
             "must have one variable of precipitation, such as HRDPS_P_PR_SFC; it has "
             f"{', '.join(names)}"
         )
     name, product = found[0][0], found[0][1]
     if product not in _DELAYS_H:
-        raise refuse(f"must be of {', '.join(_DELAYS_H)}", value=name)
+        raise ConfigurationError(f"must be of {', '.join(_DELAYS_H)}", value=name)
     units = _attribute(dataset[name], "units")
     if units != "m":
-        raise refuse("must be 'm', of the sum since the issue", key=f"{name}:units", value=units)
+        raise ConfigurationError(
+            "must be 'm', of the sum since the issue", key=f"{name}:units", value=units
+        )
     return dataset[name], product
 
 
-def _leads(refuse: _Refuse, dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
+def _leads(dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
     """Return 0 and the leads of a file's times (h)."""
     if "time" not in dataset.variables:
-        raise refuse("must have a variable 'time'")
+        raise ConfigurationError("must have a variable 'time'")
     time = dataset["time"]
     if time.dimensions != ("time",):  # sums without a time, or times without a sum
         dimensions = ", ".join(time.dimensions)
-        raise refuse(f"must have the dimension time, not ({dimensions})", key="time")
+        raise ConfigurationError(f"must have the dimension time, not ({dimensions})", key="time")
     units = _attribute(time, "units")
     due = f"hours since {issued:%Y-%m-%d %H:%M:%S}"
     if units != due:
-        raise refuse(f"must be '{due}', by the file's name", key="time:units", value=units)
-    times = _numbers(refuse, time)
+        raise ConfigurationError(
+            f"must be '{due}', by the file's name", key="time:units", value=units
+        )
+    times = _numbers(time)
     leads = np.concatenate(([0.0], times if times.size and times[0] else times[1:]))
     steps = np.diff(leads)
     wrong = np.flatnonzero(~((steps >= 1) & (steps <= _LONGEST_STEP) & (steps % 1 == 0)))
     if wrong.size or not steps.size:
         after = f" after {leads[wrong[0]]:g}" if wrong.size else ""
-        raise refuse(
+        raise ConfigurationError(
             f"must have further hours, 1 to {_LONGEST_STEP} from each to the next{after}",
             key="time",
         )
@@ -191,18 +158,16 @@ def _leads(refuse: _Refuse, dataset: Dataset, issued: datetime) -> NDArray[np.in
 
 
 def _nearest(
-    refuse: _Refuse, dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
+    dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
 ) -> tuple[int, int]:
     """Return the indices of the point of the grid that is nearest to a place.
 
     Nearest is the least angle between both on the sphere, by the haversine.
     """
-    (north, latitudes), (east, longitudes) = (
-        _coordinate(refuse, dataset, name) for name in _ENDS
-    )
+    (north, latitudes), (east, longitudes) = (_coordinate(dataset, name) for name in _ENDS)
     places = north if north == east else (*north, *east)
     if len(places) != 2 or variable.dimensions != ("time", *places):
-        raise refuse(
+        raise ConfigurationError(
             f"must have the dimensions time and two of the places, as latitude ({', '.join(north)})"
             f" and longitude ({', '.join(east)}) have them, not "
             f"({', '.join(variable.dimensions)})", value=variable.name,
@@ -217,7 +182,7 @@ def _nearest(
     nearest = int(np.argmin(haversine))
     degrees = float(np.degrees(2 * np.arcsin(np.sqrt(haversine.flat[nearest]))))
     if not degrees <= _FURTHEST_DEG:
-        raise refuse(
+        raise ConfigurationError(
             f"has no point within {_FURTHEST_DEG:g} degrees of the site's place, {latitude:g}, "
             f"{longitude:g}; the nearest is {degrees:.3g} away"
         )
@@ -225,20 +190,18 @@ def _nearest(
     return int(row), int(column)
 
 
-def _coordinate(
-    refuse: _Refuse, dataset: Dataset, name: str
-) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+def _coordinate(dataset: Dataset, name: str) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     """Return the dimensions and degrees of the variable of a standard name."""
     for variable in dataset.variables.values():
         if _attribute(variable, "standard_name") == name:
-            degrees, end = _numbers(refuse, variable), _ENDS[name]
+            degrees, end = _numbers(variable), _ENDS[name]
             if not (degrees.size and (np.abs(degrees) <= end).all()):
-                raise refuse(
+                raise ConfigurationError(
                     f"must have degrees from {-end:g} to {end:g} for every point of the grid, and "
                     "one point or more", key=variable.name,
                 )
             return variable.dimensions, degrees
-    raise refuse(f"must have a variable of standard_name '{name}'")
+    raise ConfigurationError(f"must have a variable of standard_name '{name}'")
 
 
 def _attribute(variable: Variable[Any], name: str) -> str:
@@ -246,7 +209,7 @@ def _attribute(variable: Variable[Any], name: str) -> str:
     return str(getattr(variable, name, ""))
 
 
-def _numbers(refuse: _Refuse, variable: Variable[Any], *point: int) -> NDArray[np.float64]:
+def _numbers(variable: Variable[Any], *point: int) -> NDArray[np.float64]:
     """Return the values of a variable, at one point where its last dimensions are the places'.
 
     NaN is a missing value. NetCDF also has types of text, lists and records, and text of digits
@@ -254,29 +217,27 @@ def _numbers(refuse: _Refuse, variable: Variable[Any], *point: int) -> NDArray[n
     """
     kind, name = variable.datatype, variable.name
     if not (isinstance(kind, np.dtype) and kind.kind in "iuf"):
-        raise refuse("must be of a type of numbers, such as float or int", key=name)
+        raise ConfigurationError("must be of a type of numbers, such as float or int", key=name)
     for packing in _PACKING:
         number = getattr(variable, packing, np.float64(0.0))
         if not isinstance(number, np.number):
-            raise refuse("must be a number", key=f"{name}:{packing}", value=str(number))
+            raise ConfigurationError("must be a number", key=f"{name}:{packing}", value=str(number))
     values: NDArray[np.float64] = np.ma.filled(variable[(..., *point)].astype(np.float64), np.nan)
     beyond = np.argwhere(np.abs(values) > _LARGEST)
     if beyond.size:
         index = tuple(beyond[0].tolist())
-        raise refuse(
+        raise ConfigurationError(
             "must be finite, and a number of 32 bits",
             key=f"{name}[{', '.join(map(str, index))}]", value=float(values[index]),
         )
     return values
 
 
-def _rain(
-    refuse: _Refuse, leads: NDArray[np.int64], sums: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rain of each hour (mm/h) from its sums since the issue (mm).
 
     Args:
-        refuse: names file and variable.
+        name: of the variable.
         leads: 0, and those of the sums (h), shape (n + 1,).
         sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
             last.
@@ -284,20 +245,22 @@ def _rain(
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
     known = np.flatnonzero(~np.isnan(sums))[-1] + 1
     if known == 1 or np.isnan(sums[:known]).any():
-        raise refuse(f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue")
+        raise ConfigurationError(
+            f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue", key=name
+        )
     amounts, steps = np.diff(sums[:known]), np.diff(leads[:known])
     falls = np.flatnonzero(amounts < -_ROUNDING_MM)
     if falls.size:
-        raise refuse(
+        raise ConfigurationError(
             f"must be the sum since the issue; it falls by {-amounts[falls[0]]:.3g} mm to "
-            f"{leads[falls[0] + 1]} h after it"
+            f"{leads[falls[0] + 1]} h after it", key=name
         )
     rain = np.maximum(amounts, 0.0) / steps
     _, low, high = QUANTITIES[PRECIPITATION]
     beyond = np.flatnonzero(rain > high)
     if beyond.size:
-        raise refuse(
+        raise ConfigurationError(
             f"must be {low:g} to {high:g} mm/h, not {rain[beyond[0]]:.4g} before "
-            f"{leads[beyond[0] + 1]} h after the issue"
+            f"{leads[beyond[0] + 1]} h after the issue", key=name
         )
     return np.repeat(rain, steps)

@@ -70,11 +70,11 @@ from greenroof_ros.formats.records import (
     Records,
     Table,
     Unit,
+    ensemble,
     join,
     numbered_lines,
     read_table,
 )
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 
 _OFFSET = "utc_offset_seconds"
@@ -361,47 +361,36 @@ def read_run(file: Path, site: Site, issued: datetime) -> Issue:
 
 
 def _run(hours: Records, run: datetime) -> Issue:
-    """Return the run of a file."""
+    """Return the run of a file; a series without a number is the control, 0."""
     (file,) = hours.files
     refuse = partial(ConfigurationError, file=file)
-    rain = np.stack(_members(hours))
     start, rest = divmod(run - hours.first, HOUR)
-    if rest or not 0 <= start < rain.shape[1]:
+    if rest or not 0 <= start < hours.hours:
         raise refuse(
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
-    rain = rain[:, start:]
-    if rain.shape[1] > _LONGEST_RUN:
+    numbered = {
+        int(match[1] or 0): Issue(run, file, None, series[None, start:])
+        for name, series in hours.values.items() if (match := _MEMBER.fullmatch(name))
+    }
+    control = int(0 not in numbered)  # some have none
+    issue = ensemble((number - control, member) for number, member in numbered.items())
+    if issue.hours > _LONGEST_RUN:
         raise refuse(
-            f"has {rain.shape[1]} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
+            f"has {issue.hours} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
             "are previous runs, precipitation_previous_day1 and so on"
         )
-    known = np.flatnonzero(~np.isnan(rain).all(axis=0))
+    known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))
     if not known.size:
         raise refuse(f"has no precipitation after its run, {to_minutes(run)}")
-    rain = rain[:, : known[-1] + 1]  # beyond the model's horizon there is none
+    rain = issue.rain[:, : known[-1] + 1]  # beyond the model's horizon there is none
     missing = np.argwhere(np.isnan(rain))
     if missing.size:
         member, hour = missing[0].tolist()
         time = to_minutes(run + (hour + 1) * HOUR)
         raise refuse(f"member {member} is missing at {time}, within the run")
-    return Issue(run, file, None, rain)
-
-
-def _members(hours: Records) -> list[NDArray[np.float64]]:
-    """Return the series of a run by their member; one without a number is the control, 0."""
-    found = {
-        int(match[1] or 0): series for name, series in hours.values.items()
-        if (match := _MEMBER.fullmatch(name))
-    }
-    refuse, numbers = partial(ConfigurationError, file=hours.files[0]), sorted(found)
-    if numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] > 1:
-        there = ", ".join(map(str, numbers))
-        raise refuse(f"must have its members without gap; it has {there}")
-    if len(numbers) > MOST_MEMBERS:
-        raise refuse(f"must have at most {MOST_MEMBERS} members, not {len(numbers)}")
-    return [found[number] for number in numbers]
+    return replace(issue, rain=rain)
 
 
 def _named_run(file: Path) -> datetime:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.records import (
@@ -22,6 +19,8 @@ from greenroof_ros.formats.records import (
     Issue,
     Records,
     Table,
+    check_alike,
+    ensemble,
     numbered_lines,
     read_table,
 )
@@ -123,12 +122,14 @@ def read_forecasts(path: Path) -> list[Issue]:
         "out",
     )
     issued, times = table.times("issued"), table.times("time")
-    members = _members(table) if "member" in table.header else [0] * len(times)
+    members = [0.0] * len(times)
+    if "member" in table.header:
+        members = table.numbers("member", ("(whole)", 0.0, MOST_MEMBERS - 1.0)).tolist()
     values = {
         quantity: table.numbers(column, QUANTITIES[quantity])
         for quantity, column in _FORECAST.items() if column in table.header
     }
-    rows_of: dict[datetime, dict[int, list[int]]] = {}  # of each issue and member
+    rows_of: dict[datetime, dict[float, list[int]]] = {}  # of each issue and member
     for row, (issue, time, member) in enumerate(zip(issued, times, members, strict=True)):
         last = next(reversed(rows_of), issue)
         if issue < last:
@@ -140,54 +141,23 @@ def read_forecasts(path: Path) -> list[Issue]:
         due = issue + len(rows) * HOUR
         table.check_due("time", row, time, due, "from its issue on, each forecast")
         rows.append(row)
-    count = len(rows_of[issued[0]])
-    return [_issue(table, issue, rows, count, values) for issue, rows in rows_of.items()]
-
-
-def _members(table: Table) -> list[int]:
-    """Return each row's member."""
-    most = MOST_MEMBERS - 1
-    for row, text in enumerate(table.columns["member"]):
-        if not (text.isascii() and text.isdecimal() and float(text) <= most):
-            raise table.refuse(f"must be a whole number from 0 to {most}", "member", row)
-    # An int of a text may have 4300 digits, zeros too.
-    return [int(float(text)) for text in table.columns["member"]]
-
-
-def _issue(
-    table: Table, issued: datetime, rows: dict[int, list[int]], members: int,
-    values: dict[str, NDArray[np.float64]],
-) -> Issue:
-    """Return an issue by the rows of each of its members.
-
-    Raises:
-        ConfigurationError: it lacks members that the first issue has, or has others, or hours.
-    """
-    line = table.lines[rows[next(iter(rows))][0]]
-    found = sorted(rows)
-    lengths = [len(rows[member]) for member in found]
-    wrong = ""
-    if found != list(range(members)):
-        wrong = (
-            f"has members {', '.join(map(str, found))}, but must have 0 to {members - 1}: without "
-            "gap, and as many as the first issue"
+    issues = [
+        ensemble(
+            (member, Issue(
+                issue, path, table.lines[next(iter(numbered.values()))[0]],
+                values[PRECIPITATION][None, rows],
+                *(
+                    values[quantity][rows] if quantity in values else None
+                    for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
+                ),
+            ))
+            for member, rows in numbered.items()
         )
-    elif min(lengths) != max(lengths):
-        wrong = "must have as many hours of each member; " + ", ".join(
-            f"member {lengths.index(hours)} has {hours}" for hours in (min(lengths), max(lengths))
-        )
-    if wrong:
-        raise ConfigurationError(
-            f"the issue of {to_minutes(issued)} {wrong}", file=table.file, line=line
-        )
-    return Issue(
-        issued, table.file, line,
-        np.stack([values[PRECIPITATION][rows[member]] for member in found]),
-        *(
-            values[quantity][rows[0]] if quantity in values else None
-            for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
-        ),
-    )
+        for issue, numbered in rows_of.items()
+    ]
+    for one, other in itertools.pairwise(issues):
+        check_alike(one, other)
+    return issues
 
 
 def write_forecasts(issues: Sequence[Issue]) -> str:
@@ -196,19 +166,16 @@ def write_forecasts(issues: Sequence[Issue]) -> str:
     Args:
         issues: an archive's, in the order of time, all with the quantities of the first.
     """
-    also = {
-        quantity: [getattr(issue, quantity) for issue in issues]
-        for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
-        if getattr(issues[0], quantity) is not None
-    }
-    columns = ["issued", "time", "member", *(_FORECAST[name] for name in (PRECIPITATION, *also))]
-    lines = [",".join(columns)]
-    for number, issue in enumerate(issues):
+    quantities = [PRECIPITATION] + [
+        name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None
+    ]
+    lines = [",".join(["issued", "time", "member", *(_FORECAST[name] for name in quantities)])]
+    for issue in issues:
         times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
-        further = list(zip(*(series[number].tolist() for series in also.values()), strict=True))
+        further = [getattr(issue, name).tolist() for name in quantities[1:]]
         lines += [
-            ",".join([times[0], time, str(member), *map(repr, (rain, *more))])
-            for member, series in enumerate(issue.rain.tolist())
-            for time, rain, more in zip(times, series, further or [()] * len(times), strict=True)
+            ",".join([times[0], time, str(member), *map(repr, values)])
+            for member, rain in enumerate(issue.rain.tolist())
+            for time, *values in zip(times, rain, *further, strict=True)
         ]
     return "\n".join([*lines, ""])

@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from types import ModuleType
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import caspar, eccc, open_meteo, own_csv
-from greenroof_ros.formats.records import Archive, Issue, Records
+from greenroof_ros.formats.records import Archive, Records, check_alike
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json", ".nc")
 """How files of forecasts end; what is in one says which format it has."""
 _HEAD_BYTES = 4096
 
-_Read = TypeVar("_Read")
-
-# What reads a file, by what recognises it from its name and first bytes: the first that does. The
-# last recognises any.
-_WEATHER = {
-    eccc.recognises: eccc.read_records, open_meteo.recognises: open_meteo.read_records,
-    own_csv.recognises: own_csv.read_records,
-}
-_FORECASTS = {
-    caspar.recognises: caspar.read_archive, open_meteo.recognises: open_meteo.read_archive,
-    own_csv.recognises: own_csv.read_archive,
-}
+# The first that recognises a file, from its name and first bytes, reads it; the last does any.
+_WEATHER = (eccc, open_meteo, own_csv)
+_FORECASTS = (caspar, open_meteo, own_csv)
 
 
 def read_records(file: Path, site: Site) -> Records:
@@ -38,7 +28,8 @@ def read_records(file: Path, site: Site) -> Records:
     Raises:
         ConfigurationError: the file is not as its format must be.
     """
-    return _reader_of(file, _WEATHER)(file, site)
+    records: Records = _format_of(file, _WEATHER).read_records(file, site)
+    return records
 
 
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
@@ -71,38 +62,23 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
                     f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, as all files in a "
                     "directory of forecasts", file=file,
                 )
-    read = _reader_of(files[0], _FORECASTS)
+    form = _format_of(files[0], _FORECASTS)
     for file in files[1:]:
-        if _reader_of(file, _FORECASTS) is not read:
+        if _format_of(file, _FORECASTS) is not form:
             raise ConfigurationError(
                 f"must be of the format of {files[0].name}: an archive has one", file=file
             )
-    archive = read(files, site)
+    archive: Archive = form.read_archive(files, site)
     issues = sorted(archive.issues, key=lambda issue: issue.issued)
     for one, other in itertools.pairwise(issues):
-        _check_alike(one, other)
+        check_alike(one, other)
     return replace(
         archive, source=source, issues=issues, delay=archive.delay if delay is None else delay
     )
 
 
-def _check_alike(one: Issue, other: Issue) -> None:
-    """Refuse an issue after another one in an archive, if it is no other, or not alike."""
-    wrong, when = "", to_minutes(other.issued)
-    if one.issued == other.issued:
-        wrong = f"has the issue of {when}, which {one.file.name} has already"
-    elif len(one.rain) != len(other.rain):
-        wrong = (
-            f"the issue of {when} must have as many members as that before it in {one.file.name}, "
-            f"{len(one.rain)}, not {len(other.rain)}"
-        )
-    elif (one.evapotranspiration is None) != (other.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or have none, as {one.file.name}"
-    if wrong:
-        raise ConfigurationError(wrong, file=other.file, line=other.line)
-
-
-def _reader_of(file: Path, formats: Mapping[Callable[[Path, bytes], bool], _Read]) -> _Read:
+def _format_of(file: Path, formats: Sequence[ModuleType]) -> ModuleType:
+    """Return the module of a file's format."""
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of some", file=file)
     try:
@@ -110,4 +86,4 @@ def _reader_of(file: Path, formats: Mapping[Callable[[Path, bytes], bool], _Read
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
-    return next(read for recognises, read in formats.items() if recognises(file, head))
+    return next(form for form in formats if form.recognises(file, head))

@@ -25,6 +25,7 @@ from greenroof_ros.common.times import (
     parse_time,
     to_minutes,
 )
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 HOUR = timedelta(hours=1)
 PRECIPITATION = "precipitation"
@@ -155,7 +156,7 @@ def join(parts: Sequence[Records]) -> Records:
     begins = [(part.first - first.first) // HOUR for part in parts]
     hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
     values = {quantity: np.full(hours, np.nan) for quantity in first.values}
-    for number, (begin, part) in enumerate(zip(begins, parts, strict=True)):
+    for begin, part in zip(begins, parts, strict=True):
         for quantity, series in part.values.items():
             joined = values[quantity][begin : begin + part.hours]
             known = ~np.isnan(series)
@@ -163,9 +164,9 @@ def join(parts: Sequence[Records]) -> Records:
             if unequal.size:
                 hour = int(unequal[0])
                 other = next(
-                    one for at, one in zip(begins[:number], parts, strict=False)
-                    if begin + hour < at + one.hours
-                    and not np.isnan(one.values[quantity][begin + hour - at])
+                    part for at, part in zip(begins, parts, strict=True)
+                    if 0 <= begin + hour - at < part.hours
+                    and not np.isnan(part.values[quantity][begin + hour - at])
                 )
                 raise ConfigurationError(
                     f"must be {joined[hour]:g}, as in {other.source}, or the files must not "
@@ -243,6 +244,53 @@ class Issue:
         last = self.hours - 1
         index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
         return self.evapotranspiration[np.where(index < 0, last, index)]
+
+
+def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
+    """Return one issue of members, each given by its number as an issue of that member alone.
+
+    Raises:
+        ConfigurationError: they are not 0, 1, 2 and so on, too many, or not all as long.
+    """
+    ordered = sorted(numbered, key=lambda member: member[0])
+    numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
+    first, lengths, wrong = issues[0], [issue.hours for issue in issues], ""
+    if numbers != list(range(len(numbers))):
+        wrong = (
+            f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
+            "and so on, each once"
+        )
+    elif len(numbers) > MOST_MEMBERS:
+        wrong = f"has {len(numbers)} members, and must have at most {MOST_MEMBERS}"
+    elif min(lengths) != max(lengths):
+        wrong = "must have as many hours of each member; " + ", ".join(
+            f"member {lengths.index(hours)} has {hours}" for hours in (min(lengths), max(lengths))
+        )
+    if wrong:
+        raise ConfigurationError(
+            f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
+        )
+    return replace(first, rain=np.concatenate([issue.rain for issue in issues]))
+
+
+def check_alike(one: Issue, other: Issue) -> None:
+    """Refuse an issue after another one in an archive, if it is no other, or not alike.
+
+    Raises:
+        ConfigurationError: it is.
+    """
+    wrong, when = "", to_minutes(other.issued)
+    if one.issued == other.issued:
+        wrong = f"has the issue of {when}, which {one.file.name} has already"
+    elif len(one.rain) != len(other.rain):
+        wrong = (
+            f"the issue of {when} must have as many members as that before it in {one.file.name}, "
+            f"{len(one.rain)}, not {len(other.rain)}"
+        )
+    elif (one.evapotranspiration is None) != (other.evapotranspiration is None):
+        wrong = f"must have a column of evapotranspiration, or have none, as {one.file.name}"
+    if wrong:
+        raise ConfigurationError(wrong, file=other.file, line=other.line)
 
 
 @dataclass(frozen=True)

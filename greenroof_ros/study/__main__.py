@@ -13,13 +13,12 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.study.case_run import ENGINES, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
@@ -216,32 +215,38 @@ class Names:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Look at what differs between all cases, and among those of each controller."""
-        self._columns = differing([case.columns() for case in cases])
-        self._parameters = {
-            name: differing([case.parameters for case in cases if case.controller.name == name])
+        self._facts = differing([_facts(case) for case in cases])
+        self._values = {
+            name: differing([_values(case) for case in cases if case.controller.name == name])
             for name in {case.controller.name for case in cases}
         }
 
     def name(self, case: Case) -> str:
         """Return the whole name of a case, for a sentence."""
-        texts = {
-            "initial": case.initial, "start": f"from {case.start}",
-            "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
-            "site": case.site.name,
-            "evapotranspiration": f"evapotranspiration {case.evapotranspiration}",
-        }
-        parts = [self.setting(case), *(texts[key] for key in texts if key in self._columns)]
-        if any(column.startswith("forecast") for column in self._columns):
-            parts.append(f"forecast {_forecast(case)}")
-        return ", ".join(parts)
+        facts = _facts(case)
+        return ", ".join([self.setting(case), *(facts[key] for key in self._facts)])
 
     def setting(self, case: Case) -> str:
         """Return the controller with its parameters, and the errors of sensor and pump."""
-        columns, name = case.columns(), case.controller.name
-        return _named(name, {
-            **{key: case.parameters[key] for key in self._parameters[name]},
-            **{key: columns[key] for key in PARAMETERS if key in self._columns},
-        })
+        values, name = _values(case), case.controller.name
+        return _named(name, {key: values[key] for key in self._values[name]})
+
+
+def _values(case: Case) -> dict[str, float | str]:
+    """Return the parameters of a case's controller, and the errors of its sensor and pump."""
+    errors = case.sensor_pump_errors
+    return {**case.parameters, **({} if errors is None else errors.values())}
+
+
+def _facts(case: Case) -> dict[str, str]:
+    """Return what tells cases of a controller apart, in words."""
+    return {
+        "initial": case.initial, "start": f"from {case.start}",
+        "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
+        "site": case.site.name,
+        "evapotranspiration": f"evapotranspiration {case.evapotranspiration}",
+        "forecast": f"forecast {_forecast(case)}",
+    }
 
 
 def _forecast(case: Case) -> str:
@@ -270,25 +275,24 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
     """
     console, names = Console(), Names(cases)
     initials = list(dict.fromkeys(case.initial for case in cases))
-    forecasts = any(case.forecast.model != PERFECT for case in cases)
-    windows: dict[tuple[Any, ...], dict[tuple[str, ...], dict[str, str]]] = {}
+    labels = ["controller"]
+    if any(case.forecast.model != PERFECT for case in cases):
+        labels.append("forecast")
+    tables: dict[tuple[Any, ...], dict[tuple[str, ...], dict[str, str]]] = {}
     for case, row in zip(cases, rows, strict=True):
-        line = (names.setting(case), *([_forecast(case)] if forecasts else []))
-        window = windows.setdefault(tuple(row[column] for column in _WINDOW), {})
-        done = row["status"] == "done"
-        window.setdefault(line, {})[case.initial] = (
-            f"{row['total_deviation_m3']:.2f}" if done else row["status"].upper()
-        )
-    for (site, weather, start, hours, method), lines in windows.items():
+        window = tuple(row[column] for column in _WINDOW)
+        line = (names.setting(case), _forecast(case))[: len(labels)]
+        total = row["status"].upper()
+        if row["status"] == "done":
+            total = f"{row['total_deviation_m3']:.2f}"
+        tables.setdefault(window, {}).setdefault(line, {})[case.initial] = total
+    for (site, weather, start, hours, method), lines in tables.items():
         table = Table(
+            *labels, *(Column(initial, justify="right") for initial in initials),
             title=f"Total deviation (m3, summed over the ticks): {weather}, "
             f"{shortest(hours)} h from {start}, evapotranspiration {method}, {site}",
             title_justify="left",
         )
-        for column in ("controller", *(["forecast"] if forecasts else [])):
-            table.add_column(column)
-        for initial in initials:
-            table.add_column(initial, justify="right")
         for line, totals in lines.items():
             table.add_row(*line, *(totals.get(initial, "") for initial in initials))
         console.print(table)

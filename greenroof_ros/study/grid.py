@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,16 +17,16 @@ from typing import Any, NamedTuple
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import (
     YamlMapping,
+    number,
     read_yaml,
     shared_directory,
     unique_name,
 )
-from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.controllers.registry import ControllerChoice, find_controller, read_numbers
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import (
     NUMBERS,
     OPTIONS,
-    PERFECT,
     ForecastChoice,
     check_skill,
     choose,
@@ -51,13 +51,24 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
+# What multiplies in a window.
+_TIMES = ("year", "start", "hours", "evapotranspiration")
+# What each block must be.
+_SITE = (
+    "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, or a list of such"
+)
+_WINDOW = "must be a list of windows, each with 'file:', 'start:' and 'hours:'"
+_FORECAST = "{model: errors, skill: real, seed: [1, 2]}"
+_ERRORS = "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of such"
+_STATE = (
+    f"must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
+    "{name: dry, cistern: 60.0, roof: 1.0} in m3"
+)
+_SETTINGS = "must hold parameters, a list of such, or nothing"
 # The digests of a case's files of forecasts, in what its identity is made from.
 _DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
 # What the directory of a study has beside them.
 _OWN_FILES = ("grid.yaml", "study.json")
-# What a value of each kind must be.
-_KINDS = {str: "a text", int: "a whole number", float: "a number"}
-_WINDOW_KEYS = ("file", "start", "year", "hours", "evapotranspiration", "gaps", "forecast")
 
 
 @dataclass(frozen=True)
@@ -218,7 +229,10 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 
 
 class _Grid:
-    """A grid file while it is read."""
+    """A grid file while it is read.
+
+    Each block of it is a mapping or a list of such, in which every list stands for as many runs.
+    """
 
     def __init__(self, path: Path, weather: Path | None) -> None:
         self._path = path
@@ -226,10 +240,7 @@ class _Grid:
         # Holds edited sites until they are carried along.
         self._scratch = tempfile.TemporaryDirectory(prefix="greenroof_ros-")
         self._mapping = read_yaml(path)
-        self._keys(self._mapping, (*_KEYS, *_OPTIONAL_KEYS))
-        for key in _KEYS:
-            if not self._mapping.get(key):
-                raise ConfigurationError("is missing or empty", file=path, key=key)
+        self._keys(self._mapping, _KEYS, _OPTIONAL_KEYS)
         self._files: dict[Path, InputFile] = {}
         self._weathers: dict[tuple[InputFile, ...], str] = {}
         self._read: dict[tuple[object, ...], Weather] = {}
@@ -244,81 +255,68 @@ class _Grid:
                 one._replace(parameters={**one.controller.defaults(site), **one.parameters})
                 for one in controllers if not one.sites or name in one.sites
             ]
-            for window in self._windows():
-                for when in _products({
-                    "start": self._list(window, "start", str),
-                    "hours": self._list(window, "hours", float, [None]),
-                    "method": self._list(window, "evapotranspiration", str, [None]),
-                }):
-                    yield from self._runs(path, site, window, settings, **when)
+            for block in self._blocks(self._mapping, "weather", _WINDOW):
+                self._keys(block, ("file", "start"), (*_TIMES, "gaps", "forecast"))
+                for window in self._combinations(block, _TIMES):
+                    yield from self._runs(path, site, window, settings)
 
     def _sites(self) -> Iterator[tuple[str, Path]]:
         """Yield the name and path of each site file, those with other values with these."""
-        given = self._mapping["site"]
-        for number, each in enumerate(given if isinstance(given, list) else [given]):
-            if isinstance(each, str):
-                yield each, self._place(self._mapping, "site", each) / each
-                continue
-            if not isinstance(each, YamlMapping) or "file" not in each:
-                raise self._refuse(
-                    self._mapping, "site",
-                    "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, "
-                    "or a list of such",
-                )
-            symbols = [parameter.name for parameter in site_parameters()]
-            self._keys(each, ("file", *symbols))
-            values = {key: self._list(each, key, float) for key in each if key != "file"}
-            for name in self._list(each, "file", str):
-                file = self._place(each, "file", name) / name
+        symbols = [parameter.name for parameter in site_parameters()]
+        for place, block in enumerate(self._blocks(self._mapping, "site", _SITE)):
+            key = "site" if "site" in block else "file"
+            self._keys(block, (key,), symbols)
+            for each in self._combinations(block, dict.fromkeys([key, *block])):
+                path = file = self._file(each, key)
+                own = {one: number(self._path, each, one) for one in each if one != key}
                 read_site(file)
-                for own in _products(values):
-                    label = "_".join(f"{key}-{shortest(value)}" for key, value in own.items())
-                    path = Path(self._scratch.name, str(number), f"{file.stem}_{label}.yaml")
+                if own:
+                    label = "_".join(f"{one}-{shortest(value)}" for one, value in own.items())
+                    path = Path(self._scratch.name, str(place), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
                     path.write_text(edited(file, own), encoding="utf-8")
-                    try:
+                    with self._at(each, next(iter(own)), f"{each[key]} with these values: "):
                         read_site(path)
-                    except ConfigurationError as error:  # it names the copy
-                        raise ConfigurationError(
-                            f"{name} with these values: {error.wrong}", file=self._path,
-                            line=each.lines[next(iter(own), "file")],
-                        ) from error
-                    yield name, path
+                yield each[key], path
 
     def _runs(
-        self, site_file: Path, site: Site, window: YamlMapping, controllers: list[_Setting], *,
-        start: str, hours: float | None, method: str | None,
+        self, site_file: Path, site: Site, window: YamlMapping, controllers: list[_Setting]
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
+        def of_year(text: str) -> str:
+            return text.replace("{year}", str(window["year"])) if "year" in window else text
+
         files: list[Path] = []
-        for name in self._list(window, "file", str):
-            place = self._place(window, "file", name)
+        for each in self._combinations(window, ["file"]):
+            name = of_year(self._text(each, "file"))
             with self._at(window, "file"):
-                found = find_files([name], "file", place)
-            files += [file for file in found if file not in files]
+                files += find_files([name], "file", self._place(window, "file", name))
+        hours = number(self._path, window, "hours") if "hours" in window else None
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
-        gaps = REFUSE
-        if "gaps" in window:
-            gaps = self._one(window, "gaps", str)
-            if gaps not in GAPS:
-                raise self._refuse(window, "gaps", f"must be {' or '.join(GAPS)}")
-        with self._at(window, "evapotranspiration"):
-            weather = self._weather(files, site, method, gaps)
+        gaps = window.get("gaps", REFUSE)
+        if gaps not in GAPS:
+            raise self._refuse(window, "gaps", f"must be {' or '.join(GAPS)}")
+        what = "evapotranspiration"
+        method = self._text(window, what) if what in window else None
+        with self._at(window, what):
+            weather = self._weather(tuple(dict.fromkeys(files)), site, method, gaps)
+        start = of_year(self._text(window, "start"))
+        inputs = tuple(map(self._input, weather.files))
+        name = name_files([Path(file.name) for file in inputs])
+        self._weathers.setdefault(inputs, unique_name(Path(name), self._weathers.values()))
         # What one controller can run with, the others with the same forecasts can; and forecasts
         # with errors need the records that perfect ones do.
         checked: dict[tuple[object, ...], Run] = {}
-        given = window if "forecast" in window else self._mapping
-        usual = list(self._forecasts(given))
-        choices = [*usual]
-        for one in controllers:
-            choices += [choice for choice in one.forecasts or () if choice not in choices]
+        usual = list(self._forecasts(window if "forecast" in window else self._mapping))
+        forecasts = [usual if one.forecasts is None else one.forecasts for one in controllers]
+        own = itertools.chain(*forecasts)
         for choice, (initial, volumes) in itertools.product(
-            choices, list(self._initial_states(site_file, site))
+            [*usual, *(one for one in dict.fromkeys(own) if one not in usual)],
+            list(self._initial_states(site_file, site)),
         ):
             theirs = [
-                one for one in controllers
-                if choice in (usual if one.forecasts is None else one.forecasts)
+                one for one, each in zip(controllers, forecasts, strict=True) if choice in each
             ]
             for controller, parameters, *_ in theirs:
                 asked = ForecastChoice() if "seed" in choice.takes else choice
@@ -331,14 +329,13 @@ class _Grid:
                         )
                 run = checked[key]
             carried, forecast_files = self._carried(choice, site)
-            inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters, *_) in itertools.product(
                 list(self._sensor_pump_errors()), theirs
             ):
                 yield Case(
-                    site=self._input(site_file, _whole_site),
+                    site=self._input(site_file, lambda path: edited(path, {}).encode()),
                     weather=inputs,
-                    weather_name=self._weather_name(inputs),
+                    weather_name=self._weathers[inputs],
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
@@ -356,90 +353,66 @@ class _Grid:
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
         """Yield each kind of forecast under ``forecast:`` with each combination of its options."""
-        forecasts = mapping.get("forecast", PERFECT)
-        if forecasts == []:
-            raise self._refuse(mapping, "forecast", "is empty")
-        for forecast in forecasts if isinstance(forecasts, list) else [forecasts]:
-            options = forecast if isinstance(forecast, YamlMapping) else YamlMapping()
-            text = options.get("model") if options else forecast
+        if "forecast" not in mapping:
+            yield ForecastChoice()
+            return
+        for block in self._blocks(mapping, "forecast", f"must be perfect, {_FORECAST} or the like"):
+            key = "model" if "model" in block else "forecast"
+            text = block.get(key)
             try:
                 choice = choose(str(text))
             except ValueError as error:
-                raise self._refuse(
-                    mapping, "forecast",
-                    f"{text!r} {error}, or {{model: errors, skill: real, seed: [1, 2]}}",
-                ) from error
+                wrong = f"{text!r} {error}, or {_FORECAST}"
+                raise self._refuse(mapping, "forecast", wrong) from error
+            of_file: tuple[str, ...] = ()
             if choice.file is not None:
-                place = self._place(mapping, "forecast", str(choice.file))
-                choice = replace(choice, file=place / choice.file)
-            if options:
-                of_file = () if choice.file is None else ("dressed",)
-                self._keys(options, ("model", *choice.takes, *of_file))
-            if "dressed" in options:
-                name = self._one(options, "dressed", str)
-                choice = replace(choice, dressed=self._place(options, "dressed", name) / name)
-            choices = {
-                "skill": self._skills(options) if "skill" in options else [choice.skill],
-                **{name: self._in_range(options, name, NUMBERS[name].low, NUMBERS[name].high)
-                   for name in choice.takes if name in options and name in NUMBERS},
-            }
-            for values in _products(choices):
-                yield replace(choice, **values)
+                choice, of_file = replace(choice, file=self._file(block, key)), ("dressed",)
+            self._keys(block, (key,), (*choice.takes, *of_file))
+            for options in self._combinations(block, (*choice.takes, *of_file)):
+                given: dict[str, Any] = read_numbers(self._path, options, NUMBERS)
+                if "skill" in options:
+                    given["skill"] = self._skill(options)
+                if "dressed" in options:
+                    given["dressed"] = self._file(options, "dressed")
+                yield replace(choice, **given)
 
-    def _weather(self, files: list[Path], site: Site, method: str | None, gaps: str) -> Weather:
+    def _weather(
+        self, files: tuple[Path, ...], site: Site, method: str | None, gaps: str
+    ) -> Weather:
         """Return the weather of some files, read once for all sites of a place."""
-        place = tuple(getattr(site, name) for name in PLACE)
-        key = (*files, place, method, gaps)
+        key = (files, *(getattr(site, name) for name in PLACE), method, gaps)
         if key not in self._read:
             self._read[key] = read_weather(files, site, method, gaps)
         return self._read[key]
 
-    def _skills(self, options: YamlMapping) -> list[str]:
-        """Return the skills under ``skill:``, a file of one by its path."""
-        skills = []
-        for text in self._list(options, "skill", str):
-            try:
-                check_skill(text)
-            except ValueError as error:
-                raise self._refuse(options, "skill", f"{text!r} {error}") from error
-            if text not in SKILLS:
-                text = str(self._place(options, "skill", text) / text)
-            with self._at(options, "skill"):
-                read_skill(text)
-            skills.append(text)
-        return skills
+    def _skill(self, options: YamlMapping) -> str:
+        """Return the skill under ``skill:``, a file of one by its path."""
+        text = self._text(options, "skill")
+        try:
+            check_skill(text)
+        except ValueError as error:
+            raise self._refuse(options, "skill", f"{text!r} {error}") from error
+        if text not in SKILLS:
+            text = str(self._file(options, "skill"))
+        with self._at(options, "skill"):
+            read_skill(text)
+        return text
 
     def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
         """Yield each combination of what is under ``sensor_pump_errors:``; None without it."""
-        if "sensor_pump_errors" not in self._mapping:
+        key = "sensor_pump_errors"
+        if key not in self._mapping:
             yield None
             return
-        for mapping in self._mappings(
-            "sensor_pump_errors",
-            "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of such",
-        ):
-            self._keys(mapping, tuple(PARAMETERS))
-            for values in _products({
-                name: self._in_range(mapping, name, PARAMETERS[name].low, PARAMETERS[name].high)
-                for name in PARAMETERS if name in mapping
-            }):
-                yield SensorPumpErrors(**values)
+        for block in self._blocks(self._mapping, key, _ERRORS):
+            self._keys(block, (), PARAMETERS)
+            for each in self._combinations(block, PARAMETERS):
+                yield SensorPumpErrors(**read_numbers(self._path, each, PARAMETERS))
 
-    def _mappings(self, key: str, expected: str) -> list[YamlMapping]:
-        """Return what is under a key of the grid as a list of mappings; one is a list of one."""
-        given = self._mapping[key]
-        mappings = given if isinstance(given, list) else [given]
-        if not mappings or not all(isinstance(each, YamlMapping) for each in mappings):
-            raise self._refuse(self._mapping, key, expected)
-        return mappings
-
-    def _in_range(self, mapping: YamlMapping, key: str, low: float, high: float) -> list[Any]:
-        """Return the values of an option with a range: whole numbers where its ends are."""
-        values = self._list(mapping, key, type(low))
-        for value in values:
-            if not low <= value <= high:
-                raise self._refuse(mapping, key, f"{value} must be from {low} to {high}")
-        return values
+    def _file(self, mapping: YamlMapping, key: str) -> Path:
+        """Return the path of the file that a name under a key stands for."""
+        name = self._text(mapping, key)
+        return self._place(mapping, key, name) / name
 
     def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
         """Return the directory from which a name, or a pattern, names a file.
@@ -464,7 +437,7 @@ class _Grid:
         )
 
     def _input(
-        self, path: Path, content: Callable[[Path], bytes] = Path.read_bytes
+        self, path: Path, content: Callable[[Path], bytes] = Path.read_bytes, suffix: str = ""
     ) -> InputFile:
         """Return a file's content under a name that no other file of the study has.
 
@@ -472,15 +445,12 @@ class _Grid:
         """
         path = path.resolve()
         if path not in self._files:
-            named = path
-            if named.name in self._taken():
-                named = path.with_name(f"{path.parent.name}-{path.name}")
-            self._files[path] = InputFile(unique_name(named, self._taken()), content(path))
+            taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+            name = f"{path.name}{suffix}"
+            if name in taken:
+                name = f"{path.parent.name}-{name}"
+            self._files[path] = InputFile(unique_name(Path(name), taken), content(path))
         return self._files[path]
-
-    def _taken(self) -> set[str]:
-        """Return the names that files of the study have."""
-        return {*_OWN_FILES, *(file.name for file in self._files.values())}
 
     def _carried(
         self, choice: ForecastChoice, site: Site
@@ -490,111 +460,74 @@ class _Grid:
         A directory is one file there, in the project's own form, and so is NetCDF, whose name has
         to say its issue alone.
         """
-        path = None if choice.file is None else choice.file.resolve()
+        named = {"skill": choice.skill_file, "dressed": choice.dressed}
+        files = {key: self._input(file) for key, file in named.items() if file is not None}
+        path = choice.file
         if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
             archive = read_archive(path, site, choice.delay)
             choice = replace(choice, delay=archive.delay)
-            if path not in self._files:
-                name = unique_name(Path(f"{path.name}.csv"), self._taken())
-                self._files[path] = InputFile(name, write_forecasts(archive.issues).encode())
-        named = {"file": path, "skill": choice.skill_file, "dressed": choice.dressed}
-        files = {key: self._input(file) for key, file in named.items() if file is not None}
+            files["file"] = self._input(
+                path, lambda _: write_forecasts(archive.issues).encode(), ".csv"
+            )
+        elif path is not None:
+            files["file"] = self._input(path)
         return in_directory(choice, files, Path()), files
-
-    def _weather_name(self, files: tuple[InputFile, ...]) -> str:
-        """Return one name for weather files, which no others of the study have."""
-        if files not in self._weathers:
-            name = name_files([Path(file.name) for file in files])
-            taken = self._weathers.values()
-            alike = itertools.chain([name], (f"{name} ({n})" for n in itertools.count(2)))
-            self._weathers[files] = next(each for each in alike if each not in taken)
-        return self._weathers[files]
-
-    def _windows(self) -> Iterator[YamlMapping]:
-        for window in self._mappings(
-            "weather", "must be a list of windows, each with 'file:', 'start:' and 'hours:'"
-        ):
-            self._keys(window, _WINDOW_KEYS)
-            for key in ("file", "start"):
-                if key not in window:
-                    raise ConfigurationError(
-                        "is missing in a window of 'weather:'", file=self._path, key=key
-                    )
-            if "year" not in window:
-                yield window
-                continue
-            for year in self._list(window, "year", int):
-                of_year = YamlMapping({
-                    **window,
-                    **{key: [text.replace("{year}", str(year))
-                             for text in self._list(window, key, str)]
-                       for key in ("file", "start")},
-                })
-                of_year.lines = window.lines
-                yield of_year
 
     def _initial_states(
         self, site_file: Path, site: Site
     ) -> Iterator[tuple[str, tuple[float, float]]]:
-        states = self._mapping["initial"]
-        names = set()
-        for state in states if isinstance(states, list) else [states]:
-            if isinstance(state, YamlMapping):
-                areas = {"cistern": site.a1, "roof": site.a2}
-                self._keys(state, ("name", *areas, *(f"{key}_level" for key in areas)))
-                lacking = ["name"] * ("name" not in state) + [
-                    key for key in areas if (key in state) == (f"{key}_level" in state)
-                ]
-                if lacking:
-                    raise self._refuse(
-                        self._mapping, "initial",
-                        f"a state has no {' and no '.join(lacking)}, or two of one",
-                    )
-                name = self._one(state, "name", str)
-                volumes = tuple(
-                    self._one(state, key, float) if key in state
-                    else self._one(state, f"{key}_level", float) * area
-                    for key, area in areas.items()
-                )
-                if min(volumes) < 0:
-                    raise self._refuse(self._mapping, "initial", "volumes must not be negative")
+        """Yield the name and volumes (m3) of each state."""
+        named = {name: initial_state(site, name) for name in INITIAL_STATES}
+        own, names = own_state(site), set()
+        if own is not None:
+            named[SITES_OWN] = own
+        for state in self._blocks(self._mapping, "initial", _STATE):
+            if "initial" not in state:
+                volumes = self._volumes(state, {"cistern": site.a1, "roof": site.a2})
+            elif state["initial"] in named:
+                volumes = named[state["initial"]]
             else:
-                name = state
-                if not isinstance(name, str) or name not in (*INITIAL_STATES, SITES_OWN):
-                    raise self._refuse(
-                        self._mapping, "initial",
-                        f"{name!r} must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
-                        "{name: dry, cistern: 60.0, roof: 1.0} in m3",
-                    )
-                own = own_state(site)
-                if name != SITES_OWN:
-                    volumes = initial_state(site, name)
-                elif own is not None:
-                    volumes = own
-                else:
-                    raise self._refuse(
-                        self._mapping, "initial",
-                        f"{SITES_OWN} needs {' and '.join(OWN_KEYS)} in {site_file.name}",
-                    )
+                wrong = f"{state['initial']!r} {_STATE}"
+                if state["initial"] == SITES_OWN:
+                    wrong = f"{SITES_OWN} needs {' and '.join(OWN_KEYS)} in {site_file.name}"
+                raise self._refuse(self._mapping, "initial", wrong)
+            name = state.get("initial") or self._text(state, "name")
             if name in names:
                 raise self._refuse(self._mapping, "initial", f"has {name} twice")
             names.add(name)
             with self._at(self._mapping, "initial"):
-                check_volumes(site, volumes[0], volumes[1], keys=("cistern", "roof"))
-            yield name, (volumes[0], volumes[1])
+                check_volumes(site, *volumes, keys=("cistern", "roof"))
+            yield name, volumes
+
+    def _volumes(self, state: YamlMapping, areas: dict[str, float]) -> tuple[float, float]:
+        """Return the volumes (m3) of a state that gives volumes, or levels over these areas."""
+        self._keys(state, ("name",), (*areas, *(f"{key}_level" for key in areas)))
+        volumes = []
+        for key, area in areas.items():
+            if (key in state) == (f"{key}_level" in state):
+                raise self._refuse(
+                    self._mapping, "initial", f"a state has no {key}, or two of one"
+                )
+            volumes.append(
+                number(self._path, state, key) if key in state
+                else number(self._path, state, f"{key}_level") * area
+            )
+            if not volumes[-1] >= 0:
+                raise self._refuse(self._mapping, "initial", "volumes must not be negative")
+        return volumes[0], volumes[1]
 
     def _bound_block(self, site: Site) -> float | None:
         """Return what is under ``bound_block:``, whole ticks of a site or 0; None without it."""
         if "bound_block" not in self._mapping:
             return None
-        seconds = float(self._one(self._mapping, "bound_block", float))
-        ticks = round(seconds / site.tau) if math.isfinite(seconds) else -1
-        if ticks < 0 or not math.isclose(ticks * site.tau, seconds, rel_tol=1e-9, abs_tol=1e-9):
+        seconds = number(self._path, self._mapping, "bound_block")
+        ticks = seconds / site.tau if math.isfinite(seconds) else -1.0
+        if ticks < 0 or not math.isclose(ticks, round(ticks), rel_tol=1e-9, abs_tol=1e-9):
             raise self._refuse(
                 self._mapping, "bound_block",
                 f"must be a whole number of ticks of {site.tau:g} s, or 0 for no bound",
             )
-        return seconds if ticks else 0.0
+        return seconds if round(ticks) else 0.0
 
     def _controllers(self) -> Iterator[_Setting]:
         """Yield each controller with each combination of its parameters."""
@@ -614,85 +547,95 @@ class _Grid:
                     "class",
                 )
             references[controller.name] = reference
-            given = YamlMapping() if section[reference] is None else section[reference]
-            for one in given if isinstance(given, list) and given else [given]:
-                if not isinstance(one, YamlMapping):
-                    raise self._refuse(
-                        section, reference, "must hold parameters, a list of such, or nothing"
-                    )
-                yield from self._settings(controller, one)
+            if section[reference] is None:
+                yield _Setting(controller, {}, None, [])
+                continue
+            for given in self._blocks(section, reference, _SETTINGS):
+                yield from self._settings(controller, given)
 
-    def _settings(
-        self, controller: ControllerChoice, given: YamlMapping
-    ) -> Iterator[_Setting]:
+    def _settings(self, controller: ControllerChoice, given: YamlMapping) -> Iterator[_Setting]:
         """Yield a controller with each combination of the parameters that are given."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
-        sites = self._list(given, "site", str) if "site" in given else []
+        sites = []
+        if "site" in given:
+            sites = [self._text(each, "site") for each in self._combinations(given, ["site"])]
+        known = [name for name, _ in self._sites()]
         for name in sites:
-            if name not in (known for known, _ in self._sites()):
+            if name not in known:
                 raise self._refuse(given, "site", f"{name} is not under 'site:' of the grid")
-        keys = [key for key in given if key not in ("forecast", "site")]
-        choices = {}
-        for key in keys:
-            controller.check_name(key, self._path, given.lines[key])
-            parameter = controller.parameters[key]
-            values = self._list(given, key, float)
-            for value in values:
-                if not parameter.accepts(value):
-                    raise self._refuse(given, key, f"{value:g} {parameter.expected}")
-            choices[key] = [int(value) if parameter.whole else value for value in values]
-        for parameters in _products(choices):
+        names = [key for key in given if key not in ("forecast", "site")]
+        for name in names:
+            controller.check_name(name, self._path, given.lines[name])
+        for each in self._combinations(given, names):
+            parameters = read_numbers(self._path, each, controller.parameters)
             yield _Setting(controller, parameters, forecasts, sites)
 
     @contextmanager
-    def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:
+    def _at(self, mapping: YamlMapping, key: str, prefix: str = "") -> Iterator[None]:
         """Say in which line of the grid a mistake is that shows elsewhere."""
         try:
             yield
         except ConfigurationError as error:
             line = mapping.lines.get(key, min(mapping.lines.values()))
-            raise ConfigurationError(str(error), file=self._path, line=line) from error
+            what = f"{prefix}{error.wrong}" if prefix else str(error)
+            raise ConfigurationError(what, file=self._path, line=line) from error
 
-    def _one(self, mapping: YamlMapping, key: str, kind: type) -> Any:
-        """Return a value that must be one, not a list."""
-        if isinstance(mapping[key], list):
-            raise self._refuse(mapping, key, "must be one value, not a list")
-        return self._list(mapping, key, kind)[0]
+    def _blocks(self, mapping: YamlMapping, key: str, expected: str) -> list[YamlMapping]:
+        """Return what is under a key as a list of mappings; a text is one that has it there."""
+        blocks = []
+        for each in self._listed(mapping, key):
+            block = each
+            if isinstance(each, str):
+                block = YamlMapping({key: each})
+                block.lines = {key: mapping.lines[key]}
+            if not isinstance(block, YamlMapping):
+                raise self._refuse(mapping, key, expected)
+            blocks.append(block)
+        return blocks
 
-    def _list(
-        self, mapping: YamlMapping, key: str, kind: type, default: list[Any] | None = None
-    ) -> list[Any]:
-        """Return a value as a list of a kind, str, float or int; one value is a list of one.
+    def _combinations(self, block: YamlMapping, names: Iterable[str]) -> Iterator[YamlMapping]:
+        """Yield a block with every combination of the values under some names."""
+        lists = {name: self._listed(block, name) for name in names if name in block}
+        for values in itertools.product(*lists.values()):
+            one = YamlMapping({**block, **dict(zip(lists, values, strict=True))})
+            one.lines = block.lines
+            yield one
+
+    def _listed(self, mapping: YamlMapping, key: str) -> list[Any]:
+        """Return a value as a list; one value is a list of one.
 
         Whole numbers may be given as ``{from: 1, to: 50}``.
         """
-        if key not in mapping and default is not None:
-            return default
         value = mapping[key]
-        if kind is int and isinstance(value, YamlMapping):
-            self._keys(value, ("from", "to"))
-            if value.keys() != {"from", "to"}:
-                raise self._refuse(mapping, key, "must be {from: 1, to: 50} or the like")
-            value = list(range(
-                self._one(value, "from", int), self._one(value, "to", int) + 1
-            ))
         values = value if isinstance(value, list) else [value]
+        if isinstance(value, YamlMapping) and value.keys() & {"from", "to"}:
+            if value.keys() != {"from", "to"} or {*map(type, value.values())} != {int}:
+                raise self._refuse(mapping, key, "must be {from: 1, to: 50} or the like")
+            values = list(range(value["from"], value["to"] + 1))
         if not values:
             raise self._refuse(mapping, key, "is empty")
-        expected: Any = (int, float) if kind is float else kind
-        for each in values:
-            if isinstance(each, bool) or not isinstance(each, expected):
-                raise self._refuse(mapping, key, f"must be {_KINDS[kind]}, or a list of them")
-            if kind is float and math.isnan(each):
-                raise self._refuse(mapping, key, "must not be nan")
-        return [kind(each) for each in values]
+        return values
 
-    def _keys(self, mapping: YamlMapping, known: tuple[str, ...]) -> None:
-        for key, line in mapping.lines.items():
+    def _text(self, mapping: YamlMapping, key: str) -> str:
+        if not isinstance(mapping[key], str):
+            raise self._refuse(mapping, key, "must be a text")
+        return str(mapping[key])
+
+    def _keys(
+        self, mapping: YamlMapping, needed: Collection[str], further: Collection[str]
+    ) -> None:
+        """Refuse a mapping that lacks a key, or has another."""
+        known = dict.fromkeys((*needed, *further))
+        for key in mapping:
             if key not in known:
+                raise self._refuse(
+                    mapping, key, f"is not known here; there are {', '.join(known)}"
+                )
+        for key in needed:
+            if mapping.get(key) in (None, [], {}, ""):
                 raise ConfigurationError(
-                    f"is not known here; there are {', '.join(known)}",
-                    file=self._path, line=line, key=key,
+                    "is missing or empty", file=self._path,
+                    line=min(mapping.lines.values(), default=None), key=key,
                 )
 
     def _refuse(self, mapping: YamlMapping, key: str, expected: str) -> ConfigurationError:
@@ -700,13 +643,3 @@ class _Grid:
             expected, file=self._path, line=mapping.lines[key], key=key,
             value=None if isinstance(mapping[key], (dict, list)) else mapping[key],
         )
-
-
-def _products(choices: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
-    """Yield every combination of the values of some options."""
-    for combination in itertools.product(*choices.values()):
-        yield dict(zip(choices, combination, strict=True))
-
-
-def _whole_site(path: Path) -> bytes:
-    return edited(path, {}).encode()

@@ -179,24 +179,22 @@ class Store:
         parameters = list(dict.fromkeys(name for case in self.cases for name in case.parameters))
         rows, timings = [], []
         for case in self.cases:
-            identity = case.identity
-            outcome, error = self.outcomes.get(identity), self.failures.get(identity)
-            bound = self.bounds.get(case.problem)
-            ratio = None
-            if outcome and bound:
-                ratio = outcome.results["total_deviation_m3"] / bound
+            run, error = {"run": case.identity}, self.failures.get(case.identity)
+            outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.problem)
+            results = {} if outcome is None else outcome.results
             rows.append({
-                "run": identity,
+                **run,
                 **case.columns(),
                 **parameter_columns({name: case.parameters.get(name) for name in parameters}),
                 "status": "done" if outcome else "not run" if error is None else "failed",
                 "error": error or "",
-                **(outcome.results if outcome else {}),
+                **results,
                 "bound_m3": bound,
-                "ratio_to_bound": ratio,
+                "ratio_to_bound": results["total_deviation_m3"] / bound if results and bound
+                else None,
             })
             if outcome:
-                timings.append({"run": identity, **outcome.timings})
+                timings.append({**run, **outcome.timings})
         _write_csv(self.directory / "results.csv", rows)
         _write_csv(self.directory / "timings.csv", timings)
         return rows

@@ -39,10 +39,7 @@ def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.f
 
 
 def hourly(
-    site: Site,
-    first: datetime,
-    values: dict[str, NDArray[np.float64]],
-    night_ratio: float | None = None,
+    site: Site, first: datetime, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
@@ -60,7 +57,6 @@ def hourly(
         first: start of the first hour, in any time zone.
         values: temperature and dew point (degC), wind speed (km/h), station pressure (kPa) and
             either solar radiation (W/m2) or ``Tmin`` and ``Tmax`` of the day (degC).
-        night_ratio: Rs/Rso of the evening before; of the first 24 hours if not given.
     """
     hours = len(values["temperature"])
     assert site.utc_offset is not None
@@ -91,10 +87,10 @@ def hourly(
             rs_rso_init=ratio,
         )
 
-    if night_ratio is None:
-        day = model(min(hours, 24), 1.0).ts_param
-        clear = float(day["R_so"].sum())
-        night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
+    # Of the night before the first evening: Rs/Rso of the first 24 hours.
+    day = model(min(hours, 24), 1.0).ts_param
+    clear = float(day["R_so"].sum())
+    night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
     # The package's default would round to 0.01 mm and drop what it finds too large.
     result: NDArray[np.float64] = model(hours, night_ratio).eto_fao(max_ETo=None, decimals=None)
     return result

@@ -64,7 +64,10 @@ def read_weather(
             method.
     """
     measured = _whole_hours(join([read_records(file, site) for file in files]))
-    values = fill_short_gaps(measured.values)
+    values = {
+        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        for quantity, series in measured.values.items()
+    }
     if gaps == FILL:
         values = fill_long_gaps(values)
     records = replace(measured, values=values, filled={
@@ -125,14 +128,6 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     if not found:
         raise ConfigurationError("must name at least one file", key=key)
     return found
-
-
-def fill_short_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
-    """Fill the gaps of at most :data:`LONGEST_GAP` hours that have records on both sides."""
-    return {
-        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
-        for quantity, series in values.items()
-    }
 
 
 def bridged(series: Array, longest: int) -> Array:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from archives import write_runs
 from paper import PAPER_SITE, weather_of
+from refusals import refusal
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.study.grid import read_grid
 from greenroof_ros.weather.series import Weather
@@ -58,8 +58,7 @@ def test_before_the_first_is_known(tmp_path: Path) -> None:
     first = datetime.fromisoformat("2021-07-06T00:00+00:00")
     model = FileModel(archive, weather_from(first), False)
     needed = "known from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
-    with pytest.raises(ConfigurationError, match=needed):
-        model.known(23, 1)
+    refusal(model.known, 23, 1, match=needed)
     assert model.known(24, 1)[0].shape == (1, 1)
 
 
@@ -89,23 +88,6 @@ def test_late_rain(tmp_path: Path) -> None:
     assert FileModel(runs, late, False).repeats_from(33, 47) == end
 
 
-def test_own_form_bit_for_bit(tmp_path: Path) -> None:
-    """Issues that are written are read as they were, evapotranspiration, too."""
-    issues = [
-        replace(one, evapotranspiration=one.rain[0] / 3)
-        for one in read_archive(write_runs(tmp_path / "runs"), PAPER_SITE).issues
-    ]
-    file = tmp_path / "own.csv"
-    file.write_text(write_forecasts(issues))
-    again = read_forecasts(file)
-    assert [issue.issued for issue in again] == [issue.issued for issue in issues]
-    for one, other in zip(again, issues, strict=True):
-        assert one.rain.tobytes() == other.rain.tobytes()
-        assert one.evapotranspiration is not None
-        assert other.evapotranspiration is not None
-        assert one.evapotranspiration.tobytes() == other.evapotranspiration.tobytes()
-
-
 def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
     """A file of an archive without the column that the others have is named."""
     for day, column in ((7, ""), (8, ",evapotranspiration [mm/day]")):
@@ -114,8 +96,7 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
             f"2021-07-0{day}T00:00Z,2021-07-0{day}T00:00Z,0.0{',2.5' if column else ''}\n"
         )
     wrong = r"8.csv, line 2: must have a column of evapotranspiration, or have none, as 7.csv"
-    with pytest.raises(ConfigurationError, match=wrong):
-        read_archive(tmp_path, PAPER_SITE)
+    refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
 
 
 def test_a_study_by_an_archive(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paper import weather_of
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import (
     MEMBERS,
@@ -192,9 +192,7 @@ def test_wrong_files(tmp_path: Path, old: str, new: str, words: str) -> None:
     text, path = dressing_text(learnt()), tmp_path / "dressed.csv"
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(ConfigurationError) as error:
-        read_dressing(path)
-    assert str(error.value).startswith(f"{path}, {words}")
+    assert refusal(read_dressing, path).startswith(f"{path}, {words}")
 
 
 def test_hour_by_hour_as_all_at_once(tmp_path: Path) -> None:
@@ -266,10 +264,8 @@ def test_too_few_issues() -> None:
     """It says how many there are, and of which issue; records of another time have none."""
     rain = showers(25 * 24, 15)
     given = archive(forecasts(rain, 24, 24, 16))
-    with pytest.raises(ConfigurationError, match="has 8 issues two days"):
-        dress(given, learn(given, record(rain), 24))
+    refusal(dress, given, learn(given, record(rain), 24), match="has 8 issues two days")
     late = replace(given, issues=tuple(
         replace(one, issued=one.issued + 1000 * HOUR) for one in given.issues
     ))
-    with pytest.raises(ConfigurationError, match=r"has no issue after which drawn.csv has 24 h"):
-        learn(late, record(rain), 24)
+    refusal(learn, late, record(rain), 24, match=r"has no issue after which drawn.csv has 24 h")

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.models import (
@@ -233,13 +233,11 @@ def test_missing_rain_is_not_guessed() -> None:
         series = WeatherSeries(weather, PAPER_SITE, start, 3600)
         return make_forecast(weather, series, PAPER_SITE, start, horizon, ForecastChoice(model))
 
-    with pytest.raises(ConfigurationError, match=r"drawn.csv: precipitation is .*2021-07-07T06:00"):
-        made("persistence", 8, 0.0)
+    refusal(made, "persistence", 8, 0.0, match=r"drawn.csv: precipitation is .*2021-07-07T06:00")
     assert made("persistence", 12, 12.0).repeats_from is None
     for model in ("perfect", "errors"):
         assert made(model, 12, 6.0).repeats_from is None
-        with pytest.raises(ConfigurationError, match="missing at 2021-07-07T20:00"):
-            made(model, 12, 12.0)
+        refusal(made, model, 12, 12.0, match="missing at 2021-07-07T20:00")
 
 
 # --- errors ------------------------------------------------------------------------------------

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 from places import DATA
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import Archive
@@ -252,7 +252,7 @@ WRONG = {
     ),
     "gap_2024060112.json": (
         run_of(precipitation_member02=[0.0] * 6),
-        ": must have its members without gap; it has 0, 2",
+        ": the issue of 2024-06-01T12:00+00:00 has members 0, 2; they must be 0, 1, 2 and so on",
     ),
     "other_2024060118.json": (
         run_of(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
@@ -280,15 +280,12 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
     text, reason = WRONG[name]
     file = tmp_path / name
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError) as caught:
-        read_archive(file, BUDVA)
-    assert str(caught.value).startswith(f"{file}{reason}")
+    assert refusal(read_archive, file, BUDVA).startswith(f"{file}{reason}")
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one format, one kind, each issue once, and as many members in each."""
-    with pytest.raises(ConfigurationError, match="must have files of forecasts in it"):
-        read_archive(tmp_path, BUDVA)
+    refusal(read_archive, tmp_path, BUDVA, match="must have files of forecasts in it")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
         ("README.md", "# Forecasts", r"README.md: must end in .csv, .json or .nc, as "),
@@ -307,8 +304,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
         ),
     ):
         (tmp_path / name).write_text(text)
-        with pytest.raises(ConfigurationError, match=wrong):
-            read_archive(tmp_path, BUDVA)
+        refusal(read_archive, tmp_path, BUDVA, match=wrong)
         (tmp_path / name).unlink()
     (tmp_path / "b_2024060212.json").write_text(run_of(2))
     assert len(read_archive(tmp_path, BUDVA).issues) == 2

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.records import Table, Unit, numbered_lines, read_table
 
@@ -22,13 +22,6 @@ ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
 def table(*rows: str, header: str = HEADER) -> Table:
     """Return a table of rows whose first is in line 4."""
     return read_table(FILE, numbered_lines(header + "\n".join(rows) + "\n"))
-
-
-def refusal(read: object, *arguments: object) -> str:
-    """Return what is said where reading must not go on."""
-    with pytest.raises(ConfigurationError) as caught:
-        read(*arguments)  # type: ignore[operator]
-    return str(caught.value)
 
 
 def test_cells_numbers_and_times() -> None:

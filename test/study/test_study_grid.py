@@ -9,27 +9,31 @@ import yaml
 from commands import run_command
 from graphs import environment
 from places import DATA
+from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edited, grid, record
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.study.case_run import bound_case, run_case
 from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 WRONG = {
-    "unknown-key": (GRID + "engine: ros\n", "line 14: engine: is not known here"),
+    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not known here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
     "site-kind": (
-        edited(SITE, "site: {tau: 10}"),
+        edited(SITE, "site: [{file: site.yaml}, 10]"),
         "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
+    ),
+    "site-value": (  # the grid is at fault, not the copy of the site file that has the value
+        edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
+        "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be from 0.001 to 3600 (s,",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "bound-block": (
         GRID + "bound_block: 0.5\n",
         "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
     ),
-    "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "start: is missing in a window"),
+    "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "line 4: start: is missing or empty"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "hours": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
     "gaps": (
@@ -44,19 +48,17 @@ WRONG = {
         edited("low-low", "site"),
         "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
     ),
-    "one-value": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not"),
+    "one-value": (
+        edited("cistern: 40.0", "cistern: [40, 41]"), "cistern = [40, 41]: must be a number"
+    ),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
-    "state-of-two": (
-        edited("roof: 0.5", "roof: 0.5, cistern_level: 1.0"), "a state has no cistern, or two of",
-    ),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
     "deep": (
         edited("cistern: 40.0", "cistern: 4.0e+6"),
         "line 8: cistern = 4000000.0: must be at most 400 m3, a level of 16 m",
     ),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
-    "settings": (edited("onoff:", "onoff: [{level: 1}, 2]"), "must hold parameters, a list"),
     "own-site": (
         edited("onoff:", "onoff: {site: other.yaml}"), "other.yaml is not under 'site:' of the",
     ),
@@ -64,25 +66,19 @@ WRONG = {
         edited("weight", "wieght"),
         "line 11: wieght: is not a parameter of mpc; did you mean weight?",
     ),
-    "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
-    "nan": (edited("0.1]", ".nan]"), "line 11: weight: must not be nan"),
+    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
     "forecast": (
         GRID + "forecast: perfekt\n",
         "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
     ),
-    "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
-    "forecast-option": (
-        GRID + "forecast: {model: errors, members: 3}\n",
-        "line 14: members: is not known here; there are model, skill, seed",
-    ),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
-        "skill: 'large' must be one of much_",
+        "skill = 'large': 'large' must be one of much_",
     ),
     "forecast-seed": (
-        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number, or"
+        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number fr"
     ),
     "forecast-twice": (
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
@@ -90,10 +86,6 @@ WRONG = {
     "sensor_pump_errors": (
         GRID + "sensor_pump_errors: 0.0005\n",
         "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: ",
-    ),
-    "sensor_pump_errors-range": (
-        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n",
-        "minimum_on: -1.0 must be from 0.0 to 86",
     ),
     "sensor_pump_errors-twice": (
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
@@ -106,10 +98,9 @@ WRONG = {
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
     """One line that says where and what."""
     text, expected = WRONG[name]
-    with pytest.raises(ConfigurationError) as refused:
-        read_grid(tmp_path / grid(tmp_path, text))
-    assert expected in str(refused.value)
-    assert "\n" not in str(refused.value)
+    said = refusal(read_grid, tmp_path / grid(tmp_path, text))
+    assert expected in said
+    assert "\n" not in said
 
 
 @pytest.mark.parametrize(
@@ -189,8 +180,7 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     text = text.replace("to: 2025", "to: 2015").replace("hours: 4416", "hours: 24")
     record(tmp_path / "record", [year])
     name = tmp_path / grid(tmp_path, text)
-    with pytest.raises(ConfigurationError, match=rf"{year}_\*.csv is neither beside the grid"):
-        read_grid(name)
+    refusal(read_grid, name, match=rf"{year}_\*.csv is neither beside the grid")
     cases = read_grid(name, tmp_path / "record")
     assert len(cases) == runs
     assert {case.start for case in cases} == {f"{year}-05-01T00:00:00-05:00"}
@@ -271,17 +261,6 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
 
 
-def test_a_site_with_a_wrong_value(tmp_path: Path) -> None:
-    """The grid is at fault, not the copy of the site file that has the value."""
-    text = GRID.replace(str(CONFIG / "site.yaml"), "{file: site.yaml, tau: [1.0, 0.0]}")
-    with pytest.raises(ConfigurationError) as refused:
-        read_grid(tmp_path / grid(tmp_path, text))
-    assert str(refused.value) == (
-        f"{tmp_path / 'grid.yaml'}, line 2: site.yaml with these values: tau = 0.0: must be "
-        "from 0.001 to 3600 (s, duration of a tick)"
-    )
-
-
 def test_names_of_files(tmp_path: Path) -> None:
     """Beside the grid first, then the package's config/; an error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
@@ -294,9 +273,7 @@ def test_names_of_files(tmp_path: Path) -> None:
     assert case.site.content.decode() == mine
     assert [file.name for file in case.weather] == ["toronto_2021-07.csv"]
     grid(tmp_path, text.replace("site.yaml", "my_site.yaml"))
-    with pytest.raises(ConfigurationError) as refused:
-        read_grid(copy)
-    assert str(refused.value) == (
+    assert refusal(read_grid, copy) == (
         f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
         f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
@@ -307,8 +284,7 @@ def test_gaps_of_a_window(tmp_path: Path) -> None:
     july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
     july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
     (tmp_path / "grid.yaml").write_text(july)
-    with pytest.raises(ConfigurationError, match="is missing at 2022-07-21T11:00-05:00"):
-        read_grid(tmp_path / "grid.yaml")
+    refusal(read_grid, tmp_path / "grid.yaml", match="is missing at 2022-07-21T11:00-05:00")
     (tmp_path / "grid.yaml").write_text(july.replace("hours: 0.25", "hours: 0.25\n    gaps: fill"))
     case = read_grid(tmp_path / "grid.yaml")[-1]
     assert case.columns()["gaps"] == "fill"

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from paper import paper_run
 from places import CONFIG, DATA
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.model.site import read_site
@@ -74,9 +74,8 @@ def test_months_far_from_each_other() -> None:
     assert np.isnan(weather.precipitation[744:-744]).all()
     assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
     site = replace(TORONTO, tau=600.0, M=1)
-    with pytest.raises(ConfigurationError) as caught:
-        WeatherSeries(weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
-    assert str(caught.value).startswith(
+    said = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
+    assert said.startswith(
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
         "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours)"
     )
@@ -120,9 +119,7 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
         (JULY, f"must have the same quantities as {one}, evapotranspiration, precipitation; it has "
          "dew point, precipitation, station pressure, temperature, wind speed"),
     ):
-        with pytest.raises(ConfigurationError) as caught:
-            read_weather([one, other], TORONTO)
-        assert str(caught.value).startswith(f"{other}: {reason}")
+        assert refusal(read_weather, [one, other], TORONTO).startswith(f"{other}: {reason}")
 
 
 def test_names_and_patterns(tmp_path: Path) -> None:
@@ -137,8 +134,7 @@ def test_names_and_patterns(tmp_path: Path) -> None:
     assert found("c[1].csv") == ["c[1].csv"]
     assert found("absent.csv") == ["absent.csv"]  # which reading it refuses
     assert find_files([str(tmp_path / "b-[1].csv")], "--weather") == [tmp_path / "b-1.csv"]
-    with pytest.raises(ConfigurationError, match=r"--weather = 'd-\*\.csv': matches no file"):
-        found("a.csv", "d-*.csv")
+    refusal(found, "a.csv", "d-*.csv", match=r"--weather = 'd-\*\.csv': matches no file")
 
 
 def test_run_directory_keeps_all_files(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 from places import DATA
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
@@ -31,13 +31,6 @@ def write(directory: Path, *lines: str, header: str = HEADER) -> Path:
     path = directory / "weather.csv"
     path.write_text("\n".join(["# Nowhere", header, *lines]) + "\n")
     return path
-
-
-def refusal(path: Path) -> str:
-    """Return what is said of a weather file that must not be taken."""
-    with pytest.raises(ConfigurationError) as caught:
-        read_weather([path], PAPER_SITE)
-    return str(caught.value)
 
 
 def test_packaged_weather_is_the_72_hours() -> None:
@@ -92,9 +85,7 @@ def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeat
 def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None:
     """A second too early, an hour by another offset, a second too long."""
     weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
-    with pytest.raises(ConfigurationError) as caught:
-        WeatherSeries(weather, PAPER_SITE, parse_time(start), steps)
-    assert str(caught.value).startswith(
+    assert refusal(WeatherSeries, weather, PAPER_SITE, parse_time(start), steps).startswith(
         f"{tmp_path / 'weather.csv'}: holds 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but"
     )
 
@@ -125,7 +116,7 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
 def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
     """Named with file, line and cell, and what would be right."""
     path = write(tmp_path, *HOURS, header=header)
-    assert refusal(path).startswith(f"{path}, line 2: {reason}")
+    assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
 
 
 def test_a_rain_gauge_alone(tmp_path: Path) -> None:
@@ -137,5 +128,4 @@ def test_a_rain_gauge_alone(tmp_path: Path) -> None:
     gauge = read_weather([path], PAPER_SITE, rain_only=True)
     assert gauge.precipitation[[0, 2]].tolist() == [3.0, 0.2]
     assert np.isnan(gauge.evapotranspiration).all()
-    with pytest.raises(ConfigurationError, match="has no column 'evapotranspiration"):
-        read_weather([path], PAPER_SITE)
+    refusal(read_weather, [path], PAPER_SITE, match="has no column 'evapotranspiration")
