@@ -18,6 +18,7 @@ from greenroof_ros.bringup.drive import (
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.drives.drive import PlacedDrive
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
@@ -272,10 +273,10 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Path) -> None:
     Raises:
         ConfigurationError: it is shared, or a file or the address is wrong.
     """
-    _, address = drive.read()
-    levels = read_sensors(sensors)
+    placed, levels = drive.read(), read_sensors(sensors)
     for tank in TANKS:
-        if address.shares_line(parse_address(getattr(levels, tank).address)):
+        sensor = parse_address(getattr(levels, tank).address)
+        if isinstance(placed, PlacedDrive) and placed.address.shares_line(sensor):
             raise ConfigurationError(
                 f"is the serial line of the {tank}'s sensor, too, which one program alone can "
                 "open: put a Modbus TCP gateway on it, or take another line",

@@ -237,7 +237,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started at the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-        driver, stop = DriveLock(*choice.read()), choice.stopper()
+        driver, stop = DriveLock(choice.read()), choice.stopper()
         driver.take()
         assert stop(1) == (
             False,
