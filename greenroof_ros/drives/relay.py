@@ -267,7 +267,8 @@ class Relay:
         self.file, self.line = placed.file, RelayLine(placed, timeout_s)
         self.stopped: bool | None = None
         self._placed = placed
-        # What it was switched to last, None where that is not known; and what it said last.
+        # What it was switched to last, None where that is not known; and what it has said since
+        # *on* was published last, None for nothing.
         self._ordered: bool | None = None
         self._is_on: bool | None = None
         # Its timer as read last, None where that does not guard; and when *on* was published (s).
@@ -332,8 +333,8 @@ class Relay:
     def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
         """Switch it on, or keep it on; to be called again and again while it is to be on.
 
-        Nothing is published where the relay has not answered just before, and where it is off
-        although it was switched on: see `intruder`.
+        Nothing is published where the relay has not answered since the last *on*, and where it is
+        off although it was switched on: see `intruder`.
 
         Args:
             speed: share of rated speed; a relay has no other than 1.
@@ -348,14 +349,13 @@ class Relay:
         timer_s = self._timer_s
         if timer_s is None:
             raise self.line.error("drive", "it is not switched on: its own timer does not guard")
+        is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
             # The next round might be too late.
             due = self._on_at + _RENEWED * timer_s - self.file.period
-            if time.monotonic() >= due and self._read():
+            if is_on and time.monotonic() >= due:
                 self._switch_on(timer_s)
-            return
-        self._read()
-        if go_on():
+        elif go_on():
             self._switch_on(timer_s)
             self._until_on(go_on)
 
@@ -382,10 +382,14 @@ class Relay:
         """Return that it is not as it was switched last; empty where it is, or that is unknown.
 
         Its own timer, a loss of power, and a person or a program may have switched it.
+
+        Raises:
+            DriveError: no or a wrong answer.
         """
-        if self._ordered is None or self._is_on is None or self._is_on == self._ordered:
+        is_on = self._read()
+        if self._ordered is None or is_on == self._ordered:
             return ""
-        if self._is_on:
+        if is_on:
             return f"{self.line.where}: somebody else has switched the relay on"
         return (
             f"{self.line.where}: the relay is off although it was switched on: somebody else has "
@@ -426,7 +430,7 @@ class Relay:
 
     def _switch_on(self, timer_s: float) -> None:
         self.line.parting = self.file.switch_off
-        self._on_at = time.monotonic()
+        self._on_at, self._is_on = time.monotonic(), None
         self.line.publish(self.file.switch_on, seconds=f"{timer_s:g}")
 
     def _until_on(self, go_on: Callable[[], bool]) -> None:
