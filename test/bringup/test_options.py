@@ -25,8 +25,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.drives.drive import DriveLock
 from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.graph.supervision import Permit
 from greenroof_ros.graph.supervisor import NodeFailed
 

@@ -742,7 +742,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     bench.drive.on_write = lambda _address, _word: None
     began = time.monotonic()
     with ThreadPoolExecutor() as pool:
-        stop = pool.submit(stop_drive, ABB, parse_address(bench.wire.at))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
         wait(lambda: "runs this drive already" in bench.now.problem)
