@@ -725,7 +725,7 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = pool.submit(stop_drive, ABB, parse_address(other.at))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(other.at)))
         bench.exchange.close()
         left = stop.result()
     assert second.written[0] == OFF and RUN not in second.written

@@ -5,14 +5,18 @@ Whether the contact is closed is read at the simulator's workbench, not from the
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from brokers import Mosquitto, mosquitto, needs_mosquitto
-from graphs import Process
+from graphs import Process, summary_of, wait_for
+from paper import PAPER_SITE
 from places import CONFIG
-from pump_node_rig import PumpRig
+from pump_node_rig import PumpRig, SimulatedDrive
 from ros_rig import ERROR, OK, Observer
 
 pytestmark = needs_mosquitto
@@ -161,3 +165,36 @@ def test_check_pump_finds_it_right(observer: Observer, broker: Mosquitto) -> Non
     assert "22 of 22 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0
     assert node.wait(60) == 1  # as with the plant of a run
+
+
+def test_in_the_loop(domain: int, tmp_path: Path) -> None:
+    """In real time, where bringup stops the relay of a killed node at once; and 20 times faster."""
+    with mosquitto(tmp_path) as broker:
+        relay = SimulatedDrive(
+            domain, tmp_path, "--at", f"{broker.address}/roof", make="tasmota",
+            pace=("--boot", "0.1", "--timeout", "10"),
+        )
+
+        def run(output: str, *options: str) -> Process:
+            return Process(
+                domain, "bringup", "--output", output, "--drive", "tasmota", "--drive-at",
+                relay.address, "--controller", "onoff", "--initial", "low-low", "--state", "kept",
+                *options, cwd=tmp_path,
+            )
+
+        early = run("early", "--hours", "1")
+        wait_for(lambda: relay.speed() == 1.0, 120, "a closed contact")
+        os.kill(early.nodes()["pump"], signal.SIGKILL)
+        killed = time.monotonic()
+        wait_for(lambda: relay.speed() == 0.0, 20, "an open contact")
+        assert time.monotonic() - killed < 5.0  # half of the relay's own timer
+        assert early.wait(300) == 1
+        assert "bringup told the drive to stop, which said then: speed 0.0%" in early.stderr()
+        done = run("done", "--hours", "0.05", "--speed", "20")
+        assert done.wait(300) == 0, done.stderr()
+        # To the target, Eq. (3a), and what flows, 7.8 l/s, in the least time on and the ticks after.
+        summary = summary_of(tmp_path / "done")
+        missing = PAPER_SITE.x2_star - summary["initial"]["roof_m3"]
+        assert missing < summary["pumped_m3"] < missing + 0.1
+        assert relay.speed() == 0.0
+        relay.end()
