@@ -232,7 +232,8 @@ class RelayBench(Bench):
         super().__init__(faults.RELAY_FAULTS, workbench)
         self.relay, self._boot_s = relay, boot_s
         relay.say = self.say
-        self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0}
+        # The simulated site tells every drive the level; a relay measures no flow by it.
+        self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0, faults.CISTERN_LEVEL: 0}
         self._broker, self._device = broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
         self._client = make_client(
