@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
@@ -15,7 +16,9 @@ from greenroof_ros.drives.relay_file import read_relay_file
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS
-from greenroof_ros.simulators.server import Bench
+
+if TYPE_CHECKING:
+    from greenroof_ros.simulators.server import Bench
 
 _PORT = 5020
 _LAST_PORT = 65535

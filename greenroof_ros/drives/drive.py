@@ -434,7 +434,7 @@ class PlacedDrive:
 
     @property
     def guard(self) -> Timeout | None:
-        """Its communication timeout, that of its file; None where the file tells of none."""
+        """Its communication timeout at this address; None where its file tells of none."""
         return self.file.timeout.over(self.address)
 
     @property
