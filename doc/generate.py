@@ -31,18 +31,18 @@ from layouts import rows as displays
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.common.parameter import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.drives import drive_file, sensor_file
+from greenroof_ros.drives import drive_file, relay_file, sensor_file
 from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.pumping.interlocks import INTERLOCKS
 from greenroof_ros.pumping.limits import pump_parameters
-from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -207,6 +207,19 @@ _DRIVE_PARTS = {
 }
 
 
+_RELAY_PARTS = {
+    "the file": relay_file.RelayFile,
+    "`sources`, each": drive_file.Source,
+    "`questions`, each": relay_file.Question,
+    "`state`": relay_file.State,
+    "`timer`": relay_file.Timer,
+    "`timer.scales`, each": relay_file.Scale,
+    "`must`, each": relay_file.Setting,
+    "`name`": relay_file.Value,
+    "`switch_on`, `switch_off`": relay_file.Message,
+}
+
+
 def _kind(key: Key) -> str:
     """Return what a key of a file holds."""
     names = {
@@ -224,6 +237,11 @@ def _kind(key: Key) -> str:
 def drive_files() -> str:
     """Return every key of a drive's file."""
     return _keys(_DRIVE_PARTS)
+
+
+def relay_files() -> str:
+    """Return every key of a relay's file."""
+    return _keys(_RELAY_PARTS)
 
 
 def sensors_file() -> str:
@@ -272,6 +290,11 @@ def drive_faults() -> str:
     return _faults(DRIVE_FAULTS)
 
 
+def relay_faults() -> str:
+    """Return what can go wrong with a simulated relay."""
+    return _faults(RELAY_FAULTS)
+
+
 def site_faults() -> str:
     """Return what can go wrong at a simulated site."""
     return _faults(SITE_FAULTS)
@@ -290,10 +313,34 @@ def _faults(known: Mapping[str, Fault]) -> str:
     )
 
 
+def _files_of_drives(*, relays: bool) -> list[Path]:
+    paths = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
+    return [path for path in paths if ("protocol" in read_yaml(path)) is relays]
+
+
+def relays() -> str:
+    """Return the relays whose files come with the package, and what is not verified in them."""
+    parts = []
+    for path in _files_of_drives(relays=True):
+        relay = relay_file.read_relay_file(path)
+        parts += [
+            f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
+            markdown(("its timer", ""), (
+                ("set it", relay.timer.how_to_set), ("beware", relay.timer.traps),
+            )),
+            "To set in the relay besides:\n",
+            "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
+        ]
+        if relay.unverified:
+            names = ", ".join(f"**`{key}`**" for key in relay.unverified)
+            parts.append(f"Not verified (said when it is activated): {names}.\n")
+    return "\n".join(parts)
+
+
 def drives() -> str:
     """Return the drives whose files come with the package, and what is not verified in them."""
     parts = []
-    for path in sorted((shared_directory() / "config" / "drives").glob("*.yaml")):
+    for path in _files_of_drives(relays=False):
         drive = drive_file.read_drive_file(path)
         parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
         ports: dict[tuple[tuple[str, str], ...], list[str]] = {}
@@ -563,7 +610,10 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drives": drives,
     "sensors file": sensors_file,
     "skill file": skill_file,
+    "relay file": relay_files,
+    "relays": relays,
     "drive faults": drive_faults,
+    "relay faults": relay_faults,
     "site faults": site_faults,
 }
 

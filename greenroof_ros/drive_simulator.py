@@ -1,17 +1,24 @@
-"""A drive that is not there, on Modbus: ``greenroof simulators drive``."""
+"""A drive that is not there, on Modbus, or a relay on MQTT: ``greenroof simulators drive``."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.mqtt import parse_topic
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import Address, check_installed
+from greenroof_ros.drives.relay_file import read_relay_file
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import DRIVE_FAULTS
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS
+
+if TYPE_CHECKING:
+    from greenroof_ros.simulators.server import Bench
 
 _PORT = 5020
 _LAST_PORT = 65535
@@ -24,17 +31,21 @@ def make_parser() -> argparse.ArgumentParser:
         usage="%(prog)s --drive NAME [options]",
         description="Be a variable-speed drive with a motor on Modbus: registers, control word, "
         "ramp, faults and\ncommunication timeout as of the make that a drive file describes, and "
-        "whatever can go wrong\non request.",
+        "whatever can go wrong\non request. With --at it is a relay on MQTT, with its timer.",
         epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
         "registers:\n"
         "  0 true speed in 0.01 %   1 fault, by its number   2 its parameter, 65535 for the "
         "default;\n  to be written before 1   3 power cycle: write 1   4 local control at the "
         "panel: 1, 0\n  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
+        "Of a relay register 0 is 10000 while its contact is closed, and register 4 is its "
+        "button.\n\n"
         f"faults:\n{faults.list_faults(DRIVE_FAULTS)}\n\n"
+        f"faults of a relay:\n{faults.list_faults(RELAY_FAULTS)}\n\n"
         "examples:\n"
         "  greenroof simulators drive --drive abb_acs880\n"
         "  greenroof simulators drive --drive danfoss_fc202 --fault late=900\n"
-        "  greenroof simulators drive --drive schneider_atv630 --serial pty\n\n"
+        "  greenroof simulators drive --drive schneider_atv630 --serial pty\n"
+        "  greenroof simulators drive --drive tasmota --at mqtt://127.0.0.1/roof\n\n"
         "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -60,6 +71,10 @@ def make_parser() -> argparse.ArgumentParser:
         "pseudo-terminal, whose name for the client is in the first line",
     )
     place.add_argument(
+        "--at", metavar="mqtt://HOST[:PORT]/DEVICE",
+        help="of a relay: the broker that it connects to, and its own topic there",
+    )
+    place.add_argument(
         "--workbench", type=within(0, _LAST_PORT, int), metavar="PORT",
         help="TCP port of the workbench, 0 for a free one (default: the next after --port)",
     )
@@ -79,7 +94,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     made.add_argument(
         "--as-delivered", action="store_true",
-        help="the timeout as the maker delivers it instead; that may be none",
+        help="the timeout as the maker delivers it instead; that may be none. A relay has none "
+        "then, and is on after power-up",
     )
     made.add_argument(
         "--speed", type=within(1e-3, 1e6), default=1.0, metavar="FACTOR",
@@ -91,7 +107,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="site file, for drives that report their flow (default: the paper's, "
         "config/site.yaml)",
     )
-    faults.add_option(parser, DRIVE_FAULTS)
+    faults.add_option(parser, {**DRIVE_FAULTS, **RELAY_FAULTS})
     return parser
 
 
@@ -100,14 +116,31 @@ def main() -> int:
     """Be the drive that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
+    path = find_drive_file(arguments.drive)
+    is_relay = "protocol" in read_yaml(path)
+    if is_relay != bool(arguments.at):
+        raise ConfigurationError(
+            "must say where a relay is: mqtt://HOST[:PORT]/DEVICE" if is_relay
+            else "is of a relay; a drive on Modbus has --port or --serial",
+            key="--at", value=arguments.at,
+        )
+    known = RELAY_FAULTS if is_relay else DRIVE_FAULTS
+    if arguments.fault[0] not in known:
+        raise ConfigurationError(
+            f"must be one of {', '.join(known)}", key="--fault", value=arguments.fault[0]
+        )
+    bench = (_relay if is_relay else _drive)(path, arguments)
+    bench.serve(*arguments.fault)
+    return EXIT_DONE
+
+
+def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
     from greenroof_ros.simulators.control_profiles import profile_of
     from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings
-    file = read_drive_file(find_drive_file(arguments.drive))
-    workbench = arguments.workbench
-    if workbench is None:
-        workbench = arguments.port + 1 if arguments.port else 0
+
+    file = read_drive_file(path)
     own = Address(host=arguments.host, port=arguments.port)
-    bench = DriveBench(
+    return DriveBench(
         profile_of(file.make),
         file,
         DriveSettings(
@@ -115,11 +148,25 @@ def main() -> int:
             timeout_s=None if arguments.as_delivered else arguments.timeout,
         ),
         Address(line=arguments.serial) if arguments.serial else own,
-        Address(host=arguments.host, port=workbench),
+        _workbench(arguments),
         read_site(arguments.site or shared_directory() / "config" / "site.yaml"),
     )
-    bench.serve(*arguments.fault)
-    return EXIT_DONE
+
+
+def _relay(path: Path, arguments: argparse.Namespace) -> Bench:
+    from greenroof_ros.simulators.simulated_relay import RelayBench, relay_of
+
+    broker, device = parse_topic(arguments.at, "--at")
+    make, as_delivered = relay_of(read_relay_file(path).make), arguments.as_delivered
+    relay = make(device, None if as_delivered else arguments.timeout, as_delivered)
+    return RelayBench(relay, broker, device, arguments.boot, _workbench(arguments))
+
+
+def _workbench(arguments: argparse.Namespace) -> Address:
+    port = arguments.workbench
+    if port is None:
+        port = arguments.port + 1 if arguments.port else 0
+    return Address(host=arguments.host, port=port)
 
 
 if __name__ == "__main__":

@@ -29,12 +29,12 @@ class SimulatedDrive:
     """The program, which ends with the test, and its workbench."""
 
     def __init__(
-        self, domain: int, cwd: Path, *options: str,
+        self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880",
         pace: tuple[str, ...] = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5"),
     ) -> None:
         """Start it, and wait until it is ready."""
         self.domain, self.cwd = domain, cwd
-        self._options = ("--drive", "abb_acs880", *pace, *options)
+        self._options = ("--drive", make, *pace, *options)
         self.start("--port", "0", "--workbench", "0")
 
     def start(self, *options: str) -> None:
@@ -66,7 +66,7 @@ class SimulatedDrive:
 def addresses(simulator: Process) -> list[str]:
     """Return what a simulator says when it is ready."""
     line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
-    return re.findall(r"(?:tcp|gateway)://[\d.:]+", line)
+    return re.findall(r"(?:tcp|gateway|mqtt)://[\w.:/]+", line)
 
 
 class PumpRig:
@@ -98,9 +98,9 @@ class PumpRig:
         """Return the drive, and start it if need be."""
         return self._drive or self.simulate()
 
-    def simulate(self, *options: str) -> SimulatedDrive:
+    def simulate(self, *options: str, **special: Any) -> SimulatedDrive:
         """Start the drive."""
-        self._drive = SimulatedDrive(self.domain, self.cwd, *options)
+        self._drive = SimulatedDrive(self.domain, self.cwd, *options, **special)
         return self._drive
 
     def code(self, part: str) -> str:

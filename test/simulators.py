@@ -18,10 +18,18 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS, Fault
+from greenroof_ros.simulators.faults import (
+    DEFAULT,
+    DRIVE_FAULTS,
+    RELAY_FAULTS,
+    SITE_FAULTS,
+    Fault,
+)
 
 # How long a workbench is waited for (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0
+# Of drives and of relays; what has one name has one number.
+FAULTS = {**DRIVE_FAULTS, **RELAY_FAULTS}
 T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
@@ -34,7 +42,7 @@ class Workbench:
     """
 
     def __init__(
-        self, address: Address, known: Mapping[str, Fault] = DRIVE_FAULTS, timeout_s: float = 1.0
+        self, address: Address, known: Mapping[str, Fault] = FAULTS, timeout_s: float = 1.0
     ) -> None:
         self._known = known
         self._line = ModbusLine(address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s)
@@ -95,12 +103,15 @@ class Simulator:
     def power_cycle(self) -> None:
         self._on_workbench(lambda bench: bench.power_cycle())
 
+    def take_over(self, local: bool) -> None:
+        self._on_workbench(lambda bench: bench.take_over(local))
+
     def speed(self) -> float:
         """Return the true speed (share of rated)."""
         return self._on_workbench(lambda bench: bench.speed())
 
     def _on_workbench(self, task: Callable[[Workbench], T]) -> T:
-        known = SITE_FAULTS if self._module == "site_simulator" else DRIVE_FAULTS
+        known = SITE_FAULTS if self._module == "site_simulator" else FAULTS
         bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
         try:
             return task(bench)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,6 @@ SAMPLE = {
     "site:danfoss_fc202/kill/pump/0": ("pump: ended (SIGKILL)", "ran again"),
     "site:danfoss_fc202/drive/drive_fault/0": ("the drive reports", "~/reset (cleared:"),
     "site:danfoss_fc202/sensor/roof_silent/0": ("/roof/level", "ran again"),
-    "mqtt:danfoss_fc202/broker/killed/0": ("no connection to the broker", "ran again"),
     "site:danfoss_fc202/intruder/pump.command/0": ("publishers", "ran again"),
     "simulated/kill/weather/0": ("node weather ended (SIGKILL)", "exit code 1"),
     "relayed:danfoss_fc202/off/weather.precipitation/0": (
@@ -29,32 +29,44 @@ SAMPLE = {
     "service/six hours/limit/0": ("429 Too Many Requests", "ran on"),
 }
 
+MQTT = {
+    "mqtt:danfoss_fc202/broker/killed/0": ("no connection to the broker", "ran again"),
+    "relay:tasmota/broker/killed/0": ("no connection to the drive", "ran again"),
+    "relay:tasmota/drive/deaf/0": ("its timer has passed", "ran again"),
+}
 
-def campaign(domain: int, results: Path) -> subprocess.CompletedProcess[str]:
+
+def campaign(
+    domain: int, results: Path, sample: Mapping[str, tuple[str, str]]
+) -> subprocess.CompletedProcess[str]:
     outside = {key: value for key, value in environment(domain).items()
                if not key.startswith("PYTEST_")}
     return subprocess.run(
         [
             sys.executable, "-m", "pytest", str(CHECKOUT / "test/faults/campaign.py"), "-q", "-n",
-            "2", "--dist", "loadgroup", "-p", "no:cacheprovider", "-k", " or ".join(SAMPLE),
+            "2", "--dist", "loadgroup", "-p", "no:cacheprovider", "-k", " or ".join(sample),
         ],
         env={**outside, "FAULTS_RESULTS": str(results)}, cwd=CHECKOUT, timeout=240,
         capture_output=True, text=True,
     )
 
 
-@needs_mosquitto
-def test_a_sample_of_the_campaign(domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "sample", [SAMPLE, pytest.param(MQTT, marks=needs_mosquitto)], ids=["modbus", "mqtt"]
+)
+def test_a_sample_of_the_campaign(
+    domain: int, tmp_path: Path, sample: Mapping[str, tuple[str, str]]
+) -> None:
     """Each stops the pump within its bound, is named, and goes on as specified."""
-    done = campaign(domain, tmp_path)
+    done = campaign(domain, tmp_path, sample)
     assert done.returncode == 0, done.stdout
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
     results = {line["id"]: line for line in lines}
-    assert results.keys() == SAMPLE.keys()
-    for case, (cause, after) in SAMPLE.items():
+    assert results.keys() == sample.keys()
+    for case, (cause, after) in sample.items():
         result = results[case]
         assert cause in result["alarm"], result
         assert after in result["recovery"], result
         assert result["to_safe"] is None or 0 < result["to_safe"] <= result["bound"], result
     # What is done is not done again.
-    assert f"{len(SAMPLE)} skipped" in campaign(domain, tmp_path).stdout
+    assert f"{len(sample)} skipped" in campaign(domain, tmp_path, sample).stdout

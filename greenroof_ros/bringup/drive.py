@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED, namespace, within
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice
-from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import Address, parse_drive_address
+from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.placed import Placed, place_drive
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.supervision import PUMP
@@ -39,6 +39,8 @@ _OF_BRINGUP = {
     PUMP: {
         "drive": "--drive",
         "address": "--drive-at",
+        "broker_login": "--broker-login",
+        "broker_authority": "--broker-authority",
         "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
         "state_file": "--state",
     },
@@ -53,18 +55,22 @@ class DriveChoice:
     Attributes:
         file: says what it is like.
         at: its address, as the user wrote it.
+        login: of a relay's broker; empty for none.
+        authority: of it: trusted certificates; empty for the system's.
     """
 
     file: Path
     at: str
+    login: str = ""
+    authority: str = ""
 
-    def read(self) -> tuple[DriveFile, Address]:
-        """Return what the drive is like, and its address.
+    def read(self) -> Placed:
+        """Return what the drive is like, and where it is.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        return read_drive_file(self.file), parse_drive_address(self.at, "--drive-at")
+        return place_drive(self.file, self.at, "--drive-at", self.login, self.authority)
 
     def state_file(self, state: Path | None) -> Path:
         """Return where a stop or a fault of this drive is kept; its directory is made.
@@ -82,9 +88,8 @@ class DriveChoice:
         if state is not None:
             kept = state.resolve() / "pump.json"
         else:
-            file, address = self.read()
             try:
-                where = f"{address.place(file.tcp.port).strip('/')}-{file.device_id_at(address)}"
+                where = self.read().place()
             except OSError as error:
                 raise ConfigurationError(
                     f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
@@ -104,6 +109,8 @@ class DriveChoice:
         return {
             "drive": str(self.file),
             "address": self.at,
+            "broker_login": self.login,
+            "broker_authority": self.authority,
             "state_file": str(state_file),
             "autostart": True,
         }
@@ -122,17 +129,17 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.drives.drive import Drive, no_real_time
+        from greenroof_ros.drives.drive import no_real_time
         from greenroof_ros.drives.modbus_line import DriveError
 
-        file, address = self.read()
+        placed = self.read()
         until = time.monotonic() + _SIMULATOR_S
         why: str | None = None
         while why is None:
             check()
-            drive = Drive(file, address)
+            drive = placed.connection()
             try:
-                if address.is_here:
+                if placed.is_here:
                     drive.line.connect()
                 why = drive.why_no_simulator()
             except DriveError as error:
@@ -151,16 +158,16 @@ class DriveChoice:
         drive that another program runs is left to that, and whether it stands is not known.
 
         Raises:
-            ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
+            ConfigurationError: the file or the address is wrong.
         """
-        with in_extra("pump"):
-            from greenroof_ros.drives.drive import DriveInUseError
-            from greenroof_ros.drives.exchange import stop_drive
-        file, address = self.read()
+        from greenroof_ros.drives.exchange import stop_drive
+        from greenroof_ros.drives.lock import DriveInUseError
+
+        placed = self.read()
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
-                status = stop_drive(file, address, driver=pump_node)
+                status = stop_drive(placed, driver=pump_node)
             except DriveInUseError as error:
                 return False, (
                     f"another program (process {error.holder}) runs the drive: left to it, which "
@@ -205,8 +212,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group = parser.add_argument_group(
         "the drive",
-        "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
-        "simulated.",
+        "With --drive the pump node takes the commands and runs a drive by Modbus, or a relay by\n"
+        "MQTT, real or simulated.",
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",
@@ -217,8 +224,15 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="where it is: tcp://HOST:PORT where it has an Ethernet port of its own, "
         "gateway://HOST:PORT of a gateway to its serial port, or a serial line such as "
         "/dev/ttyUSB0; after a comma its device id, where that is not its file's, such as "
-        "gateway://HOST:PORT,17",
+        "gateway://HOST:PORT,17; of a relay mqtt://HOST[:PORT]/DEVICE, its own topic at a broker, "
+        "or mqtts:// over TLS",
     )
+    for option, metavar, meaning in (
+        ("--broker-login", "FILE", "of a relay: YAML file of its broker's username and password"),
+        ("--broker-authority", "FILE", "of a relay: certificates that are trusted (PEM), where "
+         "its broker's is not the system's"),
+    ):
+        group.add_argument(option, default="", metavar=metavar, help=meaning)
     group.add_argument(
         "--state", type=Path, metavar="DIR",
         help="directory of what must survive a restart: a stop, a fault, the pump's day; live, of "
@@ -277,11 +291,16 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
         (drive is None and at is not None, "--drive-at", at,
          "needs --drive, which says what the drive is like"),
         (drive is not None and at is None, "--drive", drive,
-         "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0"),
+         "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
+         "mqtt://..."),
         (drive is not None and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
          "leaves the pump to somebody else's node, and --drive to the pump node; give one"),
     )
-    return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at)
+    files = [
+        str(Path(file).resolve()) if file else ""
+        for file in (arguments.broker_login, arguments.broker_authority)
+    ]
+    return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at, *files)
 
 
 def own_parameters(

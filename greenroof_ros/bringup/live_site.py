@@ -18,6 +18,7 @@ from greenroof_ros.bringup.drive import (
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.drives.drive import PlacedDrive
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
@@ -281,9 +282,13 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
     Raises:
         ConfigurationError: it is shared, or the drive's file or address is wrong.
     """
-    _, address = drive.read()
+    placed = drive.read()
+    if not isinstance(placed, PlacedDrive):
+        return
     for section, sensor in sensors.by_section.items():
-        if isinstance(sensor, ModbusSensor) and address.shares_line(parse_address(sensor.address)):
+        if isinstance(sensor, ModbusSensor) and placed.address.shares_line(
+            parse_address(sensor.address)
+        ):
             raise ConfigurationError(
                 f"is the serial line of the sensor {section}, too, which one program alone can "
                 "open: put a Modbus TCP gateway on it, or take another line",

@@ -1,27 +1,19 @@
-"""One drive on Modbus, driven as its file says, by one program at a time."""
+"""One drive on Modbus, driven as its file says."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-import re
-import stat
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from io import FileIO
-from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import LockedError, take_lock
-from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Register, Step
+from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Register, Step, Timeout
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDS
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05
-# Where the locks are.
-_DIRECTORIES = (Path("/run/lock"), Path("/tmp"))
 _LOCAL = "; it is in local control: hand it over to the bus at its panel"
 
 
@@ -114,11 +106,13 @@ class Drive:
     def timeout(self) -> tuple[float | None, str]:
         """Return its own communication timeout (s) on this connection; for off None, and why.
 
-        Off is also one after which the drive would not stop.
+        Off is also one after which the drive would not stop. The registers that others are divided
+        by are read again, too, when they are next needed.
 
         Raises:
             DriveError: it cannot be read, or the drive's file tells of none for this interface.
         """
+        self._full_scale.clear()
         own = self._timeout
         if own is None:
             raise self.line.error(
@@ -288,10 +282,6 @@ class Drive:
             return ""
         return f"what is at {self._address} identifies itself as {named[0]!r}, {named[1]!r}"
 
-    def forget_full_scales(self) -> None:
-        """Have the registers that others are divided by read again when they are next needed."""
-        self._full_scale.clear()
-
     # --- sequences --------------------------------------------------------------------------------
 
     def _perform(
@@ -424,88 +414,65 @@ class Drive:
         return f"{register.meaning} (register {register.manual})"
 
 
-class DriveInUseError(DriveError):
-    """Another process has the lock.
+@dataclass(frozen=True)
+class PlacedDrive:
+    """A make of drive at an address.
 
     Attributes:
-        holder: its number; None where it could not write it, on a full disk.
+        file: what the drive is like.
+        address: where it is.
     """
 
-    def __init__(self, message: str, holder: int | None) -> None:
-        super().__init__("drive", message)
-        self.holder = holder
+    file: DriveFile
+    address: Address
 
+    # One round of requests may follow the other at once (s).
+    period = 0.0
 
-class DriveLock:
-    """One driver for a drive: one process of all users of this machine has it at a time.
-
-    A serial line is one driver's, whatever devices are connected to it. A driver on another
-    computer, or in a container with a file system of its own, is not kept off by it.
-    """
-
-    def __init__(self, file: DriveFile, address: Address) -> None:
-        """Take nothing yet."""
-        self._file, self._address = file, address
-        self._lock: tuple[FileIO, Path] | None = None
+    def __str__(self) -> str:
+        return str(self.address)
 
     @property
-    def taken(self) -> bool:
-        """Whether this has it."""
-        return self._lock is not None
+    def guard(self) -> Timeout | None:
+        """Its communication timeout at this address; None where its file tells of none."""
+        return self.file.timeout.over(self.address)
 
-    def take(self) -> None:
-        """Take it; may wait for the name of a host to be looked up.
+    @property
+    def is_here(self) -> bool:
+        """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
+        return self.address.is_here
 
-        Raises:
-            DriveInUseError: another process has it.
-            DriveError: its file cannot be opened, or the host is not known.
-        """
-        path = self._path()
-        try:
-            self._lock = take_lock(path, 0o666), path
-        except LockedError as error:
-            raise DriveInUseError(
-                f"{self._address}: process {error.holder or 'unknown'} of this machine runs this "
-                f"drive already (lock {path}); end that one, and this one goes on by itself",
-                error.holder,
-            ) from None
-        except OSError as error:
-            raise DriveError(
-                "drive",
-                f"{self._address}: the lock {path} cannot be opened ({error.strerror}), without "
-                "which two programs could run one drive; make it writable, or remove it",
-            ) from error
+    def place(self) -> str:
+        """Return where it is, by the same name for each way to write the address.
 
-    def release(self) -> None:
-        """Give it back, if it was taken."""
-        if self._lock is not None:
-            lock, path = self._lock
-            with contextlib.suppress(OSError):  # another user's file stays
-                path.unlink()
-            lock.close()
-            self._lock = None
-
-    def _path(self) -> Path:
-        """Return the file, by the same name for each way to write the address.
+        May wait for the name of a host to be looked up.
 
         Raises:
-            DriveError: the host is not known.
+            OSError: there is no such host, or nobody who knows it answers.
         """
-        address = self._address
-        try:
-            name = address.place(self._file.tcp.port)
-        except OSError as error:
-            raise DriveError(
-                "connection", f"{address}: cannot connect: the host is not found ({error.strerror})"
-            ) from error
-        if not address.line:
-            name += f"-{self._file.device_id_at(address)}"
-        # Where not everybody may write, two users would each take another directory.
-        shared = [each for each in _DIRECTORIES
-                  if each.is_dir() and each.stat().st_mode & stat.S_IWOTH]
-        return (shared or [_DIRECTORIES[-1]])[0] / (
-            f"greenroof_ros-{re.sub('[^A-Za-z0-9.]+', '-', name.strip('/'))}.lock"
-        )
+        return f"{self._at()}-{self.file.device_id_at(self.address)}"
+
+    def place_of_lock(self) -> str:
+        """Return what one driver alone may have: it, or the serial line with all its devices.
+
+        Raises:
+            OSError: likewise.
+        """
+        return self._at() if self.address.line else self.place()
+
+    def _at(self) -> str:
+        return self.address.place(self.file.tcp.port).strip("/")
+
+    def connection(self, timeout_s: float = 0.5) -> Drive:
+        """Return it, to be connected once; nothing is opened yet.
+
+        Args:
+            timeout_s: longest wait for a connection, and for each answer (s).
+
+        Raises:
+            ConfigurationError: there is no Modbus library.
+        """
+        return Drive(self.file, self.address, timeout_s)
 
 
 def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive import Drive, DriveInUseError, DriveLock, DriveStatus
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
-from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known
+from greenroof_ros.drives.drive import DriveStatus
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.drives.lock import DriveInUseError, DriveLock
+from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known
+from greenroof_ros.drives.placed import Connection, Placed
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
@@ -232,8 +234,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def __init__(
         self,
-        file: DriveFile,
-        address: Address,
+        placed: Placed,
         period_s: float = 0.25,
         dead_man_s: float = 1.0,
         *,
@@ -244,9 +245,8 @@ class DriveExchange(DeviceThread[Snapshot]):
         """Prepare it.
 
         Args:
-            file: what the drive is like.
-            address: where it is.
-            period_s: between two rounds of requests (s).
+            placed: the drive.
+            period_s: between two rounds of requests (s); a relay's file may ask for more.
             dead_man_s: the drive is stopped when `demand` was not called for so long (s).
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: what counts as the drive's own communication timeout while that is
@@ -254,13 +254,14 @@ class DriveExchange(DeviceThread[Snapshot]):
             seeks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
-            ConfigurationError: there is no Modbus library.
+            ConfigurationError: there is no library for it, or a file for the login is wrong.
         """
         super().__init__("talking to the drive", Snapshot())
-        self._file, self._address = file, address
-        self._drive = Drive(file, address, timeout_s)
-        self._only = DriveLock(file, address)
-        self._period_s, self._dead_man_s, self._timeout_s = period_s, dead_man_s, timeout_s
+        self._placed = placed
+        self._drive: Connection = placed.connection(timeout_s)
+        self._only = DriveLock(placed)
+        self._period_s = max(period_s, placed.period)
+        self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
         # Written and read whole, so that no lock is needed.
         self._demand: tuple[float | None, float] = (None, -math.inf)
@@ -274,8 +275,8 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._settings_at = -math.inf
         # So many rounds, one after the other, had no valid answer.
         self._unanswered = 0
-        self._obedience = Obedience(str(address))
-        own = file.timeout.over(address)
+        self._obedience = Obedience(str(placed))
+        own = placed.guard
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
         self._seeks_simulator, self._simulator_only = seeks_simulator, False
@@ -411,7 +412,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if not self._only.taken:
             self._take()
             return
-        self._drive = drive = Drive(self._file, self._address, self._timeout_s)
+        self._drive = drive = self._placed.connection(self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
         self._update(no_simulator=None)
         drive.line.connect()
@@ -453,7 +454,6 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _read_settings(self) -> None:
         """Read what somebody may change at the panel, and on which safety rests."""
-        self._drive.forget_full_scales()
         try:
             (seconds, note), known = self._drive.timeout(), True
         except DriveError as error:
@@ -571,7 +571,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._obedience.stop_written(time.monotonic())
 
 
-def _stand(drive: Drive, until: float) -> DriveStatus:
+def _stand(drive: Connection, until: float) -> DriveStatus:
     """Stop a drive, and return what it says when it stands, or does not come to that.
 
     How long its ramp is, no drive file says; so it is waited for as long as the speed falls.
@@ -586,7 +586,7 @@ def _stand(drive: Drive, until: float) -> DriveStatus:
 
 
 def stop_drive(
-    file: DriveFile, address: Address, *, driver: int | None = None, timeout_s: float = 0.5
+    placed: Placed, *, driver: int | None = None, timeout_s: float = 0.5
 ) -> DriveStatus:
     """Stop a drive whose driver has died; blocks while its speed falls, `LEAVE_S` at most.
 
@@ -594,8 +594,7 @@ def stop_drive(
     where it cannot be had, or its holder not be known, to stop is safe.
 
     Args:
-        file: what the drive is like.
-        address: where it is.
+        placed: the drive.
         driver: the process of that driver, which may have the lock; None where there is none.
         timeout_s: longest wait for each answer (s).
 
@@ -606,7 +605,7 @@ def stop_drive(
         DriveInUseError: another process runs it, and nothing was sent.
         DriveError: *stop* could not be written in three attempts; the message says why.
     """
-    only = DriveLock(file, address)
+    only = DriveLock(placed)
     try:
         only.take()
     except DriveInUseError as error:
@@ -615,15 +614,15 @@ def stop_drive(
     except DriveError:
         pass
     try:
-        return _stop(file, address, timeout_s)
+        return _stop(placed, timeout_s)
     finally:
         only.release()
 
 
-def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
+def _stop(placed: Placed, timeout_s: float) -> DriveStatus:
     attempts, until = 3, time.monotonic() + LEAVE_S
     while True:
-        drive = Drive(file, address, timeout_s)
+        drive = placed.connection(timeout_s)
         try:
             drive.line.connect()
             return _stand(drive, until)

@@ -1,4 +1,4 @@
-"""The pump node: /pump/command in, a drive on Modbus turned, /pump/flow out.
+"""The pump node: /pump/command in, a drive on Modbus or a relay on MQTT run, /pump/flow out.
 
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
@@ -25,9 +25,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
-from greenroof_ros.drives.modbus_line import parse_drive_address
+from greenroof_ros.drives.placed import place_drive
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
@@ -71,7 +71,16 @@ _OWN = (
         "address", "", meaning="of the drive: tcp://HOST:PORT where it has an Ethernet port of "
         "its own, gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a "
         "serial line; after a comma its device id, where that is not its file's, such as "
-        "gateway://HOST:PORT,17",
+        "gateway://HOST:PORT,17; of a relay mqtt://HOST[:PORT]/DEVICE, its own topic at a broker, "
+        "or mqtts:// over TLS",
+    ),
+    Parameter(
+        "broker_login", "", meaning="of a relay: YAML file of its broker's username and password; "
+        "empty: none is asked for",
+    ),
+    Parameter(
+        "broker_authority", "", meaning="of a relay: file of the certificates that are trusted "
+        "(PEM); empty: the system's",
     ),
     Parameter(
         "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
@@ -108,8 +117,7 @@ class _Drive:
     """The drive of the parameters, and what speaks against using it.
 
     Attributes:
-        file: what it is like.
-        timeout: of its file: its own communication timeout, at this address; None without one.
+        placed: what it is like, and where it is.
         exchange: with it.
     """
 
@@ -125,9 +133,10 @@ class _Drive:
                 "must be given: the make of the drive, as a file of config/drives without .yaml, "
                 "or the path of a file of one's own", key=key.format("drive"),
             )
-        self.file = read_drive_file(find_drive_file(values["drive"]))
-        self._address = parse_drive_address(values["address"], key.format("address"))
-        self.timeout = self.file.timeout.over(self._address)
+        self.placed = place_drive(
+            find_drive_file(values["drive"]), values["address"], key.format("address"),
+            values["broker_login"], values["broker_authority"],
+        )
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
@@ -137,7 +146,7 @@ class _Drive:
     def _renew(self) -> None:
         """Have an exchange that has not begun."""
         self.exchange = DriveExchange(
-            self.file, self._address, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
+            self.placed, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
             seeks_simulator=not self._live,
         )
         self._begun = self._leaving = False
@@ -226,11 +235,11 @@ class _Drive:
 
     def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
-        own, seconds = self.timeout, snapshot.timeout_s
+        own, seconds = self.placed.guard, snapshot.timeout_s
         if not snapshot.timeout_known:
             why = f" could not be read ({snapshot.timeout_note})"
         elif seconds is None:
-            why = f" is off ({snapshot.timeout_note})"
+            why = f" does not guard ({snapshot.timeout_note})"
         elif seconds > self._limit:
             why = (
                 f" is {seconds:g} s, and must be at most {self._limit:g} s (drive_timeout_limit)"
@@ -267,7 +276,7 @@ class PumpNode(Lifecycle, LinkedNode):
                 "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
             )
         given = {one.name: values[one.name] for one in pump_parameters(site)}
-        given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
+        given["least_speed"] = max(given["least_speed"], self._drive.placed.file.least_speed)
         self._settings = PumpSettings(**given)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
@@ -353,10 +362,11 @@ class PumpNode(Lifecycle, LinkedNode):
             problem = self._ledger.why_not_kept()
         if problem:
             raise RefusedError(f"not activated: {problem}")
-        unverified = self._drive.file.unverified_and_vital
+        file = self._drive.placed.file
+        unverified = file.unverified_and_vital
         if unverified:
             self.diagnose(
-                "drive file", WARN, f"{self._drive.file.path} was not verified against a manual "
+                "drive file", WARN, f"{file.path} was not verified against a manual "
                 f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
                 "drive_file_unverified",
             )
@@ -713,7 +723,7 @@ class PumpNode(Lifecycle, LinkedNode):
                 "drive", said and f"the drive: {said}", f"connected to {snapshot.identity}",
                 code if status.remote else "drive_local", WARN,
             )
-        own = self._drive.timeout
+        own = self._drive.placed.guard
         beware = f"; beware: {own.traps}" if own is not None and own.traps else ""
         problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
         if problem and not self._without_timeout:

@@ -60,7 +60,7 @@ _OF_LEVEL = "level_limit, frozen_movement, jump_tolerance, recovery_time"
 _RELEASE, _AT_PANEL = "~/stop with false", "somebody at the drive's panel"
 INTERLOCKS = {
     "turns_backwards": Interlock(LATCHED, _CONTROL),
-    "runs_on": Interlock(LATCHED, _CONTROL, _FOLLOWING),
+    "runs_on": Interlock(LATCHED, _CONTROL, f"{_FOLLOWING}, least_flow"),
     "drive_fault": Interlock(LATCHED, _CONTROL, follows=True),
     "speed_not_followed": Interlock(LATCHED, _CONTROL, _FOLLOWING, on_page=True),
     "delivery": Interlock(

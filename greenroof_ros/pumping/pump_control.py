@@ -123,6 +123,7 @@ class PumpControl:
         # of the rated speed; before the first step it may have run.
         self._ramped = 1.0
         self._follow_error_for = 0.0
+        self._flowed_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
         # What it turned at most when that was last known, share of the rated speed; before that
@@ -170,7 +171,7 @@ class PumpControl:
     def _judge_anew(self) -> None:
         """Forget what led to a fault."""
         self._delivery = DeliveryCheck(self._site, self._settings)
-        self._follow_error_for = 0.0
+        self._follow_error_for = self._flowed_for = 0.0
 
     def pass_unseen(self, dt: float) -> None:
         """Count time in which nobody was there, as in a suspend of the machine; then it is off.
@@ -351,6 +352,24 @@ class PumpControl:
             self._ramped = speed
         return not least - tolerance <= speed <= greatest + tolerance
 
+    def _flows_at_rest(self, drive_dt: float, seen: Observation) -> str:
+        """Return that a meter shows a flow while the pump stands by its drive; empty for none.
+
+        A drive knows its motor, and a relay what it was told; neither sees a welded contact.
+        """
+        level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
+        least = self._settings.least_flow * flow_at(self._site, 1.0, level)
+        measured = max(seen.flow or 0.0, seen.drive_flow or 0.0)
+        stands = self._asked is None and seen.speed is not None and seen.speed <= STANDS
+        self._flowed_for = self._flowed_for + drive_dt if stands and measured > least else 0.0
+        if self._flowed_for <= self._settings.follow_time:
+            return ""
+        return (
+            f"{measured:.3g} m3/s flow, by the meter, for {self._flowed_for:.0f} s, although the "
+            "drive says that the pump stands: perhaps a contact is welded, and only the main "
+            "switch stops the pump; or the meter is wrong"
+        )
+
     def _faults(
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
     ) -> dict[str, str]:
@@ -361,7 +380,7 @@ class PumpControl:
         if seen.speed is not None:  # what is not heard for a moment may go on
             beyond = self._is_beyond_ramp(seen.speed, drive_dt)
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
-        found = {"delivery": undelivered}
+        found = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
         if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
             off = self._asked is None
             asked = "it is told to stop" if off else f"{self._asked:.2f} is asked for"

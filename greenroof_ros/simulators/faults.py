@@ -73,6 +73,14 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
         "how long each connection lasts, s; 0: for ever", 0,
     ),
 }
+RELAY_FAULTS: Mapping[str, Fault] = {
+    **{name: DRIVE_FAULTS[name] for name in (NONE, "silence", "late", "garbage", "power_cycle")},
+    "timer_off": Fault(18, "the relay's timer is turned off, for good"),
+    "timer_long": Fault(21, "the relay's timer is set, for good", "s", 120),
+    "power_up_on": Fault(22, "the relay is set to be on after power-up, for good"),
+    "deaf": Fault(23, "the relay answers, and neither switches on nor off but by its timer"),
+    "welded": Fault(24, "the contact does not open any more; the relay says what it was told"),
+}
 SITE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),
     "cistern_frozen": Fault(1, "the cistern's sensor repeats its last reading"),

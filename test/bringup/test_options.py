@@ -25,8 +25,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.drives.drive import DriveLock
 from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.graph.supervision import Permit
 from greenroof_ros.graph.supervisor import NodeFailed
 
@@ -252,7 +252,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started at the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-        driver, stop = DriveLock(*choice.read()), choice.stopper()
+        driver, stop = DriveLock(choice.read()), choice.stopper()
         driver.take()
         assert stop(1) == (
             False,

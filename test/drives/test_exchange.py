@@ -20,7 +20,7 @@ from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives import exchange
-from greenroof_ros.drives.drive import DriveInUseError, DriveLock, DriveStatus
+from greenroof_ros.drives.drive import DriveStatus, PlacedDrive
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
     DriveExchange,
@@ -30,6 +30,7 @@ from greenroof_ros.drives.exchange import (
     State,
     stop_drive,
 )
+from greenroof_ros.drives.lock import DriveInUseError, DriveLock
 from greenroof_ros.drives.modbus_line import (
     DriveError,
     ModbusLine,
@@ -68,7 +69,7 @@ class Bench:
         self.drive = acs880()
         self.wire = Wire(self.drive)
         self.exchange = DriveExchange(
-            file, parse_drive_address(at or self.wire.gateway, "at"), PERIOD,
+            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")), PERIOD,
             **{"dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
         )
         self.speed: float | None = None
@@ -631,7 +632,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
 def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     """The first names the host in another way."""
     port = bench.wire.port
-    first = DriveLock(ABB, parse_address(f"tcp://localhost:{port}"))
+    first = DriveLock(PlacedDrive(ABB, parse_address(f"tcp://localhost:{port}")))
     first.take()
     bench.exchange.start()
     bench.speed = 0.5
@@ -639,11 +640,11 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     time.sleep(0.3)
     assert not bench.now.connected and bench.now.errors == 1
     # The supervisor's stop goes by, where that one is its own.
-    at = parse_address(bench.wire.at)
+    at = PlacedDrive(ABB, parse_address(bench.wire.at))
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
-        stop_drive(ABB, at, driver=1)
+        stop_drive(at, driver=1)
     assert bench.wire.connections == 0
-    assert str(stop_drive(ABB, at, driver=os.getpid())) == "speed 0.0%, off"
+    assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
     (lock,) = (
         found for directory in ("/run/lock", "/tmp")
         for found in Path(directory).glob(f"greenroof_ros-127.0.0.1-{port}-1.lock")
@@ -658,7 +659,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
 def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     one, two = (
-        DriveLock(ABB, parse_drive_address(f"{tmp_path}/{name}", "at"))
+        DriveLock(PlacedDrive(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
         for name in ("ttyUSB0,1", "by-id,2")
     )
     one.take()
@@ -724,7 +725,7 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = pool.submit(stop_drive, ABB, parse_address(other.at))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(other.at)))
         bench.exchange.close()
         left = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
@@ -741,7 +742,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     bench.drive.on_write = lambda _address, _word: None
     began = time.monotonic()
     with ThreadPoolExecutor() as pool:
-        stop = pool.submit(stop_drive, ABB, parse_address(bench.wire.at))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
         wait(lambda: "runs this drive already" in bench.now.problem)
@@ -758,7 +759,7 @@ def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
     began = time.monotonic()
     with pytest.raises(DriveError, match="no valid answer"):
-        stop_drive(ABB, parse_address(bench.wire.at), timeout_s=TIMEOUT)
+        stop_drive(PlacedDrive(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
     assert time.monotonic() - began < 2.0
     assert bench.wire.connections == 3
 

@@ -88,6 +88,8 @@ def bounds(site: Site) -> dict[str, float]:
         "full disk": FLUSH_S + 5.0 + step,
         "limit": LIMIT_S + step,
         "undelivered": tolerance * site.a2 / (delivery * flow) + 2 * averaging + step,
+        # The same of the cistern, whose level falls while its pump is off.
+        "welded": tolerance * site.a1 / flow + 2 * averaging + step,
         # By chance: two medians of five readings must be farther apart than the tolerance.
         "noisy": 4 * _limit("/cistern/level") + step,
         "drift": jump / 2e-4 + step,

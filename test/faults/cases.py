@@ -170,6 +170,34 @@ def _drive_alone(repeats: int) -> Iterator[Case]:
                 bound="drive", recovery="ends"))
 
 
+# --- a relay on MQTT ------------------------------------------------------------------------------
+
+RELAYS = ("tasmota", "shelly_gen2")
+
+
+def _relay(repeats: int) -> Iterator[Case]:
+    """Return what is done to a relay, its broker and its driver.
+
+    Deaf is where renewals come too late, or not at all: it switches itself off, and answers.
+    """
+    for drive in RELAYS:
+        rig = f"relay:{drive}"
+        for number in range(repeats):
+            for target in ("killed", "restarted", "paused", "half-open"):
+                yield Case(rig, "broker", target, number, Expected(bound="drive", alarm=_LOST))
+            for target in ("silence", "garbage", "late", "power_cycle"):
+                yield Case(rig, "drive", target, number, Expected(
+                    bound="drive", alarm=rf"{_LOST}|somebody else"))
+            yield Case(rig, "drive", "deaf", number, Expected(
+                bound="drive", alarm="its timer has passed"))
+            yield Case(rig, "unstoppable", "welded", number, Expected(
+                stops=None, watch=0.0, bound="welded", recovery="latches", alarm="stuck contactor"))
+            for fault in ("kill", "stop long"):
+                yield Case(rig, fault, "pump", number, _process("pump", fault))
+            yield Case(rig, "kill both", "pump and bringup", number, Expected(
+                bound="drive", recovery="ends"))
+
+
 # What may go wrong on a line to a sensor.
 WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
         "wrong_unit", "wrong_function", "wrong_length", "exception", "intermittent")
@@ -510,6 +538,7 @@ def all_cases() -> list[Case]:
         *_drive("loop", every, 0, 1),
         *_drive("rtu", _SERIAL, 0, 1),
         *_drive_alone(1),
+        *_relay(2),
         *_sensors(2),
         *_brokers(4),
         *_dry(4),

@@ -15,7 +15,7 @@ from pathlib import Path
 from cases import Case
 from graphs import Process, own_domain
 from players import HOSTILE, HUGE, OFF_S, ON_S, Players
-from rig import FullDiskRig, MqttRig, Rig, SiteRig, pump_node, wait, write_forecast
+from rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait, write_forecast
 from truth import AT_REST
 from watcher import Watcher
 
@@ -85,6 +85,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             rig.main.process.kill()
         case "drive":
             _drive(rig, case, undo)
+        case "broker":
+            _broker(rig, case, undo)
         case "unstoppable":
             _unstoppable(rig, case, undo)
         case "sensor line":
@@ -206,6 +208,23 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
         if case.target == "power_cycle":
             rig.drive.powered_at = time.monotonic()
         _on_wire(truth.inject_drive, case.target, undo)
+
+
+def _broker(rig: Rig, case: Case, undo: ExitStack) -> None:
+    assert isinstance(rig, RelayRig)
+    match case.target:
+        case "killed":
+            rig.broker.kill()
+            undo.callback(rig.broker.start)
+        case "restarted":
+            rig.broker.kill()
+            rig.broker.start()
+        case "paused":
+            rig.broker.pause()
+            undo.callback(rig.broker.go_on)
+        case "half-open":
+            rig.cable.cut = True
+            undo.callback(setattr, rig.cable, "cut", False)
 
 
 def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:

@@ -62,7 +62,8 @@ class Line:
 class Cable:
     """A TCP connection to a port, for each at its own; while it is cut nothing goes either way.
 
-    As on a network that is gone: connections stay open, and new ones are answered by nobody.
+    As on a network that is gone: connections stay open, and new ones are answered by nobody. What
+    was sent meanwhile comes when it is whole again.
 
     Attributes:
         port: its own, on loopback.
@@ -96,6 +97,10 @@ class Cable:
         with contextlib.suppress(OSError), one, other:
             one.settimeout(None)
             while data := one.recv(4096):
-                while self.cut and not self._ended:
-                    time.sleep(0.02)
+                self._wait_until_whole()
                 other.sendall(data)
+            self._wait_until_whole()
+
+    def _wait_until_whole(self) -> None:
+        while self.cut and not self._ended:
+            time.sleep(0.02)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from bounds import LIMIT_S, RAMP_S
+from bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
 from brokers import Mosquitto, Talker
 from cases import GAUGES, LEVELS, PLAYED, RELAYED
 from disks import small_disk
@@ -176,11 +176,10 @@ class Rig:
         self.lines: dict[str, Line] = {}
         # The wait after power-up, where a drive guards nothing, would come with each connection.
         self.drive_file = drive if self.as_shipped else guarding(drive, directory)
-        drive_port, bench = free_ports(2)
-        place = ("--serial", "pty") if self.serial else ("--port", str(drive_port))
+        (bench,) = free_ports(1)
         self.drive = Simulator(
             domain, directory, "drive_simulator", "--drive", self.drive_file, "--ramp", "1",
-            "--boot", f"{BOOT_S:g}", *place, "--workbench", str(bench),
+            "--boot", f"{BOOT_S:g}", *self._place(), "--workbench", str(bench),
             "--site", str(self.site_file),
         )
         self.drive_at = self.drive.ready.split()[2].rstrip(",")
@@ -191,6 +190,10 @@ class Rig:
         self.ended_badly: list[str] = []
         self.others: list[Process] = []
         self.players: Players | Relay | None = None
+
+    def _place(self) -> tuple[str, ...]:
+        """Return the options that say where the drive is."""
+        return ("--serial", "pty") if self.serial else ("--port", str(*free_ports(1)))
 
     def _watch(self, site_bench: str | None = None) -> None:
         site = None if site_bench is None else parse_address(site_bench)
@@ -364,6 +367,27 @@ class SiteRig(Rig):
     def dry_level(self) -> float:
         """The level of the cistern at which the pump is stopped (m)."""
         return self.site.suction_level + settings_for(self.site).level_offset
+
+
+class RelayRig(SiteRig):
+    """The same with a relay on MQTT, and a cable from the pump node to the broker."""
+
+    def _place(self) -> tuple[str, ...]:
+        self.broker = Mosquitto(self.directory)
+        self.cable = Cable(self.broker.port)
+        return ("--at", f"{self.broker.address}/roof", "--timeout", f"{DRIVE_TIMEOUT_S:g}")
+
+    def bring_up(self) -> None:
+        self._options = tuple(
+            option.replace(f":{self.broker.port}/", f":{self.cable.port}/")
+            for option in self._options
+        )
+        super().bring_up()
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.cable.close()
+        self.broker.kill()
 
 
 class GaugedRig(SiteRig):
@@ -555,8 +579,9 @@ class RelayedRig(Rig):
 
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
-    "site": SiteRig, "mqtt": MqttRig, "gauged": GaugedRig, "full disk": FullDiskRig,
-    "played": PlayedRig, "flow": FlowRig, "pump": PumpRig, "loop": LoopRig, "relayed": RelayedRig,
+    "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
+    "full disk": FullDiskRig, "played": PlayedRig, "flow": FlowRig, "pump": PumpRig,
+    "loop": LoopRig, "relayed": RelayedRig,
     # With water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
     # With a flow meter; on a serial line, two pseudo-terminals; with the drive file as shipped.

@@ -12,7 +12,11 @@ from typing import Any
 
 from cases import MODES, SIMULATED, WAYS
 
-_BEGIN, _END = "<!-- measured: make faults -->\n", "<!-- end of table -->"
+# How the tables of drives on Modbus and of relays begin, and each ends.
+_BEGIN, _RELAYS, _END = (
+    "<!-- measured: make faults -->\n", "<!-- measured: make faults, relays -->\n",
+    "<!-- end of table -->",
+)
 # What a reader looks for, by the beginning of a fault's name, or of rig and fault; the first fits.
 _KINDS = {
     "kill both": "pump node and bringup killed together",
@@ -21,6 +25,7 @@ _KINDS = {
     "stop short": "a process stopped for 0.2 to 0.6 s",
     "stop long": "a process stopped for longer",
     "rtu/drive": "the drive, on a serial line",
+    "broker": "the broker killed, restarted, stopped, or its connection half-open",
     "power cycle": "the drive loses power, then the pump node is killed",
     "drive": "the drive and its line",
     "unstoppable": "a motor that cannot be stopped (time to the alarm)",
@@ -112,9 +117,17 @@ def _outcome(those: list[dict[str, Any]]) -> str:
     return ", ".join(said for said, _ in counts.most_common() if said) or "as specified"
 
 
-if __name__ == "__main__":
-    results, page = map(Path, sys.argv[1:])
-    before, begin, rest = page.read_text().partition(_BEGIN)
+def put(page: Path, mark: str, results: list[dict[str, Any]]) -> None:
+    """Put a table in a page, if there are results for it."""
+    before, begin, rest = page.read_text().partition(mark)
     _, end, after = rest.partition(_END)
-    assert begin and end, f"{page} has no {_BEGIN.strip()} with {_END}"
-    page.write_text(f"{before}{begin}\n{table(read_results(results).values())}\n\n{end}{after}")
+    assert begin and end, f"{page} has no {mark.strip()} with {_END}"
+    if results:
+        page.write_text(f"{before}{begin}\n{table(results)}\n\n{end}{after}")
+
+
+if __name__ == "__main__":
+    read, written = map(Path, sys.argv[1:])
+    every = read_results(read).values()
+    put(written, _BEGIN, [one for one in every if not one["id"].startswith("relay:")])
+    put(written, _RELAYS, [one for one in every if one["id"].startswith("relay:")])

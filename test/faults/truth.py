@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from simulators import Workbench
+from simulators import FAULTS, Workbench
 
 from greenroof_ros.drives.modbus_line import Address, DriveError
-from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
+from greenroof_ros.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05
 # Six minutes, longer than the longest case.
@@ -56,7 +56,7 @@ class Truth:
                 self.greatest = max(self.greatest, speed)
 
     def inject_drive(self, fault: str, parameter: int = DEFAULT) -> None:
-        assert fault in DRIVE_FAULTS
+        assert fault in FAULTS
         self._ask(lambda: self._drive.inject(fault, parameter))
 
     def inject_site(self, fault: str, parameter: int = DEFAULT) -> None:

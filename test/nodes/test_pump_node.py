@@ -105,7 +105,7 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_s=10.5), {},
          "is 10.5 s, and must be at most 10 s (drive_timeout_limit); to set it: "),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_note="0"), {},
-         "is off (0); to set it: "),
+         "does not guard (0); to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", Snapshot(timeout_note="no timeout.tcp"), {},
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {},

@@ -293,6 +293,27 @@ def test_no_flow_once_the_pump_stands() -> None:
     assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
 
 
+@pytest.mark.parametrize("meter", ["flow", "drive_flow"])
+def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) -> None:
+    """More than a fifth of the greatest flow, least_flow, for more than 12 s, follow_time."""
+    rig = Rig(x1=70.0)
+    least = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
+    rig.change = {meter: 0.95 * least}
+    assert rig.run(60, 0.0).state == "off"
+    rig.change = {meter: 1.05 * least}
+    assert rig.run(12, 0.0).state == "off"
+    rig.change = {}
+    assert rig.run(1, 0.0).state == "off"
+    rig.change = {meter: 1.05 * least}
+    decision = rig.run(13, 0.0)
+    assert (decision.state, [*decision.interlocks]) == ("fault", ["runs_on"])
+    assert "perhaps a contact is welded" in decision.why
+    rig.change = {}
+    assert rig.run(60, 1.0).state == "fault"
+    rig.control.reset()
+    assert rig.run(30, 1.0).state == "running"
+
+
 @pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (3600.0, 15.0)])
 def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted: float) -> None:
     """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""

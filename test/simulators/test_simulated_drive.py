@@ -20,7 +20,7 @@ from places import guarding
 from simulators import DEFAULT, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
-from greenroof_ros.drives.drive import Drive, DriveStatus
+from greenroof_ros.drives.drive import Drive, DriveStatus, PlacedDrive
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.drives.modbus_line import (
@@ -274,7 +274,7 @@ def driven(make: str, directory: Path) -> Iterator[Driven]:
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
     ) as drive, closing(
-        DriveExchange(file, parse_address(place_of(drive)), period_s=0.1)
+        DriveExchange(PlacedDrive(file, parse_address(place_of(drive))), period_s=0.1)
     ) as exchange:
         exchange.only_simulator()
         exchange.start()

@@ -1,0 +1,44 @@
+"""A drive at an address, of either kind: on Modbus, or a relay on MQTT."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeAlias
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_yaml
+from greenroof_ros.common.mqtt import parse_topic
+from greenroof_ros.drives.drive import Drive, PlacedDrive
+from greenroof_ros.drives.drive_file import read_drive_file
+from greenroof_ros.drives.modbus_line import parse_drive_address
+from greenroof_ros.drives.relay import PlacedRelay, Relay
+from greenroof_ros.drives.relay_file import read_relay_file
+
+Placed: TypeAlias = PlacedDrive | PlacedRelay
+Connection: TypeAlias = Drive | Relay
+
+
+def place_drive(
+    file: Path, at: str, key: str, login: str = "", authority: str = ""
+) -> Placed:
+    """Return the drive of a file at an address; the key ``protocol`` makes the file a relay's.
+
+    Args:
+        file: what the drive is like.
+        at: its address: ``mqtt://HOST[:PORT]/DEVICE`` of a relay, with ``mqtts`` over TLS; else see
+            :func:`greenroof_ros.drives.modbus_line.parse_drive_address`.
+        key: what the address is called in an error.
+        login: of a relay's broker: file with ``username`` and ``password``; empty for none.
+        authority: of it: file of the certificates that are trusted (PEM); empty for the system's.
+
+    Raises:
+        ConfigurationError: the file or the address is wrong.
+    """
+    if "protocol" in read_yaml(file):
+        return PlacedRelay(read_relay_file(file), *parse_topic(at, key, login, authority))
+    if login or authority:
+        raise ConfigurationError(
+            "has no broker to log in to: login and certificates are of a relay on MQTT",
+            key=key, value=at,
+        )
+    return PlacedDrive(read_drive_file(file), parse_drive_address(at, key))

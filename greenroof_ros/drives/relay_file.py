@@ -1,0 +1,179 @@
+"""What a make of relay on MQTT is like: one YAML file of ``config/drives/``, as frozen dataclasses.
+
+Topics and payloads may have ``$device``, the topic of the relay's own in its address; ``$me``, the
+name of who asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from string import Template
+
+from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.common.parameter import entry, error_at, find, read_record
+from greenroof_ros.drives.drive_file import Source
+
+MQTT = "mqtt"
+# A timer shorter than so many rounds of questions cannot be renewed in a third of its time.
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message to the relay."""
+
+    topic: str = entry("where it is published")
+    payload: str = entry("what is published")
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the relay is asked, and how its answer is known among all that it publishes."""
+
+    topic: str = entry("where it is asked")
+    answer: str = entry("topic of the answer, which is a JSON object")
+    known_by: str = entry("a path, such as result.output, that the answer has")
+    payload: str = entry("what is published there", default="")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value in the answer to a question."""
+
+    question: str = entry("name of the question")
+    path: str = entry("where it is in the answer, such as result.output")
+
+
+@dataclass(frozen=True)
+class State(Value):
+    """Whether the relay is on."""
+
+    is_on: str = entry("the value, as in JSON, with which it is on", default="true")
+    is_off: str = entry("the value with which it is off", default="false")
+
+
+@dataclass(frozen=True)
+class Setting(Value):
+    """A setting without which the relay may be on, or stay on, by itself."""
+
+    value: str = entry("what it must be, as in JSON")
+    meaning: str = entry("what that is, for people")
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a range of raw values gives seconds."""
+
+    low: float = entry("least raw value of the range", 0)
+    high: float = entry("greatest raw value of the range", 0)
+    scale: float = entry("seconds = scale x raw + offset", 1e-6, 1e6, default=1.0)
+    offset: float = entry("in seconds", -1e6, 1e6, default=0.0)
+
+
+@dataclass(frozen=True)
+class Timer(Value):
+    """The relay's own timer, which switches it off again: its communication timeout."""
+
+    scales: tuple[Scale, ...] = entry("its seconds; a raw value in none of the ranges means off")
+    how_to_set: str = entry("for people: where and to what")
+    traps: str = entry("when it does not guard", default="")
+
+    # As other drives' communication timeouts may have, and none of these has.
+    unguarded_after_power_up_s = 0.0
+    local_settings_decide = False
+
+    def seconds(self, raw: float) -> float | None:
+        """Return the time that a raw value stands for (s); None for off."""
+        return next((
+            each.scale * raw + each.offset for each in self.scales if each.low <= raw <= each.high
+        ), None)
+
+
+@dataclass(frozen=True)
+class RelayFile:
+    """A make of relay."""
+
+    protocol: str = entry("mqtt: by which the file is known as a relay's", choices=(MQTT,))
+    make: str = entry("maker")
+    model: str = entry("the relay, and its firmware")
+    sources: tuple[Source, ...] = entry("documents that the file was made from")
+    unverified: tuple[str, ...] = entry(
+        "keys of this file (such as timer) that no text of the maker's was found for"
+    )
+    questions: dict[str, Question] = entry("by name")
+    state: State = entry("whether it is on")
+    timer: Timer = entry("the time after which it switches itself off")
+    must: tuple[Setting, ...] = entry("settings that are read with the timer")
+    name: Value = entry("what it says that it is, for people")
+    switch_on: Message = entry("published to switch it on, and again to keep it on")
+    switch_off: Message = entry("published again and again while it is to be off")
+    set_up: tuple[str, ...] = entry("for people: what must be set in the relay")
+    number: str = entry(
+        "path of the question's $id in each answer; empty: answers have none, and come in order",
+        default="",
+    )
+    period: float = entry("least time between two rounds of questions (s)", 0.05, 5, default=0.5)
+    answer_within: float = entry("longest wait for an answer (s)", 0.1, 10, default=1.0)
+    path: Path = Path()
+
+    # It is on or off, and nothing between.
+    least_speed = 1.0
+
+    @property
+    def least_timer(self) -> float:
+        """The shortest timer that is renewed in time (s)."""
+        return _ROUNDS * self.period
+
+    @property
+    def unverified_and_vital(self) -> tuple[str, ...]:
+        """Those unverified keys by which a pump may run when it must not: of a relay, all."""
+        return self.unverified
+
+
+def read_relay_file(path: Path) -> RelayFile:
+    """Read a relay's file and check it.
+
+    Raises:
+        ConfigurationError: something in it is missing, unknown, impossible, or contradicts
+            something else in it.
+    """
+    content = read_yaml(path)
+    relay = replace(read_record(RelayFile, path, content), path=path)
+    for key, expected in _mistakes(relay, content):
+        raise error_at(path, content, key, expected)
+    return relay
+
+
+def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
+    """Yield each key that contradicts another one, and why."""
+    values = {
+        "state": relay.state, "timer": relay.timer, "name": relay.name,
+        **{f"must.{number}": each for number, each in enumerate(relay.must, start=1)},
+    }
+    for key, value in values.items():
+        if value.question not in relay.questions:
+            yield f"{key}.question", f"must be one of questions: {', '.join(relay.questions)}"
+    texts = {
+        f"{key}.{name}": text
+        for key, part in {
+            "switch_on": relay.switch_on, "switch_off": relay.switch_off,
+            **{f"questions.{name}": question for name, question in relay.questions.items()},
+        }.items() for name, text in vars(part).items()
+    }
+    for key, text in texts.items():
+        try:
+            Template(text).substitute(device="", me="", id="", seconds="")
+        except (KeyError, ValueError):
+            yield key, "has another $ than $device, $me, $id and $seconds"
+    if relay.number and any("$id" not in each.payload for each in relay.questions.values()):
+        yield "number", "is of questions whose payload has $id"
+    if relay.state.is_on == relay.state.is_off:
+        yield "state.is_off", "must be another value than is_on"
+    for number, each in enumerate(relay.timer.scales, start=1):
+        if each.low > each.high:
+            yield f"timer.scales.{number}.low", f"must be at most high, {each.high:g}"
+    for number, key in enumerate(relay.unverified, start=1):
+        if find(content, key)[1] is None:
+            yield f"unverified.{number}", "names no key of this file"

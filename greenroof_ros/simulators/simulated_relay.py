@@ -1,0 +1,315 @@
+"""A relay that is not there, on a real MQTT broker: contact, timer, settings and answers.
+
+What a make answers is written from the maker's documentation, not from the relay file, which has
+the questions that the driver asks; so each checks the other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import secrets
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import Broker, make_client
+from greenroof_ros.drives.modbus_line import SIMULATOR, Address
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.server import Bench
+
+_STEP_S = 0.01
+# A topic and what is published there.
+Published = tuple[str, str]
+
+
+class SimulatedRelay(ABC):
+    """A relay with its contact; time is what a clock says.
+
+    Attributes:
+        on: whether it means to be on.
+        timer_s: its timer as set (s); None for off.
+        on_after_power_up: whether it is set to be.
+        deaf: whether it switches by its timer alone.
+        welded: whether its contact does not open any more, once it was closed.
+        say: reports what happens, for people.
+    """
+
+    TOPICS: ClassVar[tuple[str, ...]]
+    """that it subscribes to, each after or before its own"""
+
+    def __init__(
+        self, device: str, timer_s: float | None, as_delivered: bool,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Be a relay that is off.
+
+        Args:
+            device: its own topic.
+            timer_s: its timer (s); None for off.
+            as_delivered: whether its other settings are the maker's.
+            clock: tells the time (s).
+        """
+        self.on = self.deaf = self.welded = False
+        self.timer_s, self.on_after_power_up = timer_s, as_delivered
+        self.say: Callable[[str], None] = lambda text: None
+        self._device, self._clock = device, clock
+        self._off_at = math.inf
+        self._stuck = False
+
+    @property
+    def closed(self) -> bool:
+        """Whether the contact is."""
+        self.advance()
+        return self.on or self._stuck
+
+    def advance(self) -> None:
+        """Let time pass until now."""
+        if self._clock() >= self._off_at:
+            self._set(False)
+            self.say("its timer has passed: off")
+        self._stuck = self.welded and (self._stuck or self.on)
+
+    def switch(self, on: bool, seconds: float | None) -> None:
+        """Switch it as told, unless it is deaf, for a time (s; None for good)."""
+        self.advance()
+        if self.deaf:
+            return
+        if on != self.on:
+            self.say("on" if on else "off")
+        self._set(on)
+        if on and seconds is not None:
+            self._off_at = self._clock() + seconds
+
+    def _set(self, on: bool) -> None:
+        self.on, self._off_at = on, math.inf
+
+    def power_up(self) -> None:
+        """Begin as it is set to after power-up."""
+        self._set(self.on_after_power_up)
+        self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
+
+    @abstractmethod
+    def hear(self, topic: str, payload: str) -> Iterator[Published]:
+        """Take in a message, and yield what it publishes on that."""
+
+
+class Shelly(SimulatedRelay):
+    """Shelly of generation 2: JSON-RPC over MQTT.
+
+    Requests come on DEVICE/rpc; the answer to ``src`` goes to SRC/rpc, with the request's id.
+    """
+
+    TOPICS = ("{}/rpc",)
+
+    def hear(self, topic: str, payload: str) -> Iterator[Published]:
+        """Answer a request."""
+        try:
+            request = json.loads(payload)
+            answer = {"id": request["id"], "src": self._device, "dst": request["src"]}
+            method, given = request["method"], request.get("params", {})
+        except (ValueError, TypeError, KeyError):
+            return
+        result = self._call(method, given)
+        answer |= {"error": {"code": 404, "message": f"No handler for {method}"}} \
+            if result is None else {"result": result}
+        yield f"{request['src']}/rpc", json.dumps(answer)
+
+    def _call(self, method: str, given: Mapping[str, Any]) -> dict[str, Any] | None:
+        if method == "Shelly.GetDeviceInfo":
+            return {"name": None, "id": self._device, "gen": 2, "app": " ".join(SIMULATOR)}
+        if given.get("id") != 0:
+            return None
+        match method:
+            case "Switch.Set":
+                was_on = self.on
+                self.switch(bool(given["on"]), given.get("toggle_after", self.timer_s))
+                return {"was_on": was_on}
+            case "Switch.GetStatus":
+                self.advance()
+                return {"id": 0, "source": "MQTT", "output": self.on}
+            case "Switch.GetConfig":
+                return {
+                    "id": 0, "name": None, "in_mode": "detached",
+                    "initial_state": "on" if self.on_after_power_up else "off",
+                    "auto_on": False, "auto_on_delay": 60.0, "auto_off": self.timer_s is not None,
+                    "auto_off_delay": self.timer_s or 60.0,
+                }
+        return None
+
+
+class Tasmota(SimulatedRelay):
+    """Tasmota: cmnd/DEVICE/COMMAND in, stat/DEVICE/... out; a command without payload asks.
+
+    PulseTime 1 to 111 is in 0.1 s, 112 to 64900 in seconds, and 100 more; 0 is off. PowerOnState is
+    0 for off and 3 for as before, as delivered.
+    """
+
+    TOPICS = ("cmnd/{}/+",)
+
+    def hear(self, topic: str, payload: str) -> Iterator[Published]:
+        """Do a command."""
+        command = topic.rpartition("/")[2].lower()
+        match command, payload.lower():
+            case ("power" | "power1", "on" | "off" as word):
+                self.switch(word == "on", self.timer_s)
+                yield self._result({"POWER": self._word()})
+                yield f"stat/{self._device}/POWER", self._word()
+            case ("status", "11"):
+                yield f"stat/{self._device}/STATUS11", json.dumps({"StatusSTS": {
+                    "Time": time.strftime("%Y-%m-%dT%H:%M:%S"), "POWER": self._word(),
+                }})
+            case ("status", "2"):
+                yield f"stat/{self._device}/STATUS2", json.dumps({"StatusFWR": {
+                    "Version": " ".join(SIMULATOR),
+                }})
+            case ("pulsetime1", ""):
+                left = max(0.0, self._off_at - self._clock()) if self.on else 0.0
+                yield self._result({"PulseTime1": {
+                    "Set": _pulse_time(self.timer_s), "Remaining": _pulse_time(
+                        left if math.isfinite(left) else None),
+                }})
+            case ("poweronstate", ""):
+                yield self._result({"PowerOnState": 3 if self.on_after_power_up else 0})
+            case ("setoption0", ""):
+                yield self._result({"SetOption0": "ON" if self.on_after_power_up else "OFF"})
+
+    def _word(self) -> str:
+        self.advance()
+        return "ON" if self.on else "OFF"
+
+    def _result(self, value: Mapping[str, Any]) -> Published:
+        return f"stat/{self._device}/RESULT", json.dumps(value)
+
+
+def _pulse_time(seconds: float | None) -> int:
+    if seconds is None:
+        return 0
+    return round(10 * seconds) if seconds <= 11.1 else round(seconds) + 100
+
+
+_MAKES: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmota}
+
+
+def relay_of(make: str) -> type[SimulatedRelay]:
+    """Return the relay of a make.
+
+    Raises:
+        ConfigurationError: none is known.
+    """
+    if make not in _MAKES:
+        raise ConfigurationError(
+            f"cannot be simulated; these can: {', '.join(_MAKES)}", key="make", value=make
+        )
+    return _MAKES[make]
+
+
+class RelayBench(Bench):
+    """Runs a simulated relay.
+
+    Attributes:
+        relay: the relay.
+    """
+
+    def __init__(
+        self, relay: SimulatedRelay, broker: Broker, device: str, boot_s: float, workbench: Address
+    ) -> None:
+        """Prepare it; nothing is opened yet.
+
+        Args:
+            relay: that it runs.
+            broker: that it connects to, again and again.
+            device: its own topic there.
+            boot_s: from power-up until it answers (s).
+            workbench: TCP port of the workbench; port 0 takes a free one.
+
+        Raises:
+            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+        """
+        super().__init__(faults.RELAY_FAULTS, workbench)
+        self.relay, self._boot_s = relay, boot_s
+        relay.say = self.say
+        # The simulated site tells every drive the level; a relay measures no flow by it.
+        self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0, faults.CISTERN_LEVEL: 0}
+        self._broker, self._device = broker, device
+        self._topics = [topic.format(device) for topic in relay.TOPICS]
+        self._client = make_client(
+            broker, f"greenroof_ros-simulated-{secrets.token_hex(6)}", self._subscribe,
+            self._on_message,
+        )
+        self._answers_from = -math.inf
+
+    @property
+    def place(self) -> str:
+        """Where the relay is."""
+        return f"drive {self._broker}/{self._device}, relay"
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Let time pass until the end."""
+        self._loop = asyncio.get_running_loop()
+        self._client.loop_start()
+        try:
+            while not ended.is_set():
+                self.relay.advance()
+                await asyncio.sleep(_STEP_S)
+        finally:
+            self._client.disconnect()
+            self._client.loop_stop()
+
+    def look(self) -> Mapping[int, int]:
+        """Return the registers of the workbench, the true speed among them."""
+        speed = round(self.relay.closed / faults.SPEED_UNIT)
+        return self.registers | {faults.SPEED: speed}
+
+    def adjust(self, register: int, value: int) -> None:
+        """Cut the power, or switch it by its button, on or off."""
+        if register == faults.POWER_CYCLE and value:
+            self._power_cycle()
+        elif register == faults.LOCAL:
+            self.relay.switch(bool(value), self.relay.timer_s)
+        else:
+            super().adjust(register, value)
+
+    def inject(self, name: str, parameter: int) -> bool:
+        """Let a fault stand, of the connection or of the relay."""
+        super().inject(name, parameter)
+        relay = self.relay
+        relay.advance()
+        relay.deaf, relay.welded = name == "deaf", name == "welded"
+        match name:
+            case "power_cycle":
+                self._power_cycle()
+            case "timer_off":
+                relay.timer_s = None
+            case "timer_long":
+                relay.timer_s = float(self.fault.parameter)
+            case "power_up_on":
+                relay.on_after_power_up = True
+        return True
+
+    def _power_cycle(self) -> None:
+        self._answers_from = time.monotonic() + self._boot_s
+        self.relay.power_up()
+        self.say(f"power cycle: answers again in {self._boot_s:g} s")
+
+    # --- messages ---------------------------------------------------------------------------------
+
+    def _subscribe(self) -> None:
+        self._client.subscribe([(topic, 0) for topic in self._topics])
+
+    def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+        """Hand a message to the loop, from the client's thread."""
+        self._loop.call_soon_threadsafe(self._hear, topic, payload)
+
+    def _hear(self, topic: str, payload: bytes) -> None:
+        if time.monotonic() < self._answers_from:
+            return
+        late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
+        for where, said in self.relay.hear(topic, payload.decode(errors="replace")):
+            if self.fault.name == "garbage":
+                said = secrets.token_bytes(self.fault.parameter).decode("latin-1")
+            if self.fault.name != "silence":
+                self._loop.call_later(late_s, self._client.publish, where, said)

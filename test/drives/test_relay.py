@@ -1,0 +1,440 @@
+"""Relays on MQTT: the driver and its thread, a simulated relay, and a real broker between them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from brokers import Mosquitto, mosquitto, needs_mosquitto
+from places import CONFIG
+from simulators import Simulator
+from simulators import until as wait
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import make_client, parse_broker
+from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.exchange import DriveExchange, Snapshot, State, stop_drive
+from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.placed import place_drive
+from greenroof_ros.drives.relay import PlacedRelay, Relay
+from greenroof_ros.drives.relay_file import read_relay_file
+
+pytestmark = needs_mosquitto
+
+MAKES = ("shelly_gen2", "tasmota")
+TIMER_S = 3.0
+# What a busy machine may add.
+SLACK_S = 1.0
+
+
+def placed(make: str, address: str) -> PlacedRelay:
+    found = place_drive(find_drive_file(make), address, "at")
+    assert isinstance(found, PlacedRelay)
+    return found
+
+
+class Wiretap:
+    """Hears everything on a broker."""
+
+    def __init__(self, address: str) -> None:
+        self.heard: list[tuple[float, str, str, bool]] = []
+        self._client = make_client(
+            parse_broker(address, "broker"), "wiretap", self._subscribe, self._hear
+        )
+        self.publish = self._client.publish
+        self._ready = threading.Event()
+        self._client.loop_start()
+        assert self._ready.wait(10)
+
+    def _subscribe(self) -> None:
+        self._client.subscribe("#")
+        self._ready.set()
+
+    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
+        self.heard.append((time.monotonic(), topic, payload.decode(errors="replace"), retained))
+
+    def switched(self, on: bool) -> list[float]:
+        """Return when *on* or *off* was ordered."""
+        return [
+            at for at, topic, said, _ in self.heard
+            if (topic.endswith("/Power1") and said == ("ON" if on else "OFF"))
+            or (topic.endswith("/rpc") and '"Switch.Set"' in said
+                and json.loads(said)["params"]["on"] is on)
+        ]
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+class Bench:
+    """A relay, a broker, and an exchange that is asked again and again, as by the node."""
+
+    def __init__(self, make: str, directory: Path, *options: str, **special: float) -> None:
+        self.broker = Mosquitto(directory)
+        self.at = placed(make, f"{self.broker.address}/roof")
+        self.relay = Simulator(
+            "drive_simulator", "--drive", make, "--at", str(self.at), "--workbench", "0",
+            "--boot", "0.5", "--timeout", f"{TIMER_S:g}", *options,
+        )
+        self.exchange = DriveExchange(self.at, 0.1, **special)
+        self.speed: float | None = None
+        self._ended = threading.Event()
+        self._hand = threading.Thread(target=self._ask, daemon=True)
+        self._hand.start()
+
+    def _ask(self) -> None:
+        while not self._ended.wait(0.05):
+            self.exchange.demand(self.speed)
+
+    @property
+    def now(self) -> Snapshot:
+        return self.exchange.snapshot
+
+    @property
+    def closed(self) -> bool:
+        """Whether the contact is."""
+        return self.relay.speed() == 1.0
+
+    def connect(self) -> None:
+        self.exchange.start()
+        wait(lambda: self.now.connected, 20)
+
+    def run(self) -> None:
+        self.connect()
+        self.speed = 1.0
+        wait(lambda: self.closed and self.now.state is State.RUNNING, 20)
+
+    def ask_no_more(self) -> None:
+        self._ended.set()
+        self._hand.join()
+
+    def close(self) -> None:
+        self.ask_no_more()
+        self.broker.go_on()
+        self.exchange.close()
+        self.relay.end()
+        self.broker.kill()
+
+
+@contextmanager
+def bench_of(make: str, directory: Path, *options: str, **special: float) -> Iterator[Bench]:
+    with closing(Bench(make, directory, *options, **special)) as made:
+        yield made
+
+
+@pytest.fixture(params=MAKES)
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    with bench_of(request.param, tmp_path) as made:
+        yield made
+
+
+def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
+    """Off first; on is renewed within a third of the timer; nothing that is published is kept."""
+    with closing(Wiretap(bench.broker.address)) as tap:
+        bench.connect()
+        now = bench.now
+        assert now.status is not None and now.status.stands and now.problem == ""
+        assert (now.timeout_s, now.timeout_known, now.timeout_note) == (TIMER_S, True, "")
+        assert "greenroof_ros drive simulator" in now.identity
+        wait(lambda: tap.switched(on=False), 5)
+        assert not tap.switched(on=True)
+        bench.speed = 1.0
+        wait(lambda: bench.now.status and bench.now.status.speed == 1.0, 5)
+        assert bench.now.state is State.RUNNING and bench.closed
+        time.sleep(3 * TIMER_S)
+        assert bench.closed and bench.now.errors == 0
+        renewals = tap.switched(on=True)
+        longest = max(later - before for before, later in itertools.pairwise(renewals))
+        assert 0.1 < longest <= TIMER_S / 3 + 0.2
+        bench.speed = None
+        assert wait(lambda: not bench.closed) < SLACK_S
+        bench.speed = 1.0
+        wait(lambda: bench.closed, 5)
+        bench.ask_no_more()  # as a node that hangs
+        assert wait(lambda: not bench.closed) < 1.0 + SLACK_S
+        bench.exchange.close()
+        assert bench.now.status is not None and bench.now.status.stands
+        assert not any(retained for *_, retained in tap.heard)
+    with closing(Wiretap(bench.broker.address)) as late:
+        time.sleep(0.5)
+        assert late.heard == []
+
+
+@pytest.mark.parametrize(
+    ("make", "fault", "says"),
+    [
+        ("tasmota", "timer_off", r"^PulseTime1.Set is 0: off$"),
+        ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, and must be true$"),
+        ("tasmota", "power_up_on", r"^the state after power-up: PowerOnState is 3, and must be 0$"),
+        ("shelly_gen2", "power_up_on", r"initial_state is on, and must be off$"),
+        ("tasmota", "timer_long=2", r"PulseTime1.Set is 20, which is 2 s: less than 3 s cannot"),
+        ("shelly_gen2", "timer_long=2", r"auto_off_delay is 2, which is 2 s: less than 3 s cannot"),
+    ],
+)
+def test_one_that_nothing_would_switch_off_is_not_switched_on(
+    make: str, fault: str, says: str, tmp_path: Path
+) -> None:
+    """Whoever asks for it."""
+    with bench_of(make, tmp_path, "--fault", fault) as bench, closing(
+        Wiretap(bench.broker.address)
+    ) as tap:
+        bench.connect()
+        assert bench.now.timeout_s is None and bench.now.timeout_known
+        assert re.search(says, bench.now.timeout_note), bench.now.timeout_note
+        bench.speed = 1.0
+        wait(lambda: "its own timer does not guard" in bench.now.problem, 5)
+        assert not tap.switched(on=True) and not bench.closed
+
+
+def test_a_long_timer_is_read_as_it_is_encoded(tmp_path: Path) -> None:
+    """PulseTime counts from 112 in seconds, and 100 more: 220 is 2 min."""
+    with bench_of("tasmota", tmp_path, "--fault", "timer_long=120") as bench:
+        bench.connect()
+        assert bench.now.timeout_s == 120.0
+
+
+def test_a_timer_that_is_turned_off_meanwhile_is_seen(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 1.0)
+    with bench_of("tasmota", tmp_path) as bench:
+        bench.run()
+        bench.relay.inject("timer_off")
+        wait(lambda: bench.now.timeout_s is None, 5)
+        assert wait(lambda: not bench.closed, 10) < 2.0
+
+
+def test_a_broker_that_is_killed_leaves_the_relay_to_its_timer(bench: Bench) -> None:
+    bench.run()
+    bench.broker.kill()
+    took = wait(lambda: not bench.closed, 20)
+    assert took < TIMER_S + SLACK_S
+    assert not bench.now.connected and bench.now.status is None
+    bench.broker.start()
+    wait(lambda: bench.now.connected, 20)
+    assert bench.now.timeout_known
+    wait(lambda: bench.closed, 20)
+
+
+def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: Bench) -> None:
+    """Each *on* needs an answer before it, so that none is left waiting, but for one by chance."""
+    bench.run()
+    bench.broker.pause()
+    took = wait(lambda: not bench.closed, 20)
+    assert took < TIMER_S + SLACK_S
+    wait(lambda: not bench.now.connected, 10)
+    bench.speed = None
+    time.sleep(2.0)
+    bench.broker.go_on()
+    assert closed_for(bench, 6.0) < 0.3
+    wait(lambda: bench.now.connected, 20)
+
+
+def closed_for(bench: Bench, seconds: float) -> float:
+    """Return for how much of a time the contact is closed (s)."""
+    seen, ended = [], time.monotonic() + seconds
+    while time.monotonic() < ended:
+        seen.append(bench.closed)
+        time.sleep(0.005)
+    return seconds * sum(seen) / len(seen)
+
+
+def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
+    """With which the connection was given up; otherwise it would last for the relay's timer."""
+    with closing(Wiretap(bench.broker.address)) as tap:
+        bench.connect()
+        relay = bench.at.connection()
+        relay.line.connect()
+        bench.exchange.close()
+        bench.broker.pause()
+        relay.line.parting = relay.file.switch_off
+        relay.line.publish(relay.file.switch_on, seconds=f"{TIMER_S:g}")
+        relay.line.close()
+        time.sleep(1.0)
+        resumed = time.monotonic()
+        bench.broker.go_on()
+        assert closed_for(bench, 2.0) < 0.3
+        (on,) = (at for at in tap.switched(on=True) if at > resumed)
+        assert any(on < at < on + 0.3 for at in tap.switched(on=False))
+
+
+@pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
+def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
+    """Silence obeys what it is told, so the end of a connection switches it off at once."""
+    bench.run()
+    bench.relay.inject(fault)
+    took = wait(lambda: not bench.closed, 20)
+    assert took < TIMER_S + SLACK_S
+    wait(lambda: not bench.now.connected, 10)
+    expected = "that can be understood" if fault == "garbage" else "no answer to the question"
+    assert expected in bench.now.problem
+    bench.relay.inject("none")
+    wait(lambda: bench.closed, 60)
+
+
+def test_one_that_switches_by_its_timer_alone_is_noticed_and_left_off(bench: Bench) -> None:
+    """As where renewals come too late: it drops out, which is no start from now on."""
+    bench.run()
+    bench.relay.inject("deaf")
+    took = wait(lambda: not bench.closed, 20)
+    assert took < TIMER_S + SLACK_S
+    wait(lambda: bench.now.second_master, 5)
+    assert "its timer has passed" in bench.now.second_master
+    bench.relay.inject("none")
+    assert wait(lambda: bench.closed, 30) > 8.0  # the pause after a second master is 10 s
+
+
+def test_a_power_cut_is_noticed(bench: Bench) -> None:
+    """By what the relay says then, or where its answers have no number, by one that is missing."""
+    bench.run()
+    bench.relay.power_cycle()
+    wait(lambda: bench.now.second_master or not bench.now.connected, 10)
+    assert not bench.closed
+    wait(lambda: bench.closed, 30)
+
+
+def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
+    bench.connect()
+    bench.relay.take_over(True)
+    assert wait(lambda: not bench.closed, 5) < 0.5 + SLACK_S
+    wait(lambda: "somebody else has switched the relay on" in bench.now.second_master, 5)
+
+
+def test_one_that_does_not_switch_on_says_so(bench: Bench) -> None:
+    bench.connect()
+    bench.relay.inject("deaf")
+    bench.speed = 1.0
+    wait(lambda: "is still off after 2 s" in bench.now.problem, 10)
+    assert bench.now.status is not None and not bench.now.status.running
+
+
+def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
+    """Retained by whomever: a Tasmota with PowerRetain, or an old bridge."""
+    with bench_of("tasmota", tmp_path) as bench, closing(Wiretap(bench.broker.address)) as tap:
+        tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
+        bench.relay.inject("silence")
+        bench.exchange.start()
+        wait(lambda: "no answer to the question 'state' within 1 s" in bench.now.problem, 10)
+        assert not bench.now.connected
+
+
+def test_the_supervisor_stops_one_whose_driver_was_killed(bench: Bench) -> None:
+    bench.relay.take_over(True)
+    wait(lambda: bench.closed, 5)
+    assert str(stop_drive(bench.at)) == "speed 0.0%, off"
+    assert not bench.closed
+
+
+def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
+    bench.connect()  # the simulator may have been started just before
+    relay = bench.at.connection()
+    try:
+        relay.line.connect()
+        assert relay.why_no_simulator() == ""
+    finally:
+        relay.line.close()
+    there = placed("tasmota", "mqtt://192.0.2.1/roof")
+    assert "not at loopback" in there.connection().why_no_simulator()
+
+
+def test_another_relay_is_none(tmp_path: Path) -> None:
+    """It answers as a real one does: with its release."""
+    with mosquitto(tmp_path) as broker, closing(Wiretap(broker.address)) as tap:
+        relay = placed("tasmota", f"{broker.address}/roof").connection()
+        try:
+            relay.line.connect()
+            answer = threading.Timer(0.3, lambda: tap.publish(
+                "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
+            answer.start()
+            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.why_no_simulator()
+        finally:
+            relay.line.close()
+
+
+def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+
+    def failure(at: str) -> str:
+        relay = placed("tasmota", at).connection()
+        try:
+            with pytest.raises(DriveError) as caught:
+                relay.line.connect()
+        finally:
+            relay.line.close()
+        assert caught.value.kind == "connection"
+        return str(caught.value)
+
+    assert "cannot connect: nobody answers at" in failure(f"mqtt://127.0.0.1:{port}/roof")
+    with mosquitto(tmp_path, "allow_anonymous false") as broker:
+        assert "cannot connect: Not authorized" in failure(f"{broker.address}/roof")
+
+
+def test_a_speed_that_is_none_is_refused() -> None:
+    relay: Relay = placed("tasmota", "mqtt://127.0.0.1/roof").connection()
+    for speed in (0.0, 1.1, float("nan")):
+        with pytest.raises(ValueError, match="is no speed at which a relay is on"):
+            relay.run(speed)
+
+
+TASMOTA = (CONFIG / "drives" / "tasmota.yaml").read_text(encoding="utf-8")
+SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "says"),
+    [
+        (TASMOTA, "state: {question: state,", "state: {question: status,",
+         "state.question = 'status': must be one of questions: state, timer, power_up, restart"),
+        (TASMOTA, "payload: \"ON\"}", "payload: $on}",
+         "switch_on.payload = '$on': has another $ than $device, $me, $id and $seconds"),
+        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must be another value"),
+        (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, 111"),
+        (TASMOTA, "unverified: []", "unverified: [clock]", "names no key of this file"),
+        (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
+         "number = 'id': is of questions whose payload has $id"),
+        (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
+    ],
+)
+def test_wrong_files_are_refused_by_line_key_and_value(
+    tmp_path: Path, text: str, old: str, new: str, says: str
+) -> None:
+    assert text.count(old) == 1
+    path = tmp_path / "relay.yaml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: ") as caught:
+        read_relay_file(path)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("raw", "seconds"), [(0, None), (1, 0.1), (111, 11.1), (112, 12.0), (64900, 64800.0)]
+)
+def test_pulse_times_as_tasmota_documents_them(raw: float, seconds: float | None) -> None:
+    timer = read_relay_file(CONFIG / "drives" / "tasmota.yaml").timer
+    found = timer.seconds(raw)
+    assert found == pytest.approx(seconds) if seconds is not None else found is None
+
+
+def test_addresses_and_logins(tmp_path: Path) -> None:
+    file = find_drive_file("tasmota")
+    assert str(place_drive(file, "mqtts://broker/roof/a", "at")) == "mqtts://broker:8883/roof/a"
+    with pytest.raises(ConfigurationError, match=r"must be mqtt://HOST\[:PORT\]/TOPIC"):
+        place_drive(file, "tcp://127.0.0.1:502", "at")
+    with pytest.raises(ConfigurationError, match=r"must be tcp://HOST"):
+        place_drive(find_drive_file("abb_acs880"), "mqtt://127.0.0.1/roof", "at")
+    with pytest.raises(ConfigurationError, match="has no broker to log in to"):
+        place_drive(find_drive_file("abb_acs880"), "tcp://127.0.0.1", "at", "login.yaml")
+    (tmp_path / "login.yaml").write_text("username: roof\n")
+    wrong = place_drive(file, "mqtt://127.0.0.1/roof", "at", str(tmp_path / "login.yaml"))
+    with pytest.raises(ConfigurationError, match=r"login.yaml.*password: must be a text"):
+        DriveExchange(wrong)
