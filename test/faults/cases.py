@@ -183,7 +183,7 @@ def _relay(repeats: int) -> Iterator[Case]:
     for drive in RELAYS:
         rig = f"relay:{drive}"
         for number in range(repeats):
-            for target in ("killed", "restarted", "paused", "half-open"):
+            for target in ("killed", "restarted", "paused", "half_open"):
                 yield Case(rig, "broker", target, number, Expected(bound="drive", alarm=_LOST))
             for target in ("silence", "garbage", "late", "power_cycle"):
                 yield Case(rig, "drive", target, number, Expected(

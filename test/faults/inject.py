@@ -86,15 +86,13 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
         case "drive":
             _drive(rig, case, undo)
         case "broker":
-            _broker(rig, case, undo)
+            assert isinstance(rig, MqttRig | RelayRig)
+            _broker(rig, case.target, rng, undo)
         case "unstoppable":
             _unstoppable(rig, case, undo)
         case "sensor line":
             tank, _, fault = case.target.partition("_")
             _on_wire(rig.lines[tank].inject, fault, undo)
-        case "broker":
-            assert isinstance(rig, MqttRig)
-            _broker(rig, case.target, rng, undo)
         case "full disk":
             assert isinstance(rig, FullDiskRig)
             rig.fill()
@@ -159,8 +157,10 @@ def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None
     undo.callback(ended.set)
 
 
-def _broker(rig: MqttRig, fault: str, rng: random.Random, undo: ExitStack) -> None:
-    """Do something to the sensors' broker, or the cable to it."""
+def _broker(
+    rig: MqttRig | RelayRig, fault: str, rng: random.Random, undo: ExitStack
+) -> None:
+    """Do something to the broker of sensors or relay, or the cable to it."""
     broker = rig.broker
     match fault:
         case "killed":
@@ -173,11 +173,11 @@ def _broker(rig: MqttRig, fault: str, rng: random.Random, undo: ExitStack) -> No
             broker.pause()
             undo.callback(broker.go_on)
         case "half_open":
-            rig.line.cut = True
-            undo.callback(setattr, rig.line, "cut", False)
-        case "hostile":
+            rig.cable.cut = True
+            undo.callback(setattr, rig.cable, "cut", False)
+        case "hostile" if isinstance(rig, MqttRig):
             rig.say_nonsense(10_000, rng)
-        case "retained":
+        case "retained" if isinstance(rig, MqttRig):
             # The sensor dies, and who connects again gets its last word.
             rig.say_retained()
             rig.truth.inject_site("cistern_silent")
@@ -208,23 +208,6 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
         if case.target == "power_cycle":
             rig.drive.powered_at = time.monotonic()
         _on_wire(truth.inject_drive, case.target, undo)
-
-
-def _broker(rig: Rig, case: Case, undo: ExitStack) -> None:
-    assert isinstance(rig, RelayRig)
-    match case.target:
-        case "killed":
-            rig.broker.kill()
-            undo.callback(rig.broker.start)
-        case "restarted":
-            rig.broker.kill()
-            rig.broker.start()
-        case "paused":
-            rig.broker.pause()
-            undo.callback(rig.broker.go_on)
-        case "half-open":
-            rig.cable.cut = True
-            undo.callback(setattr, rig.cable, "cut", False)
 
 
 def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:

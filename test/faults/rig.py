@@ -403,7 +403,7 @@ class MqttRig(SiteRig):
 
     Attributes:
         broker: of the sensors, which keeps what is retained when it ends.
-        line: between it and the nodes.
+        cable: between it and the nodes.
     """
 
     def _sensors(self) -> tuple[Any, Any]:
@@ -411,11 +411,11 @@ class MqttRig(SiteRig):
             self.directory, "allow_anonymous true", "persistence true",
             f"persistence_location {self.directory}/", f"user {getpass.getuser()}",
         )
-        self.line = Cable(self.broker.port)
+        self.cable = Cable(self.broker.port)
         text = (CONFIG / "sensors_mqtt.yaml").read_text()
         return tuple(
             yaml.safe_load(text.replace(":1883/", f":{port}/"))
-            for port in (self.broker.port, self.line.port)
+            for port in (self.broker.port, self.cable.port)
         )
 
     def say_retained(self) -> None:
@@ -431,7 +431,7 @@ class MqttRig(SiteRig):
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
-        self.line.close()
+        self.cable.close()
         self.broker.kill()
 
 

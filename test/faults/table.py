@@ -25,7 +25,7 @@ _KINDS = {
     "stop short": "a process stopped for 0.2 to 0.6 s",
     "stop long": "a process stopped for longer",
     "rtu/drive": "the drive, on a serial line",
-    "broker": "the broker killed, restarted, stopped, or its connection half-open",
+    "relay/broker": "the broker killed, restarted, stopped, or its connection half-open",
     "power cycle": "the drive loses power, then the pump node is killed",
     "drive": "the drive and its line",
     "unstoppable": "a motor that cannot be stopped (time to the alarm)",
