@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenroof_ros.common.times import epoch_ns
 from greenroof_ros.controllers.decide import decide
-from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -58,13 +59,18 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
     coming_rain, coming_loss = run.forecast.precipitation, run.forecast.evapotranspiration
     observe, add = metrics.observe, metrics.step
     levels, moving, move = plant.levels, plant.flows, plant.step
+    hours, quiet = site.quiet, False
+    start_ns, tick_ns = epoch_ns(run.start), round(site.tau * 1e9)
     for k in range(steps + 1):
         if k == until:
             precipitation, evapotranspiration, frost, until = series.at(k)
         cistern_level, roof_level = levels()
         roof_level = reading(k, roof_level)
+        if hours is not None:
+            quiet = hours.quiet_at(start_ns + k * tick_ns)
+            set_time(controller, start_ns + k * tick_ns)
         command = decide(
-            controller, not frost, cistern_level, roof_level, coming_rain(k), coming_loss(k)
+            controller, not frost, cistern_level, roof_level, coming_rain(k), coming_loss(k), quiet
         )
         flows = moving(precipitation, evapotranspiration, pumps(plant, command, frost > 0))
         x1, x2, layer = plant.x1, plant.x2, plant.layer

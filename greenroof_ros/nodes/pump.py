@@ -19,11 +19,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.common.times import (
+    boot_time,
+    from_epoch_ns,
+    read_start,
+    suspended_time,
+    to_minutes,
+)
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
@@ -65,6 +73,10 @@ _SAID_S = 60.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
+PAUSE_UNTIL = Parameter(
+    "pause_until", "", meaning="the pump stands until this time, such as 2026-12-24T08:00-05:00, "
+    "which is kept over restarts; empty ends the pause (greenroof pause sets it)", may_change=True,
+)
 _OWN = (
     Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
     Parameter(
@@ -94,6 +106,7 @@ _OWN = (
         "state_file", "", meaning="keeps a stop, a fault and the day's use over restarts; "
         "without it greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
+    PAUSE_UNTIL,
 )
 
 
@@ -309,6 +322,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(SetBool, "~/page_stop", partial(self._on_stop_request, of_page=True))
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
+        if given := values[PAUSE_UNTIL.name]:
+            self._pause(given)
+        self._show_pause()
+        self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())
 
     # --- what is kept over restarts ---------------------------------------------------------------
@@ -327,6 +344,44 @@ class PumpNode(Lifecycle, LinkedNode):
         if self._ledger.take():
             self._begin()
             self._reasons = ()  # decide again
+
+    def _show_pause(self) -> None:
+        """Let the parameter have the pause that is kept."""
+        ends = self._ledger.record.pause_until if self._ledger.paused else 0.0
+        shown = to_minutes(from_epoch_ns(round(ends * 1e9))) if ends else ""
+        self.set_parameters([RosParameter(PAUSE_UNTIL.name, value=shown)])
+
+    def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
+        try:
+            for one in given:
+                if one.name == PAUSE_UNTIL.name:
+                    self._pause(one.value)
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _pause(self, until: str) -> None:
+        """Pause the pump until a time, or end the pause (empty).
+
+        Raises:
+            ConfigurationError: it is no time to come, or a restart would not know of the pause; it
+                is as it was then.
+        """
+        self._take_state()
+        before, ends = self._ledger.record.pause_until, 0.0
+        if until:
+            ends = read_start(until, key=PAUSE_UNTIL.name).timestamp()
+            if ends <= time.time():
+                raise ConfigurationError(
+                    "must be a time to come", key=PAUSE_UNTIL.name, value=until
+                )
+        self._control.pause(ends)
+        if problem := self._ledger.why_not_kept():
+            self._control.pause(before)
+            raise ConfigurationError(
+                f"cannot be kept: {problem}", key=PAUSE_UNTIL.name, value=until
+            )
+        self._step(boot_time())
 
     # --- lifecycle --------------------------------------------------------------------------------
 
@@ -569,6 +624,7 @@ class PumpNode(Lifecycle, LinkedNode):
             roof_level=value(self._roof),
             displacements=self._levels.displacements,
             frost=None if frost is None else frost > 0,
+            time_ns=self.get_clock().now().nanoseconds or None,  # 0 before a plant has said it
             speed=None if status is None else status.speed,
             flow=value(self._meter),
             drive_flow=None if status is None else status.flow,

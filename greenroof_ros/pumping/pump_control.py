@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 
+from greenroof_ros.common.times import to_people
 from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
@@ -38,6 +40,7 @@ class Observation:
         roof_level: m.
         displacements: by how much jumps, as no water can, have moved both readings so far (m).
         frost: whether there is.
+        time_ns: of the site (ns since 1970): the system clock's live, in a simulation its own.
         speed: what the drive turns at, share of the rated speed.
         flow: of a flow meter (m3/s).
         drive_flow: of the drive's own (m3/s).
@@ -52,6 +55,7 @@ class Observation:
     roof_level: float | None = None
     displacements: tuple[float, float] = (0.0, 0.0)
     frost: bool | None = None
+    time_ns: int | None = None
     speed: float | None = None
     flow: float | None = None
     drive_flow: float | None = None
@@ -139,6 +143,17 @@ class PumpControl:
     def stop_on_page(self, on: bool) -> None:
         """Keep the pump off for the page, or release what the page stopped, and nothing else."""
         self._ledger.stop_on_page(on)
+
+    def pause(self, until: float) -> None:
+        """Keep the pump off until a time (s since 1970), over restarts; 0 ends a pause."""
+        self._ledger.pause(until)
+
+    def _paused(self) -> str:
+        """Return that the pump is paused, and until when; empty where it is not."""
+        if not self._ledger.paused:
+            return ""
+        end = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
+        return f"an operator paused it until {to_people(end)}"
 
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
@@ -240,7 +255,9 @@ class PumpControl:
         unheard = seen.speed is None and not backwards
         active = evaluate({
             **self._faults(drive_dt, seen, backwards, undelivered),
-            **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
+            **self._limits.reasons(
+                command, seen.cistern_level, seen.roof_level, seen.frost, seen.time_ns
+            ),
             **seen.reasons,
             "command_unknown": "there is no command" if seen.command is None else "",
             "command_refused": refused,
@@ -381,7 +398,7 @@ class PumpControl:
         record = self._ledger.record
         found |= {
             "operator_stop": record.operator_stop, "record_unknown": record.unknown,
-            "page_stop": PAGE_STOPPED if record.page_stop else "",
+            "page_stop": PAGE_STOPPED if record.page_stop else "", "paused": self._paused(),
         }
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)

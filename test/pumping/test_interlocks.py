@@ -29,6 +29,7 @@ def codes(decision: Decision) -> list[str]:
     return list(decision.interlocks)
 
 
+AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
 NODE = [
     "not_active", "drive_lost", "drive_local", "second_master", "drive_timeout",
     "drive_guards_later", "no_run", "no_permit", "two_controllers", "two_pumps", "no_command",
@@ -42,12 +43,14 @@ CAUSES: dict[str, dict[str, Any]] = {
     "fault_unknown": {"record": {"fault": "its phase is lost", "fault_code": "phase_lost"}},
     "operator_stop": {"record": {"operator_stop": "an operator stopped it"}},
     "page_stop": {"record": {"page_stop": True}},
+    "paused": {"record": {"pause_until": 4_000_000_000.0}},
     "record_unknown": {"record": {"unknown": "whether there was a stop or a fault is not known"}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
     "roof_level_unknown": {"change": {"roof_level": math.inf}},
     "frost_unknown": {"change": {"frost": None}},
     "frost": {"change": {"frost": True}},
+    "quiet_hours": {"site": AT_NIGHT, "change": {"time_ns": 23 * 3600 * 10**9}},
     "longest_run": {"settings": settings_for(PAPER_SITE, greatest_run=60.0)},
     "daily_volume": {"record": {"day_volume": 1e6}},
     "daily_run": {"record": {"day_run": 86_400.0}},
@@ -67,7 +70,9 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     The least time on, 10 s, does not count here.
     """
     broken = {"command": 0.5, "record": {}} | CAUSES[code]
-    rig = Rig(x2=0.5, settings=broken.pop("settings", None))
+    rig = Rig(
+        x2=0.5, site=broken.pop("site", PAPER_SITE), settings=broken.pop("settings", None)
+    )
     rig.run(15, 0.5)
     assert (rig.decisions[-1].interlocks, rig.decisions[-1].state) == ({}, "running")
     command, record = broken.pop("command"), broken.pop("record")
@@ -83,8 +88,8 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert decision.why.startswith(decision.interlocks[code])
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, operator_stop="", page_stop=False, unknown="", day_run=0.0,
-        day_volume=0.0,
+        rig.ledger.record, operator_stop="", page_stop=False, pause_until=0.0, unknown="",
+        day_run=0.0, day_volume=0.0,
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)
@@ -168,7 +173,7 @@ def test_the_table_is_whole() -> None:
         "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
         "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
         "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
-        "jump_tolerance",
+        "jump_tolerance", "pause_until",
     }
     named = {name for one in rows for name in one.limit.split(", ") if name}
     assert named <= settings | of_nodes
