@@ -5,7 +5,10 @@ communication timeout; *activate* lets the pump run, unless that timeout is off,
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
 page has services of its own: ``~/page_stop`` stops the pump, and releases what it stopped itself;
-``~/page_clear`` clears the fault speed_not_followed, once in 24 h. In any state the flow is
+``~/page_clear`` clears the fault speed_not_followed, once in 24 h. The parameter ``pause_until``
+keeps the pump off until a date, over restarts. Where the site file allows it, ``~/dose``
+(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, now, in s since 1970)
+has a volume delivered once, or says why not. In any state the flow is
 published: in lockstep once a tick, when command, levels and frost are there, live every tau.
 Between them the drive is stopped by wall time, and /pump/state says why the pump stands.
 """
@@ -15,11 +18,13 @@ from __future__ import annotations
 import math
 import re
 import time
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import SetBool, Trigger
 
@@ -53,6 +58,7 @@ from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.dose import DONE
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
@@ -322,6 +328,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(SetBool, "~/page_stop", partial(self._on_stop_request, of_page=True))
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
+        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
         if given := values[PAUSE_UNTIL.name]:
             self._pause(given)
         self._show_pause()
@@ -500,6 +507,21 @@ class PumpNode(Lifecycle, LinkedNode):
         self.get_logger().info(f"fault cleared on the page: {response.message}")
         return response
 
+    def _on_dose_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        given = {one.name: one.value.double_value for one in request.parameters}
+        self._step(boot_time())  # what speaks against it may have come just now
+        if given.keys() != {"volume", "asked_at"}:
+            refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
+        else:
+            refusal = self._control.ask_dose(given["asked_at"], given["volume"])
+        self._step(boot_time())
+        response.result.successful = not refusal
+        response.result.reason = refusal or self._state
+        self.get_logger().info(f"dose asked for: {response.result.reason}")
+        return response
+
     def _kept(self, response: Any, message: str) -> Any:
         """Answer a service, by whether a restart would know of it."""
         problem = self._ledger.why_not_kept()
@@ -655,7 +677,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
-        kept, decision = self._ledger.record, self._decision
+        kept, decision, dose = self._ledger.record, self._decision, self._control.dose
         return {
             "pump": self._state, "pump_state": decision.state,
             "stands": decision.stands,
@@ -671,6 +693,9 @@ class PumpNode(Lifecycle, LinkedNode):
                 ) if on
             ],
             "page_may_not_clear": self._control.page_may_not_clear,
+            "greatest_dose": self._site.greatest_dose,
+            "no_dose": self._control.no_dose,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.said},
         }
 
     def _diagnose(self, now: float) -> None:
@@ -685,6 +710,8 @@ class PumpNode(Lifecycle, LinkedNode):
             "limits", WARN if limited else OK, limited or "nothing limits the pump",
             "limited" if limited else "", "",
         )
+        if self._site.greatest_dose is not None:
+            self._diagnose_dose()
         diagnose("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
@@ -735,6 +762,19 @@ class PumpNode(Lifecycle, LinkedNode):
         cause = inputs[code].verdict.code if code in inputs else ""
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
+
+    def _diagnose_dose(self) -> None:
+        """Say how far a dose is, and for a minute that one ended early."""
+        dose = self._control.dose
+        if dose is None:
+            self.reports.diagnose("dose", OK, "no dose is under way", "", "")
+            return
+        self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
+        early = dose.over not in ("", DONE)
+        self.reports.diagnose(
+            "dose", WARN if early else OK, dose.said, "dose_ended_early" if early else "",
+            dose.cause,
+        )
 
     def _diagnose_command(self) -> None:
         command, silence = self._command, self._silence()

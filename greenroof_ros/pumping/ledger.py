@@ -196,9 +196,14 @@ class Ledger:
         self._save()
 
     @property
+    def now(self) -> float:
+        """The time by the system clock (s since 1970)."""
+        return self._clock()
+
+    @property
     def paused(self) -> bool:
         """Whether the pump is paused now."""
-        return self._clock() < self.record.pause_until
+        return self.now < self.record.pause_until
 
     def pause(self, until: float) -> None:
         """Keep the pump off until a time of the system clock (s since 1970); 0 ends that."""
