@@ -8,7 +8,7 @@ from contextlib import closing
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, namespace
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import parse_time, to_minutes, to_people
+from greenroof_ros.common.times import parse_time, to_people
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.looker import Looker, StopFailedError
 
@@ -52,7 +52,8 @@ def main() -> int:
             raise ConfigurationError(
                 "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
             ) from None
-        until, said = to_minutes(end), f"the pump is paused until {to_people(end)}"
+        until = end.isoformat(timespec="seconds")
+        said = f"the pump is paused until {to_people(end)}"
     with importing_ros(), closing(Looker(arguments.namespace, lambda *_: None)) as looker:
         looker.prepare_stop(f"{arguments.namespace}/pump")
         try:

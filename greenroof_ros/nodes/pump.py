@@ -19,6 +19,7 @@ import math
 import re
 import time
 from dataclasses import asdict
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,13 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import (
-    boot_time,
-    from_epoch_ns,
-    read_start,
-    suspended_time,
-    to_minutes,
-)
+from greenroof_ros.common.times import boot_time, read_start, suspended_time
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
@@ -354,8 +349,10 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _show_pause(self) -> None:
         """Let the parameter have the pause that is kept."""
-        ends = self._ledger.record.pause_until if self._ledger.paused else 0.0
-        shown = to_minutes(from_epoch_ns(round(ends * 1e9))) if ends else ""
+        shown = ""
+        if self._ledger.paused:
+            ends = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
+            shown = ends.isoformat(timespec="seconds")
         self.set_parameters([RosParameter(PAUSE_UNTIL.name, value=shown)])
 
     def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
