@@ -324,7 +324,9 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
-        if given := values[PAUSE_UNTIL.name]:
+        given = values[PAUSE_UNTIL.name]
+        # Who starts the node with a pause that is over by now starts it without one.
+        if given and read_start(given, key=PAUSE_UNTIL.name).timestamp() > time.time():
             self._pause(given)
         self._show_pause()
         self.add_on_set_parameters_callback(self._on_parameters)

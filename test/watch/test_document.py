@@ -147,6 +147,18 @@ def test_the_simulated_pump_says_why_it_stands(
     assert tile["sentence"] == f"{flow}; {command}"
 
 
+def test_the_simulated_pump_stands_in_quiet_hours() -> None:
+    """The run is at 05:01 UTC, and for what would be rain enough it waits for no rain then."""
+    for begins, why in (("05:00", "it is in quiet hours"), ("05:02", "nothing is commanded")):
+        one = watched(roof_level=0.035)
+        one.set_site(replace(SITE, quiet_hours=(f"{begins}-06:00",), time_zone="UTC"))
+        forecast(one, MINUTE, np.full((11, 32), 1e-6))
+        document = shown(one)
+        assert document["tiles"]["pump"]["why"] == why
+        said = document["tiles"]["summary"]["sentence"]
+        assert ("waiting for rain" in said) == (begins == "05:02"), said
+
+
 def test_the_pump_node_says_how_it_is() -> None:
     """In a bag; for what it says on /diagnostics see below."""
     one = watched()
