@@ -12,10 +12,13 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
 from graphs import Process, environment, free_ports, wait_for
@@ -466,6 +469,40 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert rig.code("dose") == "dose_ended_early"
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10
+
+
+def test_a_dose_by_the_page(rig: PumpRig) -> None:
+    """With its token and no other; what was delivered is that volume, once."""
+    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.run()
+    rig.until_it_stands(10, 0.0)
+    watch = Process(rig.domain, "watch", "--allow-release", cwd=rig.cwd)
+    url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
+    before = sum(rig.flows)
+
+    def answer(given: str) -> dict[str, Any]:
+        request = Request(
+            f"{url}dose", b'{"volume": 0.2}',
+            {"X-Greenroof": "1", "Authorization": f"Bearer {given}"},
+        )
+        with ThreadPoolExecutor() as pool:
+            asked = pool.submit(urlopen, request, timeout=60)
+            rig.tick_until(0.0, asked.done, LATE, "an answer")
+            try:
+                return json.load(asked.result())  # type: ignore[no-any-return]
+            except HTTPError as error:
+                return {"status": error.code}
+
+    def is_given() -> bool:
+        said = answer(token)
+        assert said["ok"] or "no pump node" in said["sentence"], said  # the watcher heard none yet
+        return bool(said["ok"])
+
+    assert answer("wrong") == {"status": 401}
+    wait_for(is_given, LATE, "a dose")
+    assert "another dose is under way" in answer(token)["sentence"]
+    rig.until_it_stands(60, 0.0)
+    assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
 
 
 def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
