@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import math
+import time
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -261,3 +263,40 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     codes = read_conditions().keys()
     assert (reported - {""}) | of_inputs <= codes
     assert codes - INTERLOCKS.keys() <= said
+
+
+# --- when it may run ------------------------------------------------------------------------------
+
+
+def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None:
+    """On 8 March 2026 Toronto's clocks went from 02:00, 07:00 UTC, to 03:00: 02:30 did not come."""
+    begins, ends = (
+        datetime.fromisoformat(f"2026-03-08T{hour}:00+00:00").timestamp() for hour in ("07", "08")
+    )
+    site = replace(PAPER_SITE, quiet_hours=("02:30-04:00",), time_zone="America/Toronto")
+    rig = Rig(x2=0.5, site=site)
+    rig.now = begins - 30
+    assert rig.run(30, 0.3).state == "running"
+    decision = rig.step(0.3)
+    assert (codes(decision), decision.speed) == (["quiet_hours"], None)
+    assert decision.why.startswith("it is in quiet hours, until 2026-03-08 04:00-04:00")
+    rig.run(30, 0.3)
+    rig.now = ends - 5
+    assert [rig.step(0.3).speed for _ in range(5)] == [None] * 5
+    assert rig.step(0.3).speed is not None
+
+
+def test_where_the_time_is_not_known_the_pump_stands() -> None:
+    rig = Rig(x2=0.5, site=AT_NIGHT)
+    rig.change = {"time_ns": None}
+    assert codes(rig.run(30, 0.5)) == ["quiet_hours"]
+
+
+def test_the_end_of_a_pause_starts_no_pump_sooner_than_it_may() -> None:
+    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
+    assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None
+    rig.control.pause(time.time() + 3600)
+    assert codes(rig.run(5, 1.0)) == ["paused"]
+    rig.control.pause(0.0)
+    assert rig.run(114, 1.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(5, 1.0).speed is not None
