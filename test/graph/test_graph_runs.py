@@ -160,14 +160,18 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) 
         "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
     )
     own = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
+    own += ("--minimum-on", "50")  # which quiet hours end, as they do of a real pump
     options = (
         "--controller", controller, *own, "--site", str(file),
         "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
     )
     bring_up(domain, tmp_path, *options)
     simulate(domain, tmp_path, *options)
-    commands = [float(row["command"]) for row in assert_same(tmp_path)]
-    assert commands[60:120] == [0.0] * 60
+    rows = assert_same(tmp_path)
+    commands, flows = (
+        [float(row[column]) for row in rows] for column in ("command", "pump_flow_m3_per_s")
+    )
+    assert commands[60:120] == flows[60:120] == [0.0] * 60
     if controller == "onoff":
         assert min(commands[59], commands[120]) == 0.1
     else:
