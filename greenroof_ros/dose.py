@@ -31,15 +31,15 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof dose",
         description="Have the pump deliver a volume once, now, whatever the controller commands: "
-        "where the site file allows it (greatest_dose), nothing keeps the pump off, and never "
-        "above the roof's target. A dose that an interlock ends is over, as is one that could not "
-        "begin within a minute. Ctrl-C ends this command, not the dose: stop the pump for that.",
+        "where the site file allows it (greatest_dose) and nothing keeps the pump off, and never "
+        "above the roof's target. A dose that an interlock ends is over, and so is one that could "
+        "not begin within a minute. Ctrl-C ends this command, not the dose: stop the pump for that.",
         epilog="example:\n  greenroof dose --volume 0.2\n\n"
         "exit codes: 0 delivered, 1 refused or ended early, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--volume", type=within(0.0, 1e6), required=True, metavar="M3", help="to deliver (m3)"
+        "--volume", type=within(0.001, 1e6), required=True, metavar="M3", help="to deliver (m3)"
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
