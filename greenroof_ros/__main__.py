@@ -31,6 +31,8 @@ GROUPS = {
         "run": Command("bringup.__main__", "the node graph: simulated, or a drive in the loop"),
         "live": Command("bringup.live", "a site with sensors and a pump, until it is stopped"),
         "fetch-forecast": Command("fetch_forecast", "a forecast of the internet, as a file"),
+        "pause": Command("pause", "the pump stands until a date"),
+        "dose": Command("dose", "a volume that the pump delivers once, now"),
     },
     "see what it does, or did": {
         "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),

@@ -78,7 +78,8 @@ class Rig:
         errors = next(self._noise)
         seen = Observation(
             command=command, cistern_level=cistern + self.cistern_offset + errors[0],
-            roof_level=roof + errors[1], frost=False, speed=self.speed, drive_ready=True,
+            roof_level=roof + errors[1], frost=False, time_ns=round(self.now * 1e9),
+            speed=self.speed, drive_ready=True,
         )
         decision = self.control.step(
             self._dt, replace(seen, **self.change)  # type: ignore[arg-type]

@@ -80,8 +80,13 @@ def from_epoch_ns(nanoseconds: int) -> datetime:
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
-def read_start(text: str, zone: tzinfo | None = None) -> datetime:
+def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> datetime:
     """Read a start time; without an offset from UTC it is in the given zone.
+
+    Args:
+        text: the time.
+        zone: of a time without an offset.
+        key: what messages call it.
 
     Raises:
         ConfigurationError: it is not an ISO 8601 time, or has no offset where there is no zone.
@@ -91,13 +96,13 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     except ValueError:
         raise ConfigurationError(
             f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
-            key="start", value=text,
+            key=key, value=text,
         ) from None
     if start.utcoffset() is not None:
         return start
     if zone is None:
         raise ConfigurationError(
-            f"must say its offset from UTC, as in {DEFAULT_START}", key="start", value=text
+            f"must say its offset from UTC, as in {DEFAULT_START}", key=key, value=text
         )
     return start.replace(tzinfo=zone)
 

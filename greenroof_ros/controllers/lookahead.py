@@ -62,6 +62,9 @@ class Lookahead:
     has become more or less. Between plans it follows the levels of the last one, which it has for
     whatever the roof holds. The steps of a plan for an ensemble are longer than its forecasts'.
 
+    Of quiet hours it plans to pump nothing: the flow that a step may have is less by the share of
+    it that is quiet. It plans again when they begin and end.
+
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
 
@@ -82,6 +85,7 @@ class Lookahead:
             that the last plan expects (m3); NaN before the first.
         solves: how many plans were made.
         solve_seconds: wall time of each :meth:`command` (s); most plan nothing.
+        time_ns: the time (ns since 1970), at a site with quiet hours.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -151,6 +155,8 @@ class Lookahead:
         self._fallen = 0.0  # since then (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
+        self._quiet_when_planned = False
+        self.time_ns = 0
         self.fill_to = math.nan
         self._rows: Array | Callable[[], Array] = _UNDECIDED
         self.planned_deviation = math.nan
@@ -205,13 +211,14 @@ class Lookahead:
             self.skip()
             return 0.0
         self._rows = _NO_NEW_PLAN
+        quiet = site.quiet is not None and site.quiet.quiet_at(self.time_ns)
         x2 = self._observer.correct(roof_level)
         fraction = min(self._max_command, 1.0)
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
         if evaporated.size:
             self._after.pass_tick(evaporated)
-            if self._must_plan(rain, rain_counts):
-                self._rain_counts = rain_counts
+            if self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned:
+                self._rain_counts, self._quiet_when_planned = rain_counts, quiet
                 self._planned_rain = self._total(rain)
                 if not rain_counts:
                     rain[:, 1:] = 0.0
@@ -221,16 +228,17 @@ class Lookahead:
         now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
         self._fallen += now[0] * site.tau
         if self._trust.pass_tick(x2, *now):
-            most = self._most_flow(x1) if cistern_level >= site.suction_level else 0.0
+            able = cistern_level >= site.suction_level and not quiet
+            most = self._most_flow(x1) if able else 0.0
             self._trust.move(most, functools.partial(self._levels, x1))
-        level = float(self._levels(x1, x2, self._trust.share))
+        level = -1.0 if quiet else float(self._levels(x1, x2, self._trust.share))
         share = 0.0
         if level >= x2 and cistern_level >= site.suction_level:
             share = self._share(x1, x2, level, *now)
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
         self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
         left = max(0.0, self._observer.predict(x2, *now, self._flow))
-        self._regret_budget.move(x1, x2, left, fraction, self._flow, *now)
+        self._regret_budget.move(x1, x2, left, 0.0 if quiet else fraction, self._flow, *now)
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
@@ -273,6 +281,8 @@ class Lookahead:
         rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
         evaporated = self._means(evaporated, kept)
         flow = np.full(len(edges) - 1, self._most_flow(x1))
+        if self._site.quiet is not None:
+            flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
         groups = halved_by_rain(rain, edges, self._recourse)
         self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0

@@ -15,7 +15,7 @@ class Controller(Protocol):
     to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
     check-controller package.module:Class`` holds a class to all of this.
 
-    Four more attributes of the class are optional:
+    Five more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
@@ -27,6 +27,9 @@ class Controller(Protocol):
       number, of ``/controller/plan`` a numpy array of shape (steps, 3).
     - ``learned``: a property, numbers by name that it knows from what has happened and would need
       weeks to know again. The node of a live site sets it after a restart, to what it was before.
+    - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A
+      class that has it is asked in quiet hours, too, where its command becomes 0; it may plan by
+      ``site.quiet``. Any other class skips these ticks.
 
     Attributes:
         parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as
@@ -65,6 +68,8 @@ class Controller(Protocol):
 
     def skip(self) -> None:
         """Let a tick pass in which the command is 0: in frost, or where an input was refused.
+
+        In quiet hours, too, of a class without ``time_ns``.
 
         Or in which on/off commands, on a live site without a forecast; an object of the class that
         has let it pump is asked no more, but a new one.
@@ -105,3 +110,14 @@ def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
         KeyError: something is missing.
     """
     controller.learned = learned
+
+
+def knows_time(controller: Controller) -> bool:
+    """Whether a controller is given the time, so that it can plan for quiet hours."""
+    return hasattr(controller, "time_ns")
+
+
+def set_time(controller: Any, time_ns: int) -> None:
+    """Let a controller that asks for it know the time (ns since 1970)."""
+    if knows_time(controller):
+        controller.time_ns = time_ns

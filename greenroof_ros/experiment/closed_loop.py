@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.controllers.decide import decide
-from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -58,15 +58,19 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
     coming_rain, coming_loss = run.forecast.precipitation, run.forecast.evapotranspiration
     observe, add = metrics.observe, metrics.step
     levels, moving, move = plant.levels, plant.flows, plant.step
+    hours, quiet = site.quiet, False
     for k in range(steps + 1):
         if k == until:
             precipitation, evapotranspiration, frost, until = series.at(k)
         cistern_level, roof_level = levels()
         roof_level = reading(k, roof_level)
+        if hours is not None:
+            quiet = hours.quiet_at(run.time_ns(k))
+            set_time(controller, run.time_ns(k))
         command = decide(
-            controller, not frost, cistern_level, roof_level, coming_rain(k), coming_loss(k)
+            controller, not frost, cistern_level, roof_level, coming_rain(k), coming_loss(k), quiet
         )
-        flows = moving(precipitation, evapotranspiration, pumps(plant, command, frost > 0))
+        flows = moving(precipitation, evapotranspiration, pumps(plant, command, frost > 0 or quiet))
         x1, x2, layer = plant.x1, plant.x2, plant.layer
         observe(site, x1, x2, layer)
         yield _new(Tick, (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.times import read_start
+from greenroof_ros.common.times import epoch_ns, read_start
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
@@ -54,6 +54,10 @@ class Run:
     x2: float
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_pump_errors: SensorPumpErrors = field(default_factory=SensorPumpErrors)
+
+    def time_ns(self, tick: int) -> int:
+        """Return the time of a tick (ns since 1970), as the graph's clock has it."""
+        return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
     def make_controller(self) -> Controller:
         """Make the run's controller."""

@@ -1,6 +1,7 @@
 """Looks at a graph from outside: hears what it is told to hear, and can have the pump stopped.
 
-What it stopped it can release, and nothing else: by services of the pump node that are its own.
+What it stopped it can release, by services of the pump node that are its own; it can ask for a
+pause, and where the site allows it for a dose.
 
 It must hold nobody up. So it is best effort and volatile: no publisher keeps, repeats or waits for
 anything for it. It comes over UDP alone: over shared memory a process that is stopped can hold a
@@ -28,7 +29,7 @@ DIAGNOSTICS = "/diagnostics"
 
 
 class StopFailedError(Exception):
-    """The pump node did not say that it keeps the pump off; the message says why."""
+    """The pump node did not say that it did what was asked; the message says why."""
 
 
 class Looker:
@@ -49,6 +50,7 @@ class Looker:
             ConfigurationError: ROS 2 is not installed.
         """
         self._context = join()
+        from rcl_interfaces.srv import SetParametersAtomically
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from std_srvs.srv import SetBool, Trigger
@@ -63,7 +65,10 @@ class Looker:
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
-        self._types = {"page_stop": SetBool, "page_clear": Trigger}
+        self._types: dict[str, Any] = {
+            "page_stop": SetBool, "page_clear": Trigger, "dose": SetParametersAtomically,
+            "set_parameters_atomically": SetParametersAtomically,
+        }
         self._pump: str | None = None
         self._services: dict[str, Any] = {}
         self._on_message = on_message
@@ -141,7 +146,35 @@ class Looker:
         """Clear the pump's latched fault, if it is one that the page may clear; else as above."""
         return self._call("page_clear", timeout_s)
 
-    def _call(self, service: str, timeout_s: float, **request: bool) -> str:
+    def pause_pump(self, until: str, timeout_s: float = 3.0) -> None:
+        """Have the pump kept off until a time (ISO 8601), or end a pause (empty)."""
+        self._set("set_parameters_atomically", timeout_s, pause_until=until)
+
+    def give_dose(self, volume: float, asked_at: float, timeout_s: float = 3.0) -> str:
+        """Ask for a dose.
+
+        Args:
+            volume: m3.
+            asked_at: when somebody asked for it, by the system clock (s since 1970).
+            timeout_s: as for all others.
+
+        Returns:
+            What the pump node says.
+
+        Raises:
+            StopFailedError: it was refused, or it is not known whether it was.
+        """
+        return self._set("dose", timeout_s, volume=volume, asked_at=asked_at)
+
+    def _set(self, service: str, timeout_s: float, **values: float | str) -> str:
+        from rclpy.parameter import Parameter
+
+        parameters = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        return self._call(service, timeout_s, parameters=parameters)
+
+    def _call(self, service: str, timeout_s: float, **request: Any) -> str:
         if self._pump is None:
             raise StopFailedError("There is no pump node that could be stopped from here.")
         name, client = self._pump, self._services[service]
@@ -155,12 +188,16 @@ class Looker:
         if not answer.done():
             client.remove_pending_request(answer)
             raise StopFailedError(
-                f"{name} did not answer within {timeout_s:g} s: whether it stops is not known."
+                f"{name} did not answer within {timeout_s:g} s: whether it did that is not known."
             )
         result = answer.result()
-        if not result.success:
-            raise StopFailedError(str(result.message))  # it is kept off, but not over a restart
-        return str(result.message)
+        if isinstance(result, self._types["dose"].Response):
+            ok, message = result.result.successful, result.result.reason
+        else:
+            ok, message = result.success, result.message
+        if not ok:
+            raise StopFailedError(str(message))  # it is kept off, but not over a restart
+        return str(message)
 
     def close(self) -> None:
         """Leave the domain."""

@@ -113,7 +113,7 @@ class Pump:
     true levels, that ends the time on however short it was, as a float switch would, and begins a
     time off; otherwise pumps whose roof is full would start again each time a drop evaporates.
     Frost switches off at once: a running pump's pipe bursts in it, which is worse than a short time
-    on.
+    on. So do quiet hours, as they do to a real pump.
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
@@ -124,24 +124,24 @@ class Pump:
         self._ticks = self._least_off  # for which they have been on, or off
         self._held = 0.0
 
-    def flow(self, plant: Plant, command: float, frost: bool) -> float:
+    def flow(self, plant: Plant, command: float, forbidden: bool) -> float:
         """Return what the pumps deliver in the present tick (m3/s); to be asked once a tick.
 
         Args:
             plant: in its present state.
             command: the controller's (share of the maximum flow).
-            frost: whether there is frost.
+            forbidden: whether there is frost, or it is in quiet hours.
         """
-        flow = plant.pump_flow(self._switched(command, frost))
+        flow = plant.pump_flow(self._switched(command, forbidden))
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0
         self._ticks += 1
         return flow
 
-    def _switched(self, command: float, frost: bool) -> float:
+    def _switched(self, command: float, forbidden: bool) -> float:
         """Return the command that the switch lets through."""
-        if frost:
+        if forbidden:
             return 0.0
         if self._on and command == 0 and self._ticks < self._least_on:
             return self._held

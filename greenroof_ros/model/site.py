@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from datetime import timezone
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
+from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
+from greenroof_ros.model.quiet_hours import QuietHours
 
 if TYPE_CHECKING:
     from ruamel.yaml import YAML
@@ -37,6 +40,7 @@ _FOLLOW = {
     "initial_layer": ("a2",),
 }
 _CLIMATE = "monthly_evapotranspiration"
+_QUIET, _ZONE = "quiet_hours", "time_zone"
 # Names the file that has what a site file does not say.
 _EXTENDS = "extends"
 # Parameters of earlier versions that changed nothing: the sites that older runs keep have them.
@@ -54,6 +58,7 @@ _TOGETHER = (
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
     (("initial_cistern", "initial_roof"), ()),
+    ((_QUIET,), (_ZONE,)),
 )
 
 
@@ -190,6 +195,25 @@ class Site:
         "means of the reference evapotranspiration, January to December, in brackets; what a live "
         "site without a forecast takes", 0.0, 20.0, unit="mm/day", default=None,
     )
+    quiet_hours: tuple[str, ...] | None = entry(
+        "times of day in which the pump stands, by the clock in time_zone, such as "
+        '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
+    )
+    time_zone: str | None = entry(
+        "IANA name of the time zone of quiet_hours, such as America/Toronto; it knows summer time",
+        default=None,
+    )
+    greatest_dose: float | None = entry(
+        "largest volume of a dose, which a person asks for; without it no dose is given", 0.001,
+        1e6, unit="m3", default=None,
+    )
+
+    @cached_property
+    def quiet(self) -> QuietHours | None:
+        """Its quiet hours; None where the pump may run at any time."""
+        if not self.quiet_hours or self.time_zone is None:
+            return None
+        return QuietHours(self.quiet_hours, ZoneInfo(self.time_zone))
 
     @cached_property
     def effective_catchment(self) -> float:
@@ -461,6 +485,9 @@ def read_site(path: Path) -> Site:
                 )
             values[name] = tuple(map(float, value))
             continue
+        if name in (_QUIET, _ZONE):
+            values[name] = _quiet_value(name, value, refuse)
+            continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
         if not one.low <= value <= one.high or (whole and value % 1):
@@ -474,6 +501,34 @@ def read_site(path: Path) -> Site:
     for name, expected in _contradictions(site, given):
         raise refuse(name, expected)
     return site
+
+
+def _quiet_value(
+    name: str, value: Any, refuse: Callable[[str, str], ConfigurationError]
+) -> tuple[str, ...] | str:
+    """Return the value of ``quiet_hours`` or ``time_zone``.
+
+    Raises:
+        ConfigurationError: it is none, as ``refuse`` says.
+    """
+    if name == _ZONE:
+        try:
+            return ZoneInfo(value).key
+        except (TypeError, AttributeError, OSError, ValueError, KeyError):
+            raise refuse(
+                name, "must be the IANA name of a time zone that this machine knows (package "
+                "tzdata), such as America/Toronto",
+            ) from None
+    try:
+        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+            raise ValueError("they are no list of texts")
+        QuietHours(value, timezone.utc)
+    except ValueError as error:
+        raise refuse(
+            name, 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"]; '
+            f"here {error}",
+        ) from None
+    return tuple(value)
 
 
 def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, str]]:

@@ -26,7 +26,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import learned_by, set_learned
+from greenroof_ros.controllers.protocol import knows_time, learned_by, set_learned, set_time
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LinkedNode
@@ -102,6 +102,7 @@ class ControllerNode(LinkedNode):
             for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
         )
         self._frost = self.subscribe("/weather/frost")
+        self._time_ns, self._quiet = 0, False
         if self.live:
             self._without_forecast = OnOff(site, FRACTION.default)
             self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
@@ -113,7 +114,8 @@ class ControllerNode(LinkedNode):
             self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
             self._kept_at = time.monotonic()
         else:
-            self.subscribe(CLOCK, self.set_time)
+            # At a site with quiet hours no tick begins before its time is known.
+            self._tick_time = self.subscribe(CLOCK, None if site.quiet else self.set_time)
         self._optional = list(optional_topics(choice.outputs))
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -121,6 +123,12 @@ class ControllerNode(LinkedNode):
     def on_inputs(self) -> None:
         """Command, and publish what the controller says beside it."""
         allowed = self.good and not self._frost.value
+        if self._site.quiet is not None:
+            if not self.live:
+                self.set_time(self._tick_time.value)
+            self._time_ns = self.get_clock().now().nanoseconds
+            self._quiet = self._site.quiet.quiet_at(self._time_ns)
+            allowed = allowed and (not self._quiet or knows_time(self._controller))
         if self.live:
             allowed = self._command_live(allowed)
         else:
@@ -132,10 +140,12 @@ class ControllerNode(LinkedNode):
 
     def _decide(self, allowed: bool) -> float:
         there = allowed and self._rain.good and self._evapotranspiration.good
+        if self._site.quiet is not None:
+            set_time(self._controller, self._time_ns)
         return decide(
             self._controller, allowed, self._cistern.value, self._roof.value,
             self._rain_forecast() if there else (),
-            self._evapotranspiration.value if there else (),
+            self._evapotranspiration.value if there else (), self._quiet,
         )
 
     def _command_live(self, allowed: bool) -> bool:
@@ -168,7 +178,7 @@ class ControllerNode(LinkedNode):
         if allowed and self._without_since:
             command = self._without_forecast.command(cistern, roof, (), ())
             self._without_pumped = self._without_pumped or command > 0
-        if command and not self.good:
+        if command and (self._quiet or not self.good):
             command = 0.0
         self.publish("/pump/command", command)
         self._expect(command)

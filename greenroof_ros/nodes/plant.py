@@ -133,9 +133,14 @@ class PlantNode(LinkedNode):
         cistern, roof = self._plant.levels()
         return cistern, self._sensor.reading(self._tick, roof)
 
+    @property
+    def _time_ns(self) -> int:
+        """Simulated time of the present tick (ns since 1970)."""
+        return self._start_ns + self._tick * self._tick_ns
+
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
-        now = self._start_ns + self._tick * self._tick_ns
+        now = self._time_ns
         self.publish(CLOCK, now)
         cistern, roof = self._levels()
         self.publish("/cistern/level", cistern)
@@ -159,7 +164,8 @@ class PlantNode(LinkedNode):
             pump = self._flow.value
         else:
             frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
-            pump = self._pump.flow(self._plant, command, frost)
+            quiet = self._site.quiet is not None and self._site.quiet.quiet_at(self._time_ns)
+            pump = self._pump.flow(self._plant, command, frost or quiet)
         flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
         plant = self._plant
         self._metrics.observe(self._site, plant.x1, plant.x2, plant.layer)

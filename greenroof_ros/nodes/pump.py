@@ -5,7 +5,10 @@ communication timeout; *activate* lets the pump run, unless that timeout is off,
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
 page has services of its own: ``~/page_stop`` stops the pump, and releases what it stopped itself;
-``~/page_clear`` clears the fault speed_not_followed, once in 24 h. In any state the flow is
+``~/page_clear`` clears the fault speed_not_followed, once in 24 h. The parameter ``pause_until``
+keeps the pump off until a date, over restarts. Where the site file allows it, ``~/dose``
+(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, now, in s since 1970)
+has a volume delivered once, or says why not. In any state the flow is
 published: in lockstep once a tick, when command, levels and frost are there, live every tau.
 Between them the drive is stopped by wall time, and /pump/state says why the pump stands.
 """
@@ -15,15 +18,20 @@ from __future__ import annotations
 import math
 import re
 import time
+from dataclasses import asdict
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.common.times import boot_time, read_start, suspended_time
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
@@ -45,6 +53,7 @@ from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.dose import DONE
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
@@ -65,6 +74,10 @@ _SAID_S = 60.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
+PAUSE_UNTIL = Parameter(
+    "pause_until", "", meaning="the pump stands until this time, such as 2026-12-24T08:00-05:00, "
+    "which is kept over restarts; empty ends the pause (greenroof pause sets it)", may_change=True,
+)
 _OWN = (
     Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
     Parameter(
@@ -103,6 +116,7 @@ _OWN = (
         "state_file", "", meaning="keeps a stop, a fault and the day's use over restarts; "
         "without it greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
+    PAUSE_UNTIL,
 )
 
 
@@ -318,6 +332,13 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(SetBool, "~/page_stop", partial(self._on_stop_request, of_page=True))
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
+        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
+        given = values[PAUSE_UNTIL.name]
+        # Who starts the node with a pause that is over by now starts it without one.
+        if given and read_start(given, key=PAUSE_UNTIL.name).timestamp() > time.time():
+            self._pause(given)
+        self._show_pause()
+        self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())
 
     # --- what is kept over restarts ---------------------------------------------------------------
@@ -336,6 +357,46 @@ class PumpNode(Lifecycle, LinkedNode):
         if self._ledger.take():
             self._begin()
             self._reasons = ()  # decide again
+
+    def _show_pause(self) -> None:
+        """Let the parameter have the pause that is kept."""
+        shown = ""
+        if self._ledger.paused:
+            ends = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
+            shown = ends.isoformat(timespec="seconds")
+        self.set_parameters([RosParameter(PAUSE_UNTIL.name, value=shown)])
+
+    def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
+        try:
+            for one in given:
+                if one.name == PAUSE_UNTIL.name:
+                    self._pause(one.value)
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _pause(self, until: str) -> None:
+        """Pause the pump until a time, or end the pause (empty).
+
+        Raises:
+            ConfigurationError: it is no time to come, or a restart would not know of the pause; it
+                is as it was then.
+        """
+        self._take_state()
+        before, ends = self._ledger.record.pause_until, 0.0
+        if until:
+            ends = read_start(until, key=PAUSE_UNTIL.name).timestamp()
+            if ends <= time.time():
+                raise ConfigurationError(
+                    "must be a time to come", key=PAUSE_UNTIL.name, value=until
+                )
+        self._control.pause(ends)
+        if problem := self._ledger.why_not_kept():
+            self._control.pause(before)
+            raise ConfigurationError(
+                f"cannot be kept: {problem}", key=PAUSE_UNTIL.name, value=until
+            )
+        self._step(boot_time())
 
     # --- lifecycle --------------------------------------------------------------------------------
 
@@ -453,6 +514,21 @@ class PumpNode(Lifecycle, LinkedNode):
         self._step(boot_time())
         self._kept(response, self._state)
         self.get_logger().info(f"fault cleared on the page: {response.message}")
+        return response
+
+    def _on_dose_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        given = {one.name: one.value.double_value for one in request.parameters}
+        self._step(boot_time())  # what speaks against it may have come just now
+        if given.keys() != {"volume", "asked_at"}:
+            refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
+        else:
+            refusal = self._control.ask_dose(given["asked_at"], given["volume"])
+        self._step(boot_time())
+        response.result.successful = not refusal
+        response.result.reason = refusal or self._state
+        self.get_logger().info(f"dose asked for: {response.result.reason}")
         return response
 
     def _kept(self, response: Any, message: str) -> Any:
@@ -579,6 +655,7 @@ class PumpNode(Lifecycle, LinkedNode):
             roof_level=value(self._roof),
             displacements=self._levels.displacements,
             frost=None if frost is None else frost > 0,
+            time_ns=self.get_clock().now().nanoseconds or None,  # 0 before a plant has said it
             speed=None if status is None else status.speed,
             flow=value(self._meter),
             drive_flow=None if status is None else status.flow,
@@ -609,7 +686,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
-        kept, decision = self._ledger.record, self._decision
+        kept, decision, dose = self._ledger.record, self._decision, self._control.dose
         return {
             "pump": self._state, "pump_state": decision.state,
             "stands": decision.stands,
@@ -625,6 +702,9 @@ class PumpNode(Lifecycle, LinkedNode):
                 ) if on
             ],
             "page_may_not_clear": self._control.page_may_not_clear,
+            "greatest_dose": self._site.greatest_dose,
+            "no_dose": self._control.no_dose,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.said},
         }
 
     def _diagnose(self, now: float) -> None:
@@ -639,6 +719,8 @@ class PumpNode(Lifecycle, LinkedNode):
             "limits", WARN if limited else OK, limited or "nothing limits the pump",
             "limited" if limited else "", "",
         )
+        if self._site.greatest_dose is not None:
+            self._diagnose_dose()
         diagnose("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
         bad = [one for one in (self._cistern, self._roof) if not one.good]
@@ -689,6 +771,19 @@ class PumpNode(Lifecycle, LinkedNode):
         cause = inputs[code].verdict.code if code in inputs else ""
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
+
+    def _diagnose_dose(self) -> None:
+        """Say how far a dose is, and for a minute that one ended early."""
+        dose = self._control.dose
+        if dose is None:
+            self.reports.diagnose("dose", OK, "no dose is under way", "", "")
+            return
+        self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
+        early = dose.over not in ("", DONE)
+        self.reports.diagnose(
+            "dose", WARN if early else OK, dose.said, "dose_ended_early" if early else "",
+            dose.cause,
+        )
 
     def _diagnose_command(self) -> None:
         command, silence = self._command, self._silence()

@@ -58,6 +58,7 @@ _CONTROL, _LIMITS, _NODE = "pump_control", "limits", "nodes/pump"
 _FOLLOWING = "follow_time, follow_tolerance, drive_ramp"
 _OF_LEVEL = "level_limit, frozen_movement, jump_tolerance, recovery_time"
 _RELEASE, _AT_PANEL = "~/stop with false", "somebody at the drive's panel"
+_PAUSE_ENDS = "itself at its date, or greenroof pause --end"
 INTERLOCKS = {
     "turns_backwards": Interlock(LATCHED, _CONTROL),
     "runs_on": Interlock(LATCHED, _CONTROL, f"{_FOLLOWING}, least_flow"),
@@ -70,12 +71,14 @@ INTERLOCKS = {
     "fault_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
     "operator_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE),
     "page_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE, on_page=True),
+    "paused": Interlock(INHIBIT, _CONTROL, "pause_until", by=_PAUSE_ENDS),
     "record_unknown": Interlock(INHIBIT, _CONTROL, "state_file", by=_RELEASE),
     "cistern_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
     "cistern_low": Interlock(INHIBIT, _LIMITS, "level_offset, suction_hysteresis"),
     "roof_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
     "frost_unknown": Interlock(INHIBIT, _LIMITS, "frost_limit, unknown_frost_may_pump"),
     "frost": Interlock(INHIBIT, _LIMITS),
+    "quiet_hours": Interlock(INHIBIT, _LIMITS),
     "longest_run": Interlock(INHIBIT, _LIMITS, "greatest_run"),
     "daily_volume": Interlock(INHIBIT, _LIMITS, "greatest_volume_per_day"),
     "daily_run": Interlock(INHIBIT, _LIMITS, "greatest_run_per_day"),

@@ -53,6 +53,7 @@ class Record:
 
     Attributes:
         operator_stop: why the pump is stopped by somebody by the service; empty where it is not.
+        pause_until: until when the pump is paused, by the system clock (s since 1970).
         page_stop: whether somebody stopped it on the page or over MQTT, which the page may release.
         page_clears_from: when the page may clear a fault again (s, as ``elapsed``).
         unknown: why it is not known whether there was a stop or a fault; empty where it is.
@@ -67,6 +68,7 @@ class Record:
     """
 
     operator_stop: str = ""
+    pause_until: float = 0.0
     page_stop: bool = False
     page_clears_from: float = 0.0
     unknown: str = ""
@@ -141,6 +143,8 @@ class Ledger:
             self.stop(mine.operator_stop)
         if mine.page_stop and not before.page_stop:
             self.stop_on_page(True)
+        if mine.pause_until != before.pause_until:
+            self.pause(mine.pause_until)
         if mine.fault and mine.fault != before.fault:
             self.fault(mine.fault, mine.fault_code)
         return True
@@ -189,6 +193,21 @@ class Ledger:
     def stop_on_page(self, on: bool) -> None:
         """Keep the pump off, or release what was stopped so, and nothing else."""
         self.record = replace(self.record, page_stop=on)
+        self._save()
+
+    @property
+    def now(self) -> float:
+        """The time by the system clock (s since 1970)."""
+        return self._clock()
+
+    @property
+    def paused(self) -> bool:
+        """Whether the pump is paused now."""
+        return self.now < self.record.pause_until
+
+    def pause(self, until: float) -> None:
+        """Keep the pump off until a time of the system clock (s since 1970); 0 ends that."""
+        self.record = replace(self.record, pause_until=until)
         self._save()
 
     def clear_on_page(self) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter, entry, keys
+from greenroof_ros.common.times import to_people
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
@@ -214,7 +215,7 @@ class Limits:
 
     def reasons(
         self, command: float | None, cistern_level: float | None, roof_level: float | None,
-        frost: bool | None,
+        frost: bool | None, time_ns: int | None,
     ) -> dict[str, str]:
         """Return what speaks against running now, by interlock; to be asked at every step.
 
@@ -224,6 +225,7 @@ class Limits:
             cistern_level: m; None is unknown.
             roof_level: m; None is unknown.
             frost: whether there is; None is unknown.
+            time_ns: of the site (ns since 1970); None is unknown.
         """
         settings, record = self._settings, self._ledger.record
         reasons = {}
@@ -244,6 +246,12 @@ class Limits:
             reasons["frost_unknown"] = "it is unknown whether there is frost"
         elif frost:
             reasons["frost"] = "there is frost"
+        if (quiet := self._site.quiet) is not None:
+            if time_ns is None:
+                reasons["quiet_hours"] = "whether it is in quiet hours is not known: no time came"
+            elif quiet.quiet_at(time_ns):
+                end = to_people(quiet.end_after(time_ns))
+                reasons["quiet_hours"] = f"it is in quiet hours, until {end}"
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 
+from greenroof_ros.common.times import to_people
 from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
+from greenroof_ros.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
 from greenroof_ros.pumping.interlocks import (
     ENABLE,
     INHIBIT,
@@ -38,6 +41,7 @@ class Observation:
         roof_level: m.
         displacements: by how much jumps, as no water can, have moved both readings so far (m).
         frost: whether there is.
+        time_ns: of the site (ns since 1970): the system clock's live, in a simulation its own.
         speed: what the drive turns at, share of the rated speed.
         flow: of a flow meter (m3/s).
         drive_flow: of the drive's own (m3/s).
@@ -52,6 +56,7 @@ class Observation:
     roof_level: float | None = None
     displacements: tuple[float, float] = (0.0, 0.0)
     frost: bool | None = None
+    time_ns: int | None = None
     speed: float | None = None
     flow: float | None = None
     drive_flow: float | None = None
@@ -118,6 +123,9 @@ class PumpControl:
         self._limits = Limits(site, settings, ledger)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
+        self._doses = Doses(site, ledger.now)
+        self._against = "it was not looked at yet"  # running, at the last step
+        self._least_pulse = math.inf  # at the last level (m3)
         self._asked: float | None = None
         # What the slowest drive that is allowed turns at on its way to the speed asked for, share
         # of the rated speed; before the first step it may have run.
@@ -140,6 +148,38 @@ class PumpControl:
     def stop_on_page(self, on: bool) -> None:
         """Keep the pump off for the page, or release what the page stopped, and nothing else."""
         self._ledger.stop_on_page(on)
+
+    def pause(self, until: float) -> None:
+        """Keep the pump off until a time (s since 1970), over restarts; 0 ends a pause."""
+        self._ledger.pause(until)
+
+    def _paused(self) -> str:
+        """Return that the pump is paused, and until when; empty where it is not."""
+        if not self._ledger.paused:
+            return ""
+        end = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
+        return f"an operator paused it until {to_people(end)}"
+
+    @property
+    def dose(self) -> Dose | None:
+        """The dose that waits or runs, or ended a moment ago; None without one."""
+        return self._doses.last
+
+    @property
+    def no_dose(self) -> str:
+        """Why a dose would be refused now, whatever its volume; empty where it would not."""
+        return self._doses.refusal(self._against)
+
+    def ask_dose(self, request: float, volume: float) -> str:
+        """Take a request for a dose, or return why it is refused.
+
+        Args:
+            request: when it was made (s since 1970), which is its id.
+            volume: that is asked for (m3).
+        """
+        return self._doses.ask(
+            request, volume, self._ledger.now, self._least_pulse, self._against
+        )
 
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
@@ -193,6 +233,7 @@ class PumpControl:
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
         self._pulses.clear()
+        self._doses.end(UNSEEN, f"nobody watched the pump for {dt:.0f} s")
         if self._asked is not None:
             self._limits.switch(False)
         self._asked = None
@@ -224,6 +265,8 @@ class PumpControl:
         # the pump runs.
         least = max(flow, computed or 0.0)
         self._account(dt, seen.speed, unseen, least)
+        under_way = self._doses.present is not None
+        self._doses.pass_time(drive_dt, max(least, unseen) * dt)
         self._pulses.account(flow * dt, dt)
         undelivered = self._delivery.step(
             dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt,
@@ -238,10 +281,19 @@ class PumpControl:
         elif command is not None and command > 1:
             warnings.append(f"the command {command:g} is above 1 and taken as 1")
             command = 1.0
+        full = seen.roof_level is not None and seen.roof_level >= self._site.z_veg
+        if full:
+            self._doses.end(FULL, "the roof is at its target")
+        if under_way and self._doses.present is None:
+            self._pulses.clear()  # what was asked for in a dose is no debt
+        dosed = command is not None and self._doses.present is not None
         unheard = seen.speed is None and not backwards
         active = evaluate({
             **self._faults(drive_dt, seen, backwards, undelivered),
-            **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
+            **self._limits.reasons(
+                1.0 if dosed else command, seen.cistern_level, seen.roof_level, seen.frost,
+                seen.time_ns,
+            ),
             **seen.reasons,
             "command_unknown": "there is no command" if seen.command is None else "",
             "command_refused": refused,
@@ -253,13 +305,20 @@ class PumpControl:
             state = _STATES[INTERLOCKS[next(iter(active))].kind]
             why = "; ".join(active.values())
             self._pulses.clear()
+            self._doses.end(INTERLOCK, why, next(iter(active)))
+            self._against = why
         else:
             assert command is not None
             assert seen.cistern_level is not None
-            assert seen.roof_level is not None
-            full = seen.roof_level >= self._site.z_veg
+            self._least_pulse = self._pulses.least_pulse(seen.cistern_level)
+            if dosed:
+                command = self._dose_command(seen.cistern_level)
             asked, why = self._follow(dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
+            self._against = "the roof is at its target" if full else ""
+            if (dose := self._doses.present) is not None:
+                dose.begun, dose.why = dose.begun or asked is not None, why
+                why = f"a dose of {dose.volume:g} m3: {why}"
         if (asked is None) != (self._asked is None):
             self._limits.switch(asked is not None)
         self._asked = asked
@@ -283,6 +342,11 @@ class PumpControl:
             asked, state, why, active, flow, source, "; ".join(warnings), stands,
             said if backwards else seen.speed, stands or known_flow is not None, self._blind_for,
         )
+
+    def _dose_command(self, cistern_level: float) -> float:
+        """Return the command of the present dose; no lower than what needs no pulses."""
+        greatest = flow_at(self._site, 1.0, cistern_level)
+        return max(self._doses.share(greatest), self._pulses.least_share(cistern_level))
 
     def _flow(
         self, seen: Observation, computed: float | None, warnings: list[str]
@@ -400,7 +464,7 @@ class PumpControl:
         record = self._ledger.record
         found |= {
             "operator_stop": record.operator_stop, "record_unknown": record.unknown,
-            "page_stop": PAGE_STOPPED if record.page_stop else "",
+            "page_stop": PAGE_STOPPED if record.page_stop else "", "paused": self._paused(),
         }
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)

@@ -197,14 +197,15 @@ def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
 
     The plant is run once more with the commands of the bag, in which frost has commanded 0.
     """
-    series, until = run.series, 0
+    series, hours, until = run.series, run.site.quiet, 0
     plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.sensor_pump_errors, run.site.tau)
     roof = np.empty(run.steps + 1)
     for k, command in enumerate(commands):
         roof[k] = plant.x2
         if k == until:
             rain, evapotranspiration, frost, until = series.at(k)
-        pumped = pump.flow(plant, command, frost > 0)
+        quiet = hours is not None and hours.quiet_at(run.time_ns(k))
+        pumped = pump.flow(plant, command, frost > 0 or quiet)
         plant.step(rain, plant.flows(rain, evapotranspiration, pumped))
     return roof
 

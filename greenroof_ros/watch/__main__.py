@@ -74,8 +74,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--allow-release", action="store_true",
         help="what was stopped on the page or over MQTT may be released there, and the fault "
-        "speed_not_followed be cleared, once in 24 h; the page then needs its token on this "
-        "machine, too",
+        "speed_not_followed be cleared, once in 24 h; where the site file allows it, a dose may be "
+        "given on the page, which then needs its token on this machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
@@ -119,7 +119,10 @@ def _say_address(url: str, host: str, port: int | None, *, release: bool) -> Non
             "not encrypted", file=sys.stderr,
         )
     if release:
-        print("whoever has the address with its token may release the pump", file=sys.stderr)
+        print(
+            "whoever has the address with its token may release the pump, and ask for a dose where "
+            "the site file allows it", file=sys.stderr,
+        )
     print(url, flush=True)
 
 

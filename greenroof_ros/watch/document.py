@@ -265,7 +265,9 @@ def _stop(store: Store) -> dict[str, Any]:
     state = "" if node is None else (store.pump_says or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
     call = "" if node is None else f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
-    owners, fault, refusal = _held(None if gone or not store.allow_release else node)
+    allowing = None if gone or not store.allow_release else node
+    owners, fault, refusal = _held(allowing)
+    greatest, no_dose = _doses(allowing)
     others = " and ".join(one for one in owners if one != "page")
     stays = f"It stays off for all that: it is held off by {others}, too. "
     return {
@@ -284,6 +286,12 @@ def _stop(store: Store) -> dict[str, Any]:
         "clear_here": bool(fault) and not refusal and stands,
         "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
         "no_clear": refusal if fault else "",
+        "greatest_dose": greatest,
+        "dose_here": greatest is not None and not no_dose,
+        "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
+        "but not above the roof's target. It ends early where anything keeps the pump off. "
+        + LOCK_OUT,
+        "no_dose": no_dose,
     }
 
 
@@ -294,6 +302,14 @@ def _held(node: Node | None) -> tuple[list[str], str, str]:
     owners = node.values.get("stopped_by")
     names = [str(one) for one in owners] if isinstance(owners, list) else []
     return names, node.text("fault"), node.text("page_may_not_clear")
+
+
+def _doses(node: Node | None) -> tuple[float | None, str]:
+    """Return the largest dose that may be asked for (m3), None for none, and why none can now."""
+    greatest = None if node is None else node.values.get("greatest_dose")
+    if node is None or not isinstance(greatest, (int, float)):
+        return None, ""
+    return greatest, node.text("no_dose")
 
 
 # --- the water account ----------------------------------------------------------------------------

@@ -121,7 +121,9 @@ class Feed:
         self._awake = time.monotonic()
         self._said = 0.0
         self._problem, self._problem_until = "", 0.0
-        self._asked: queue.SimpleQueue[tuple[str, Future[str]]] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[tuple[str, dict[str, float], Future[str]]] = (
+            queue.SimpleQueue()
+        )
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
@@ -161,11 +163,12 @@ class Feed:
             self._looker.wake()
         self._thread.join(2.0)
 
-    def ask(self, action: str) -> str:
-        """Have the pump held off or released, or its fault cleared, from any thread.
+    def ask(self, action: str, **request: float) -> str:
+        """Have the pump held off or released, its fault cleared or a dose given, from any thread.
 
         Args:
-            action: ``stop``, ``release`` or ``clear``.
+            action: ``stop``, ``release``, ``clear`` or ``dose``.
+            request: of a dose, as :meth:`greenroof_ros.graph.looker.Looker.give_dose` takes it.
 
         Returns:
             What the pump node says.
@@ -174,7 +177,7 @@ class Feed:
             StopFailedError: it did not say that it did so.
         """
         asked: Future[str] = Future()
-        self._asked.put((action, asked))
+        self._asked.put((action, request, asked))
         if self._looker is not None:
             self._looker.wake()
         try:
@@ -478,15 +481,16 @@ class Feed:
     def _answer(self) -> None:
         if (looker := self._looker) is None:
             return
-        acts = {
+        acts: dict[str, Callable[..., str]] = {
             "stop": looker.stop_pump, "release": looker.release_pump, "clear": looker.clear_fault,
+            "dose": looker.give_dose,
         }
         while not self._asked.empty():
-            action, asked = self._asked.get()
+            action, request, asked = self._asked.get()
             if asked.set_running_or_notify_cancel():
                 try:
                     self._prepare_stop()
-                    asked.set_result(acts[action](_STOP_S))
+                    asked.set_result(acts[action](**request, timeout_s=_STOP_S))
                 except Exception as error:  # it is the asker's
                     asked.set_exception(error)
         with suppress(StopFailedError):

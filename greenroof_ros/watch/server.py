@@ -1,7 +1,8 @@
 """The page over HTTP: its files, what is pushed to it, and the things that can be asked.
 
 Whoever reaches the address may look, and may stop the pump; where there is a token, only with that.
-What was stopped here may be released here where that was allowed, which needs a token.
+What was stopped here may be released here where that was allowed, which needs a token; and with it,
+where the site file allows doses, a dose may be given.
 Each path is a route, and none leads to a file. A page of somebody else in the same browser can do
 nothing: a request has to name this host (so that no name of somebody's that leads here is one), and
 to act it needs a header that only this page can send. No connection can hold others up: there is a
@@ -243,7 +244,7 @@ class _Site:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
                 self.app.router.add_get(path, _sends(file), allow_head=False)
         self.app.router.add_get("/events", self._events, allow_head=False)
-        for action in ("stop", "release", "clear"):
+        for action in ("stop", "release", "clear", "dose"):
             self.app.router.add_post(f"/{action}", self._act)
         self.app.router.add_post("/acknowledge", self._acknowledge)
 
@@ -321,23 +322,31 @@ class _Site:
         return _said(known, "" if known else "This alarm is not listed any more.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Have the pump held off or released; who asks while that goes on gets the same answer."""
-        await _body(request)
-        action = request.path[1:]
+        """Have the pump held off or released; who asks while that goes on gets the same answer.
+
+        But for a dose: of two, who asked first has one.
+        """
+        body, action, given = await _body(request), request.path[1:], dict[str, float]()
         if action != "stop" and not (self._store.allow_release and self._token):
             raise web.HTTPForbidden(
                 reason="nothing is released here: see greenroof watch --allow-release"
             )
+        if action == "dose":
+            given = {"volume": _volume(body.get("volume")), "asked_at": time.time()}
         task = self._acting.get(action)
         if task is None or task.done():
-            task = asyncio.create_task(self._ask(action, request.remote or ""))
+            task = asyncio.create_task(self._ask(action, given, request.remote or ""))
             self._acting[action] = task
+        elif given:
+            return _said(False, "Another dose was asked for a moment ago.")
         return _said(*await asyncio.shield(task))
 
-    async def _ask(self, action: str, asker: str) -> tuple[bool, str]:
+    async def _ask(
+        self, action: str, given: dict[str, float], asker: str
+    ) -> tuple[bool, str]:
         """Ask the pump node, and say how that went; whoever asked may be gone by then."""
         try:
-            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action)
+            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **given)
         except StopFailedError as failure:
             ok, sentence = False, str(failure)
         event = f"{action.capitalize()}, from {asker}: {sentence}"
@@ -387,6 +396,14 @@ async def _sent(
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_TAKEN_S)
+
+
+def _volume(value: object) -> float:
+    """Return the volume of a dose that is asked for (m3); what it may be, the pump node knows."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        with suppress(OverflowError):
+            return float(value)
+    raise web.HTTPBadRequest(reason="volume must be a number (m3)")
 
 
 def _hours(text: str) -> float:

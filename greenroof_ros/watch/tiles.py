@@ -207,6 +207,8 @@ def _why_off(store: Store, share: float | None) -> str:
     site, level, stored = store.site, store.known(_ROOF), store.known(_CISTERN)
     if store.known(_FROST):
         return "there is frost"
+    if _quiet(store):
+        return "it is in quiet hours"
     if share == 0:
         return "nothing is commanded"
     if level is not None and level >= site.z_veg:
@@ -214,6 +216,12 @@ def _why_off(store: Store, share: float | None) -> str:
     if stored is not None and stored < site.suction_level:
         return "the cistern is below the suction level"
     return "no command is known" if share is None else ""
+
+
+def _quiet(store: Store) -> bool:
+    """Whether it is in the site's quiet hours."""
+    hours, now = store.site.quiet, store.now
+    return hours is not None and now is not None and hours.quiet_at(int(now * 1e9))
 
 
 def rain(store: Store) -> Tile:
@@ -343,7 +351,7 @@ def waiting(store: Store, idle: bool) -> str:
     level = store.known(_ROOF)
     if (
         now is None or forecast is None or level is None or store.ended
-        or not idle or level >= band_of(site)[0] or now - forecast.at > OLD_S
+        or not idle or _quiet(store) or level >= band_of(site)[0] or now - forecast.at > OLD_S
     ):
         return ""
     amount, plan = forecast.amount(now), store.plan

@@ -149,6 +149,36 @@ def test_same_bits_of_sensor_and_pumps_that_are_not_perfect(domain: int, tmp_pat
     assert sum(errors) / 181 == pytest.approx(-1e-3, abs=2e-4)
 
 
+@pytest.mark.parametrize("controller", ["onoff", "lookahead"])
+def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) -> None:
+    """One minute of three is quiet, to the second, by the clock of Toronto in summer.
+
+    On/off skips it; lookahead decides in it, and plans when it begins and ends.
+    """
+    file = tmp_path / "quiet.yaml"
+    file.write_text(
+        "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
+    )
+    own = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
+    own += ("--minimum-on", "50")  # which quiet hours end, as they do of a real pump
+    options = (
+        "--controller", controller, *own, "--site", str(file),
+        "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
+    )
+    bring_up(domain, tmp_path, *options)
+    simulate(domain, tmp_path, *options)
+    rows = assert_same(tmp_path)
+    commands, flows = (
+        [float(row[column]) for row in rows] for column in ("command", "pump_flow_m3_per_s")
+    )
+    assert commands[60:120] == flows[60:120] == [0.0] * 60
+    if controller == "onoff":
+        assert min(commands[59], commands[120]) == 0.1
+    else:
+        sizes = [len(plan) for plan in messages_of(tmp_path / "run")["/controller/plan"]]
+        assert sizes[60] > sizes[61] and sizes[120] > sizes[121]
+
+
 def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
     """Of lookahead, with noise of the sensor in its commands; the frost ends with a new issue.
 

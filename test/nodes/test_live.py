@@ -205,6 +205,35 @@ class Learner(Counting):
 """
 
 
+@pytest.mark.parametrize("forecasts", [True, False])
+def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> None:
+    """In those of now the command is 0, without a forecast too; in those to come it is not."""
+    commands = site.be_dry()
+    if not forecasts:
+        for name in FORECASTS:
+            del site.values[name]
+    (site.cwd / "mine.py").write_text(MINE)
+    now, file = datetime.now(UTC), site.cwd / "quiet.yaml"
+    # Without a forecast it is on/off that commands.
+    said = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")
+    for begins, quiet in ((-1, True), (6, False)):
+        begin, end = (now + timedelta(hours=hours) for hours in (begins, begins + 3))
+        file.write_text(
+            "extends: site.yaml\ntime_zone: UTC\n"
+            f"quiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
+        )
+        commands.clear()
+        site.diagnoses.clear()
+        with site.live("controller --controller mine:Counting", site_file=file, recovery_time=1.0):
+            part, *what = said
+            site.until(site.says(f"/counting: {part}", *what), LATE, "good inputs")
+            if quiet:
+                site.during(2)
+                assert {command for _, command in commands} == {0.0}
+            else:
+                site.until(lambda: (newest(commands) or 0) > 0, LATE, "a command")
+
+
 def test_classes_of_a_users_own(site: Site) -> None:
     """Without a forecast one leaves it to on/off, and begins anew; no command is 0, and said."""
     commands = site.be_dry()

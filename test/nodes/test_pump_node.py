@@ -12,21 +12,27 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from datetime import datetime
+from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
 from graphs import Process, environment, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
 from pump_node_rig import PumpRig
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.times import boot_time
+from greenroof_ros.common.times import boot_time, to_people
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.nodes.pump import _Drive
 from greenroof_ros.pumping.ledger import Ledger
@@ -373,6 +379,149 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     rig.run()
     words = "does not stand at the end", "its own timeout of 1.5 s has to stop it"
     ends_in_words(rig, node, "stuck_running", *words)
+
+
+def site_with(rig: PumpRig, *lines: str) -> Path:
+    """Write a site file with more lines."""
+    file = rig.cwd / "site.yaml"
+    file.write_text("\n".join([f"extends: {CONFIG / 'site.yaml'}", *lines]))
+    return file
+
+
+def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
+    """Run a command to its end while the graph ticks; return its exit code and what it printed."""
+    process = Process(rig.domain, name, *options, cwd=rig.cwd)
+    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, name)
+    return process.wait(1), process.stdout() + process.stderr()
+
+
+def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
+    """In a simulation of its own: from 12:01 to 12:02, ticks 60 to 119 of the test's clock."""
+    rig.start(site_file=site_with(rig, 'quiet_hours: ["12:01-12:02"]', "time_zone: UTC"))
+    rig.run()
+    flows: list[float] = []
+    while len(rig.flows) < 130:
+        flows.append(rig.tick(0.5))
+        if len(rig.flows) == 100:
+            assert rig.state == "held: it is in quiet hours, until 2025-07-01 12:02+00:00"
+            assert rig.code("pump") == "quiet_hours"
+            assert rig.drive.speed() == 0.0
+    assert flows[-1] > 0
+    # The clock may come behind the tick that it is of; the ramp takes a few more.
+    assert rig.flows[66:119] == [0.0] * 53
+    assert min(rig.flows[50:60]) > 0
+
+
+def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
+    node = rig.start()
+    rig.run()
+    until = datetime.now().astimezone() + timedelta(hours=1)
+    for wrong in ("2020-01-01T00:00", "tomorrow"):
+        code, said = command(rig, "pause", "--until", wrong)
+        assert (code, wrong[:4] in said) == (1 if wrong[0] == "2" else 2, True), said
+    rig.until_state("running")
+    code, said = command(rig, "pause", "--until", f"{until:%Y-%m-%dT%H:%M:%S}")
+    assert (code, said) == (0, f"the pump is paused until {to_people(until)}\n")
+    rig.until_it_stands(4)
+    held = f"held: an operator paused it until {to_people(until)}"
+    assert rig.state == held
+    rig.until_code("pump", "paused")
+    node.kill()
+    node.wait()
+    rig.start()
+    rig.join()
+    assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
+    assert rig.state.startswith(held)
+    # A release of a stop releases nothing else.
+    assert rig.call(SetBool, "stop", data=False).success
+    assert rig.tick(0.5) == 0.0
+    assert command(rig, "pause", "--end") == (0, "the pause is over\n")
+    rig.run()
+    soon = datetime.now().astimezone() + timedelta(seconds=15)
+    assert command(rig, "pause", "--until", f"{soon:%Y-%m-%dT%H:%M:%S}")[0] == 0
+    rig.until_it_stands(10)
+    rig.run()
+    assert datetime.now().astimezone() >= soon - timedelta(seconds=1)
+
+
+def test_a_dose_by_the_command(rig: PumpRig) -> None:
+    """Delivered in full with the controller at 0; refused, and ended by a stop, by exit code 1."""
+    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.run()
+    rig.until_it_stands(10, 0.0)
+    before = sum(rig.flows)
+    code, said = command(rig, "dose", "--volume", "0.2")
+    assert (code, said.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
+    assert " of 0.2 m3 is accepted" in said and " a dose of " not in rig.state
+    rig.until_it_stands(10, 0.0)
+    assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
+    assert any(state.startswith("running: a dose of 0.2 m3: ") for state in rig.states)
+    assert not rig.code("dose")
+
+    code, said = command(rig, "dose", "--volume", "0.6")
+    assert (code, "at most 0.5 m3 (greatest_dose)" in said) == (1, True)
+    process = Process(rig.domain, "dose", "--volume", "0.5", cwd=rig.cwd)
+    rig.tick_until(0.0, lambda: "a dose of 0.5 m3" in rig.state, LATE, "a dose")
+    assert rig.call(SetBool, "stop", data=True).success
+    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
+    assert process.wait(1) == 1
+    assert "the dose ended early, at " in process.stdout()
+    assert rig.code("dose") == "dose_ended_early"
+    assert rig.call(SetBool, "stop", data=False).success
+    assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10
+
+
+def test_a_dose_by_the_page(rig: PumpRig) -> None:
+    """With its token and no other; what was delivered is that volume, once."""
+    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.run()
+    rig.until_it_stands(10, 0.0)
+    watch = Process(rig.domain, "watch", "--allow-release", cwd=rig.cwd)
+    url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
+    before = sum(rig.flows)
+
+    def answer(given: str) -> dict[str, Any]:
+        request = Request(
+            f"{url}dose", b'{"volume": 0.2}',
+            {"X-Greenroof": "1", "Authorization": f"Bearer {given}"},
+        )
+        with ThreadPoolExecutor() as pool:
+            asked = pool.submit(urlopen, request, timeout=60)
+            rig.tick_until(0.0, asked.done, LATE, "an answer")
+            try:
+                return json.load(asked.result())  # type: ignore[no-any-return]
+            except HTTPError as error:
+                return {"status": error.code}
+
+    def is_given() -> bool:
+        said = answer(token)
+        assert said["ok"] or "no pump node" in said["sentence"], said  # the watcher heard none yet
+        return bool(said["ok"])
+
+    assert answer("wrong") == {"status": 401}
+    wait_for(is_given, LATE, "a dose")
+    assert "another dose is under way" in answer(token)["sentence"]
+    rig.until_it_stands(60, 0.0)
+    assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
+    """As a service call by hand: what it lacks, what is old, and what came before."""
+    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.run()
+    rig.until_it_stands(10, 0.0)
+
+    def ask(**given: float) -> Any:
+        parameters = [Parameter(name, value=value).to_parameter_msg()
+                      for name, value in given.items()]
+        return rig.call(SetParametersAtomically, "dose", parameters=parameters).result
+
+    now = time.time()
+    assert "needs volume" in ask(volume=0.1).reason
+    assert "s old and must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
+    assert ask(volume=0.1, asked_at=now).successful
+    repeated = ask(volume=0.1, asked_at=now)
+    assert not repeated.successful and "before the last one" in repeated.reason
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:

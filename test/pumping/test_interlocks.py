@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import math
+import time
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -29,6 +31,7 @@ def codes(decision: Decision) -> list[str]:
     return list(decision.interlocks)
 
 
+AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
 NODE = [
     "not_active", "drive_lost", "drive_local", "second_master", "drive_timeout",
     "drive_guards_later", "no_run", "no_permit", "two_controllers", "two_pumps", "no_command",
@@ -42,12 +45,14 @@ CAUSES: dict[str, dict[str, Any]] = {
     "fault_unknown": {"record": {"fault": "its phase is lost", "fault_code": "phase_lost"}},
     "operator_stop": {"record": {"operator_stop": "an operator stopped it"}},
     "page_stop": {"record": {"page_stop": True}},
+    "paused": {"record": {"pause_until": 4_000_000_000.0}},
     "record_unknown": {"record": {"unknown": "whether there was a stop or a fault is not known"}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
     "roof_level_unknown": {"change": {"roof_level": math.inf}},
     "frost_unknown": {"change": {"frost": None}},
     "frost": {"change": {"frost": True}},
+    "quiet_hours": {"site": AT_NIGHT, "change": {"time_ns": 23 * 3600 * 10**9}},
     "longest_run": {"settings": settings_for(PAPER_SITE, greatest_run=60.0)},
     "daily_volume": {"record": {"day_volume": 1e6}},
     "daily_run": {"record": {"day_run": 86_400.0}},
@@ -67,7 +72,9 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     The least time on, 10 s, does not count here.
     """
     broken = {"command": 0.5, "record": {}} | CAUSES[code]
-    rig = Rig(x2=0.5, settings=broken.pop("settings", None))
+    rig = Rig(
+        x2=0.5, site=broken.pop("site", PAPER_SITE), settings=broken.pop("settings", None)
+    )
     rig.run(15, 0.5)
     assert (rig.decisions[-1].interlocks, rig.decisions[-1].state) == ({}, "running")
     command, record = broken.pop("command"), broken.pop("record")
@@ -83,8 +90,8 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert decision.why.startswith(decision.interlocks[code])
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, operator_stop="", page_stop=False, unknown="", day_run=0.0,
-        day_volume=0.0,
+        rig.ledger.record, operator_stop="", page_stop=False, pause_until=0.0, unknown="",
+        day_run=0.0, day_volume=0.0,
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)
@@ -168,7 +175,7 @@ def test_the_table_is_whole() -> None:
         "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
         "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
         "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
-        "jump_tolerance",
+        "jump_tolerance", "pause_until",
     }
     named = {name for one in rows for name in one.limit.split(", ") if name}
     assert named <= settings | of_nodes
@@ -256,3 +263,40 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     codes = read_conditions().keys()
     assert (reported - {""}) | of_inputs <= codes
     assert codes - INTERLOCKS.keys() <= said
+
+
+# --- when it may run ------------------------------------------------------------------------------
+
+
+def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None:
+    """On 8 March 2026 Toronto's clocks went from 02:00, 07:00 UTC, to 03:00: 02:30 did not come."""
+    begins, ends = (
+        datetime.fromisoformat(f"2026-03-08T{hour}:00+00:00").timestamp() for hour in ("07", "08")
+    )
+    site = replace(PAPER_SITE, quiet_hours=("02:30-04:00",), time_zone="America/Toronto")
+    rig = Rig(x2=0.5, site=site)
+    rig.now = begins - 30
+    assert rig.run(30, 0.3).state == "running"
+    decision = rig.step(0.3)
+    assert (codes(decision), decision.speed) == (["quiet_hours"], None)
+    assert decision.why.startswith("it is in quiet hours, until 2026-03-08 04:00-04:00")
+    rig.run(30, 0.3)
+    rig.now = ends - 5
+    assert [rig.step(0.3).speed for _ in range(5)] == [None] * 5
+    assert rig.step(0.3).speed is not None
+
+
+def test_where_the_time_is_not_known_the_pump_stands() -> None:
+    rig = Rig(x2=0.5, site=AT_NIGHT)
+    rig.change = {"time_ns": None}
+    assert codes(rig.run(30, 0.5)) == ["quiet_hours"]
+
+
+def test_the_end_of_a_pause_starts_no_pump_sooner_than_it_may() -> None:
+    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
+    assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None
+    rig.control.pause(time.time() + 3600)
+    assert codes(rig.run(5, 1.0)) == ["paused"]
+    rig.control.pause(0.0)
+    assert rig.run(114, 1.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(5, 1.0).speed is not None

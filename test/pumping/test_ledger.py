@@ -332,6 +332,30 @@ def test_fault_stop_volume_and_starts_survive_the_pump(tmp_path: Path) -> None:
     assert "it starts at most 2 times in an hour" in again.run(3, 1.0).why
 
 
+def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
+    """By the system clock, while nobody is there too; a release and a reset do not end it."""
+    file = tmp_path / "state.json"
+    ledger = Ledger(file, clock)
+    ledger.pause(clock.now + 3600)
+    ledger.stop("an operator stopped it")
+    ledger.stop("")
+    ledger.fault("", "")
+    assert ledger.close() == ""
+    clock.now += 3599
+    ledger = Ledger(file, clock)
+    assert ledger.paused
+    clock.now += 1
+    assert not ledger.paused
+    # Of a second one, which has the file later, its own pause counts.
+    other = Ledger(file, clock)
+    other.pause(clock.now + 60)
+    assert ledger.close() == ""
+    assert other.take() and other.paused
+    other.pause(0.0)
+    assert other.close() == ""
+    assert written(file)["pause_until"] == 0.0
+
+
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     """A pipe that nobody reads, where the file should be: it is said soon, and an alarm later."""
     os.mkfifo(tmp_path / "pump.json.new")

@@ -147,6 +147,18 @@ def test_the_simulated_pump_says_why_it_stands(
     assert tile["sentence"] == f"{flow}; {command}"
 
 
+def test_the_simulated_pump_stands_in_quiet_hours() -> None:
+    """The run is at 05:01 UTC, and for what would be rain enough it waits for no rain then."""
+    for begins, why in (("05:00", "it is in quiet hours"), ("05:02", "nothing is commanded")):
+        one = watched(roof_level=0.035)
+        one.set_site(replace(SITE, quiet_hours=(f"{begins}-06:00",), time_zone="UTC"))
+        forecast(one, MINUTE, np.full((11, 32), 1e-6))
+        document = shown(one)
+        assert document["tiles"]["pump"]["why"] == why
+        said = document["tiles"]["summary"]["sentence"]
+        assert ("waiting for rain" in said) == (begins == "05:02"), said
+
+
 def test_the_pump_node_says_how_it_is() -> None:
     """In a bag; for what it says on /diagnostics see below."""
     one = watched()
@@ -518,7 +530,7 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
         "sentence": "Holds the pump off until somebody releases it at the pump node.",
         "call": STOP, "release": "",
         "release_here": False, "release_then": ANY, "clear_here": False, "clear_then": ANY,
-        "no_clear": "",
+        "no_clear": "", "greatest_dose": None, "dose_here": False, "dose_then": ANY, "no_dose": "",
     }
     for wall in (100.2, 100.4):
         for process in ("host 1", "host 2"):
@@ -579,6 +591,26 @@ def test_what_may_be_released_here(
     assert then in stop["release_then"]
     assert "locks it out at the pump itself" in stop["release_then"]
     assert bool(stop["no_clear"]) == ("fault" in said and not clear)
+
+
+@pytest.mark.parametrize(("allowed", "said", "greatest", "here"), [
+    (True, {"greatest_dose": 0.5, "no_dose": ""}, 0.5, True),
+    (True, {"greatest_dose": 0.5, "no_dose": "the pump may not run: there is frost"}, 0.5, False),
+    (False, {"greatest_dose": 0.5, "no_dose": ""}, None, False),
+    (True, {"greatest_dose": None, "no_dose": "the site file allows no dose"}, None, False),
+    (True, {}, None, False),  # a driver of somebody's own
+    (True, {"greatest_dose": "1"}, None, False),
+])
+def test_where_a_dose_may_be_given(
+    allowed: bool, said: dict[str, Any], greatest: float | None, here: bool
+) -> None:
+    one = watched()
+    one.allow_release = allowed
+    pump_says(one, 100.0, "off: the command is 0", stands=True, **said)
+    stop = shown(one)["stop"]
+    assert (stop["greatest_dose"], stop["dose_here"]) == (greatest, here)
+    assert stop["no_dose"] == (said["no_dose"] if greatest else "")
+    assert not shown(one, 200.0)["stop"]["dose_here"]  # it is not heard any more
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:

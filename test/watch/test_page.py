@@ -575,6 +575,35 @@ def test_the_token_is_sent_from_the_address_and_releases_after_a_question(browse
         assert page.said == []
 
 
+def test_a_dose_is_asked_for_with_its_volume_after_a_question(browser: Any) -> None:
+    """The volume is the one that the question named; where none may be given it says why."""
+    watched = site_watched("loop")
+    watched.allow_release = True
+    ready = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
+    with (
+        saying(watched, ready), served(watched, "secret") as port,
+        opened(browser, port, hash_="#token=secret") as page,
+    ):
+        page.wait_for_selector("#dose-button", state="visible")
+        volume = page.locator("#dose-volume")
+        for wrong in ("", "0.6", "-0.1", "0"):
+            volume.fill(wrong)
+            page.locator("#dose-button").click()
+            until_shown(page, "#answer.failed", "above 0 and at most 0.5 m³")
+        volume.fill("0.25")
+        page.locator("#dose-button").click()
+        until_shown(page, "#ask", "Give a dose of 0.25 m³?")
+        with page.expect_request("**/dose") as sent:
+            page.locator("#ask-yes").click()
+        assert sent.value.post_data_json == {"volume": 0.25}
+        until_shown(page, "#answer.failed", "is not known")
+        page.locator("#dose-button").click()
+        ready[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
+        until_shown(page, "#answer.failed", "what was asked about has changed")
+        until_shown(page, "#dose", "No dose now: the pump may not run: frost.")
+        assert not page.locator("#dose-button").is_visible()
+
+
 def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
     """Of a page that nobody sees, and of one that lost its connection; then it hears anew."""
     hide = """(hidden) => {

@@ -181,7 +181,7 @@ def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
     assert "Stop, from 127.0.0.1" in event["what"]
 
 
-@pytest.mark.parametrize("action", ["release", "clear"])
+@pytest.mark.parametrize("action", ["release", "clear", "dose"])
 def test_nothing_is_released_unless_that_was_allowed_with_a_token(
     action: str, watched: Store
 ) -> None:
@@ -191,13 +191,23 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
-            assert request(port, "POST", f"/{action}", b"{}", **RIGHT).status == status
+            body = b'{"volume": 0.2}'
+            assert request(port, "POST", f"/{action}", body, **RIGHT).status == status
             if token:
-                assert request(port, "POST", f"/{action}", b"{}", **ACT).status == 401
+                assert request(port, "POST", f"/{action}", body, **ACT).status == 401
             another = {**RIGHT, "Sec_Fetch_Site": "cross-site"}
-            assert request(port, "POST", f"/{action}", b"{}", **another).status == 403
+            assert request(port, "POST", f"/{action}", body, **another).status == 403
     said = [event["what"].partition(",")[0] for event in shown(watched)["events"]]
     assert said == [action.capitalize()]
+
+
+@pytest.mark.parametrize("volume", ['""', '"0.2"', "null", "true", "[0.2]", "1" + 400 * "0"])
+def test_a_dose_without_a_volume_is_refused(volume: str, watched: Store) -> None:
+    watched.allow_release = True
+    with served(watched, "secret") as port:
+        answer = request(port, "POST", "/dose", f'{{"volume": {volume}}}'.encode(), **RIGHT)
+    assert (answer.status, answer.json()["sentence"]) == (400, "volume must be a number (m3)")
+    assert shown(watched)["events"] == []
 
 
 @pytest.mark.parametrize("method", ["PUT", "OPTIONS", "HEAD", "BREW"])

@@ -297,7 +297,7 @@ def answer(store: Store, feed: Feed) -> None:
         if store.allow_release:
             store.add_statuses(time.monotonic(), HELD)
         with suppress(queue.Empty):
-            action, asked = feed._asked.get(timeout=0.25)
+            action, _, asked = feed._asked.get(timeout=0.25)
             count += 1
             asked.set_result(f"asked {count} times, now for: {action}")
 

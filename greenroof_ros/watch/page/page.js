@@ -258,6 +258,10 @@ const showStop = (stop) => {
   byId("clear").hidden = !stop.clear_here && !stop.no_clear;
   setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
   byId("clear-button").hidden = !stop.clear_here;
+  byId("dose").hidden = stop.greatest_dose === null;
+  byId("dose-volume").max = stop.greatest_dose ?? 0;
+  setText(byId("no-dose"), stop.no_dose && `No dose now: ${stop.no_dose}.`);
+  byId("dose-label").hidden = byId("dose-button").hidden = !stop.dose_here;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
   // An answer is of its time: it goes when the pump was released, or stands at last.
@@ -301,16 +305,17 @@ const ACTIONS = {
   stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump stops" },
   release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump is released" },
   clear: { title: "Clear the fault?", yes: "Yes, clear the fault", then: "clear_then", doubt: "the fault is cleared" },
+  dose: { title: "Give a dose?", yes: "Yes, give the dose", then: "dose_then", doubt: "the dose is given" },
 };
 
-const act = async (name) => {
+const act = async (name, body) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
   answer("The pump node is asked ...", false);
   // A browser has six connections to a server, and each open page holds one: this page's is given up.
   stream.close();
   try {
-    const { ok, sentence } = await post(`/${name}`, {});
+    const { ok, sentence } = await post(`/${name}`, body);
     answer(sentence, !ok);
   } catch (error) {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
@@ -334,10 +339,17 @@ const acknowledge = async (id) => {
 };
 
 let asked = "stop";
+let askedBody = {};
 for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
   byId(`${name}-button`).addEventListener("click", () => {
+    const volume = byId("dose-volume").valueAsNumber;
+    if (name === "dose" && !(volume > 0 && volume <= shown.stop.greatest_dose)) {
+      answer(`A dose must be above 0 and at most ${shown.stop.greatest_dose} m³.`, true);
+      return;
+    }
     asked = name;
-    setText(byId("ask-title"), title);
+    askedBody = name === "dose" ? { volume } : {};
+    setText(byId("ask-title"), name === "dose" ? `${title.slice(0, -1)} of ${volume} m³?` : title);
     setText(byId("ask-yes"), yes);
     setText(byId("ask-sentence"), shown.stop[then]);
     byId("ask").showModal();
@@ -346,7 +358,7 @@ for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
 byId("ask-no").addEventListener("click", () => byId("ask").close());
 byId("ask-yes").addEventListener("click", () => {
   byId("ask").close();
-  act(asked);
+  act(asked, askedBody);
 });
 
 // Charts

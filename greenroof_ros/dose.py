@@ -1,0 +1,105 @@
+"""Have a volume delivered once: ``greenroof dose``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from contextlib import closing
+from typing import Any
+
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    command,
+    namespace,
+    within,
+)
+from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
+from greenroof_ros.watch import wire
+
+_PATIENCE_S = 20.0
+# For how long the pump node may say nothing before the dose counts as out of sight (s).
+_SILENT_S = 5.0
+_LOOK_S = 0.1
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof dose",
+        description="Have the pump deliver a volume once, now, whatever the controller commands: "
+        "where the site file allows it (greatest_dose) and nothing keeps the pump off, and never "
+        "above the roof's target. A dose that an interlock ends is over, and so is one that could "
+        "not begin within a minute. Ctrl-C ends this command, not the dose: stop the pump for that.",
+        epilog="example:\n  greenroof dose --volume 0.2\n\n"
+        "exit codes: 0 delivered, 1 refused or ended early, 2 bad usage",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--volume", type=within(0.001, 1e6), required=True, metavar="M3", help="to deliver (m3)"
+    )
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="of the graph, as bringup was given it (default: none)",
+    )
+    return parser
+
+
+class _Progress:
+    """What the pump node says of a dose.
+
+    Attributes:
+        dose: as it was said last; None before that.
+        heard: when that was (steady clock, s).
+    """
+
+    def __init__(self, pump: str, asked_at: float) -> None:
+        self.dose: dict[str, Any] | None = None
+        self.heard = time.monotonic()
+        self._pump, self._asked_at = pump, asked_at
+
+    def take(self, name: str, message: bytes, *_: Any) -> None:
+        """Take a message of the graph."""
+        if name != DIAGNOSTICS or (said := wire.statuses(message)) is None:
+            return
+        for status in said[1]:
+            if status.name == self._pump:
+                dose = json.loads(status.values.get("dose", "null"))
+                self.heard = time.monotonic()
+                if dose is not None and dose["id"] == self._asked_at:
+                    self.dose = dose
+
+
+@command
+def main() -> int:
+    """Ask for a dose, and say how far it is until its end."""
+    arguments = make_parser().parse_args()
+    pump = f"{arguments.namespace}/pump"
+    with importing_ros():
+        asked_at, shown = time.time(), ""
+        progress = _Progress(pump, asked_at)
+        with closing(Looker(arguments.namespace, progress.take)) as looker:
+            looker.prepare_stop(pump)
+            try:
+                looker.give_dose(arguments.volume, asked_at, _PATIENCE_S)
+            except StopFailedError as failure:
+                print(f"error: {failure}", file=sys.stderr)
+                return EXIT_FAILED
+            progress.heard = time.monotonic()
+            print(f"dose {asked_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
+            while progress.dose is None or not progress.dose["over"]:
+                looker.look(_LOOK_S)
+                if time.monotonic() - progress.heard > _SILENT_S:
+                    print(f"{pump} is not heard any more: whether the dose goes on is not known")
+                    return EXIT_FAILED
+                if progress.dose is not None and progress.dose["said"] != shown:
+                    shown = progress.dose["said"]
+                    print(shown, flush=True)
+    return EXIT_DONE if progress.dose["over"] == "done" else EXIT_FAILED
+
+
+if __name__ == "__main__":
+    main()

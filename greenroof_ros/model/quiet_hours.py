@@ -1,0 +1,105 @@
+"""Quiet hours: times of day in which the pump must stand, by the clock on the wall."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime, tzinfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+_SECOND_NS = 1_000_000_000
+_MINUTE_NS = 60 * _SECOND_NS
+_DAY_S, _DAY_MINUTES = 86_400, 1440
+# So many days are kept: more than a look-ahead reaches, with the days after its forecast.
+_MOST_DAYS = 60
+_INTERVAL = re.compile(r"(\d\d):([0-5]\d)-(\d\d):([0-5]\d)")
+
+
+class QuietHours:
+    """Intervals of the day in a time zone, in summer time too.
+
+    A minute is quiet if the clock on the wall shows a time within an interval. So an interval in
+    the hour that a clock skips in spring does not happen on that day, and one in the hour that it
+    repeats in autumn happens twice.
+    """
+
+    def __init__(self, intervals: Sequence[str], zone: tzinfo) -> None:
+        """Read the intervals.
+
+        Args:
+            intervals: such as ``22:00-06:00``; the first minute is quiet, the last one is not.
+            zone: of the clock.
+
+        Raises:
+            ValueError: an interval is none, or together they leave no time to pump.
+        """
+        self._zone = zone
+        self._by_clock = np.zeros(_DAY_MINUTES, dtype=bool)
+        clock = np.arange(_DAY_MINUTES)
+        for interval in intervals:
+            begin, end = _minutes(interval)
+            quiet = (begin <= clock, clock < end)
+            self._by_clock |= np.logical_and(*quiet) if begin < end else np.logical_or(*quiet)
+        if self._by_clock.all():
+            raise ValueError("they leave no time to pump")
+        self._days: dict[int, NDArray[np.bool_]] = {}
+
+    def quiet_at(self, time_ns: int) -> bool:
+        """Whether a time (ns since 1970) is in quiet hours."""
+        day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
+        return bool(self._day(day)[minute])
+
+    def end_after(self, time_ns: int) -> datetime:
+        """Return when the quiet hours end that a time (ns since 1970) is in, in the zone."""
+        day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
+        while self._day(day)[minute:].all():
+            day, minute = day + 1, 0
+        minute += int(self._day(day)[minute:].argmin())
+        return datetime.fromtimestamp(day * _DAY_S + minute * 60, self._zone)
+
+    def pumping_shares(self, time_ns: int, edges: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the share of each step in which the pump may run (1).
+
+        Args:
+            time_ns: when the first step begins (ns since 1970).
+            edges: ends of the steps (s from then), the first 0, shape (n + 1,).
+        """
+        first, since_midnight = divmod(time_ns, _DAY_S * _SECOND_NS)
+        ends = since_midnight / _SECOND_NS + edges
+        days = range(first, first + int(ends[-1] // _DAY_S) + 1)
+        may_pump = np.concatenate([~self._day(day) for day in days])
+        seconds = 60.0 * np.concatenate(([0], may_pump.cumsum()))
+        pumped = np.interp(ends, 60.0 * np.arange(len(seconds)), seconds)
+        return np.minimum(np.diff(pumped) / np.diff(edges), 1.0)
+
+    def _day(self, day: int) -> NDArray[np.bool_]:
+        """Return whether each minute of a day in UTC (since 1970) is quiet."""
+        known = self._days.get(day)
+        if known is None:
+            if len(self._days) >= _MOST_DAYS:
+                self._days.clear()
+            clocks = (
+                datetime.fromtimestamp(day * _DAY_S + 60 * minute, self._zone)
+                for minute in range(_DAY_MINUTES)
+            )
+            known = self._by_clock[[60 * clock.hour + clock.minute for clock in clocks]]
+            self._days[day] = known
+        return known
+
+
+def _minutes(interval: str) -> tuple[int, int]:
+    """Return begin and end of an interval, in minutes of the day.
+
+    Raises:
+        ValueError: it is none.
+    """
+    match = _INTERVAL.fullmatch(interval)
+    if match is None:
+        raise ValueError("it is no interval")
+    hour, minute, last_hour, last_minute = map(int, match.groups())
+    begin, end = 60 * hour + minute, 60 * last_hour + last_minute
+    if begin >= _DAY_MINUTES or end > _DAY_MINUTES or begin == end:
+        raise ValueError("it is no interval")
+    return begin, end

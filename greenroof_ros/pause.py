@@ -1,0 +1,69 @@
+"""Pause the pump until a date, over restarts: ``greenroof pause``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import closing
+
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, namespace
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import parse_time, to_people
+from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.looker import Looker, StopFailedError
+
+_PATIENCE_S = 20.0
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof pause",
+        description="Have the pump node keep the pump off until a date, after a restart too. The "
+        "pause ends by itself then; what else keeps the pump off stays. A pump that must not run "
+        "until somebody has looked is stopped instead (~/stop).",
+        epilog="examples:\n  greenroof pause --until 2026-12-24T08:00\n  greenroof pause --end\n\n"
+        "exit codes: 0 done, 1 the pump node did not do so, 2 bad usage",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--until", metavar="TIME",
+        help="a time to come (ISO 8601), of this machine's clock unless it says its offset from "
+        "UTC: 2026-12-24T08:00-05:00",
+    )
+    what.add_argument("--end", action="store_true", help="end the pause now")
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="of the graph, as bringup was given it (default: none)",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Pause the pump, or end its pause."""
+    arguments = make_parser().parse_args()
+    until, said = "", "the pause is over"
+    if not arguments.end:
+        try:
+            end = parse_time(arguments.until).astimezone()
+        except ValueError:
+            raise ConfigurationError(
+                "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
+            ) from None
+        until = end.isoformat(timespec="seconds")
+        said = f"the pump is paused until {to_people(end)}"
+    with importing_ros(), closing(Looker(arguments.namespace, lambda *_: None)) as looker:
+        looker.prepare_stop(f"{arguments.namespace}/pump")
+        try:
+            looker.pause_pump(until, _PATIENCE_S)
+        except StopFailedError as failure:
+            print(f"error: {failure}", file=sys.stderr)
+            return EXIT_FAILED
+    print(said)
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""What controllers make of quiet hours: all command 0 in them, and lookahead plans for them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paper import SLOW, weather_of
+
+from greenroof_ros.controllers.lookahead import Lookahead
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.closed_loop import Tick, closed_loop
+from greenroof_ros.experiment.run import Run, build_run
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.site import Site
+
+# The pump may run from 17:00 to 19:00 alone, as where people use the roof by day and sleep by it.
+EVENING = replace(SLOW, quiet_hours=("19:00-17:00",), time_zone="America/Toronto")
+# A run of 20 h from 18:00 on.
+START, HOURS = datetime.fromisoformat("2021-07-07T18:00-04:00"), 20
+BEGINS = 360  # ticks from the start to the quiet hours
+
+
+def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **given: float) -> Run:
+    """Build a run on a roof at three quarters of its target, with a forecast that comes true.
+
+    Args:
+        controller: its name.
+        rain: by the hour of the run (mm/h).
+        site: of the run.
+        given: parameters of the controller.
+    """
+    fallen = np.zeros(60)
+    for hour, depth in rain.items():
+        fallen[hour] = depth
+    choice = find_controller(controller)
+    parameters = {**choice.defaults(site), **given}
+    return build_run(
+        Path("site.yaml"), site, weather_of(fallen, 4.0, START), START.isoformat(), HOURS * 360,
+        choice, parameters, "custom", (70.0, 0.75 * site.x2_star), ForecastChoice(),
+    )
+
+
+def ticks_of(run: Run, site: Site | None = None) -> list[Tick]:
+    """Run it; the controller is made for another site, if one is given."""
+    controller = run.controller.make(site or run.site, run.parameters)
+    return list(closed_loop(run, controller, Metrics()))
+
+
+def deviation(ticks: list[Tick]) -> float:
+    return sum(abs(tick.x2 - SLOW.x2_star) for tick in ticks)
+
+
+@pytest.mark.parametrize(
+    "controller", ["onoff", "anticipating_onoff", "mpc", "lookahead"]
+)
+def test_no_controller_pumps_in_quiet_hours(controller: str) -> None:
+    """Each begins to pump before, on a roof that is never full, and goes on when they end."""
+    given = {"days_after": 0.0} if controller in ("lookahead", "anticipating_onoff") else {}
+    if controller == "onoff":
+        given["fraction"] = 0.001
+    site = replace(EVENING, quiet_hours=("18:30-19:00",), a_hat=-5.78e9)  # a pump that is weak
+    run = replace(run_of(controller, {}, site, **given), steps=720)
+    commands = [tick.command for tick in ticks_of(run)]
+    # mpc must not begin at once.
+    assert max(commands[:180]) > 0
+    assert commands[180:360] == [0.0] * 180
+    assert max(commands[360:]) > 0
+
+
+def test_without_quiet_hours_in_the_run_every_bit_is_as_without_any() -> None:
+    rain = {4: 2.0}
+    far = replace(EVENING, quiet_hours=("16:00-17:00",))
+    without = replace(SLOW, quiet_hours=None)
+    for controller in ("onoff", "mpc"):
+        ours, theirs = (ticks_of(run_of(controller, rain, site)) for site in (far, without))
+        assert ours == theirs
+
+
+LOOKAHEAD = {
+    "horizon": 24.0, "days_after": 0.0, "observer_time_constant": 0.0, "waiting_budget": math.inf,
+}
+
+
+def test_lookahead_fills_the_roof_before_quiet_hours() -> None:
+    """A little rain comes in them, and a dry day: what is left unfilled now stays so all day.
+
+    Without quiet hours in its plan it leaves room for that rain, and means to fill up later, when
+    it must not pump. On/off fills all of it, and has too much after the rain.
+    """
+    rain = {4: 2.0}
+    run = run_of("lookahead", rain, **LOOKAHEAD)
+    knows, alone = ticks_of(run), ticks_of(run, replace(EVENING, quiet_hours=None))
+    onoff = ticks_of(run_of("onoff", rain))
+    assert not any(tick.command for tick in [*knows[BEGINS:], *alone[BEGINS:], *onoff[BEGINS:]])
+    assert alone[BEGINS].x2 < 0.99 * knows[BEGINS].x2 < knows[BEGINS].x2 < onoff[BEGINS].x2
+    assert deviation(knows) < 0.95 * deviation(alone)
+    assert deviation(knows) < 0.95 * deviation(onoff)
+
+
+def test_its_plans_pump_nothing_in_quiet_hours() -> None:
+    """Each row whose step lies in quiet hours has no flow; a plan is made at their ends, too."""
+    site = replace(EVENING, quiet_hours=("19:00-20:00",), starts_per_hour=3600.0)
+    run = replace(run_of("lookahead", {1: 1.0, 3: 3.0}, site, **LOOKAHEAD), steps=1080)
+    controller = run.make_controller()
+    assert isinstance(controller, Lookahead)
+    planned, flows = set(), []
+    for tick in closed_loop(run, controller, Metrics()):
+        if not len(controller.plan):
+            continue
+        planned.add(tick.k)
+        ends = 10 * tick.k + np.concatenate(([0.0], controller.plan[:, 0]))
+        within = (ends[:-1] >= 3600) & (ends[1:] <= 7200)
+        assert not controller.plan[within, 1].any(), tick.k
+        flows += controller.plan[~within, 1].tolist()
+    assert {0, 360, 720} <= planned
+    assert max(flows) > 0

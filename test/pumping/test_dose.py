@@ -1,0 +1,194 @@
+"""A dose: delivered once and in full, or refused or given up for a reason that is said."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from paper import PAPER_SITE
+from pump_rig import Rig
+
+from greenroof_ros.pumping.limits import settings_for
+
+SITE = replace(PAPER_SITE, greatest_dose=0.5)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """Return a pump that has stood long enough to start, on a roof with room for 2.6 m3."""
+    return ready(Rig(x2=0.5, site=SITE))
+
+
+def ready(rig: Rig) -> Rig:
+    rig.run(15, 0.0)
+    return rig
+
+
+def ask(rig: Rig, volume: float = 0.2, age: float = 0.0) -> str:
+    return rig.control.ask_dose(time.time() - age, volume)
+
+
+def end(rig: Rig) -> tuple[str, str]:
+    dose = rig.control.dose
+    assert dose is not None
+    return dose.over, dose.cause
+
+
+@pytest.mark.parametrize("volume", [0.05, 0.2, 0.5])
+def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
+    """By the plant's own balance, within 3 % and what flows in a tick at the least flow."""
+    before = rig.plant.x2
+    assert ask(rig, volume) == ""
+    decision = rig.run(600, 0.0, until=lambda one: one.state == "running")
+    assert decision.why.startswith(f"a dose of {volume:g} m3: ")
+    rig.run(600, 0.0, until=lambda one: end(rig)[0] != "")
+    assert end(rig) == ("done", "")
+    rig.run(100, 0.0)
+    least_flow = 0.2 * rig.plant_flow(1.0)
+    assert rig.plant.x2 - before == pytest.approx(volume, rel=0.03, abs=least_flow)
+    assert rig.plant.x2 - before >= volume - 1e-6
+    assert rig.decisions[-1].state == "off"
+
+
+def test_the_controller_commands_on_after_it(rig: Rig) -> None:
+    assert ask(rig) == ""
+    rig.run(200, 0.5, until=lambda one: "dose" not in one.why and one.speed is not None)
+    assert rig.run(20, 0.5).why == "as commanded"
+
+
+def refusals() -> Iterator[tuple[str, float, float, str]]:
+    yield "no number", math.nan, 0.0, "must be above 0 and at most 0.5 m3"
+    yield "too large", 0.51, 0.0, "must be above 0 and at most 0.5 m3"
+    yield "infinite", math.inf, 0.0, "must be above 0 and at most 0.5 m3"
+    yield "nothing", 0.0, 0.0, "must be above 0 and at most 0.5 m3"
+    yield "negative", -0.2, 0.0, "must be above 0 and at most 0.5 m3"
+    yield "less than a pulse", 0.01, 0.0, "must be at least 0.0"
+    yield "too old", 0.2, 61.0, "61 s old and must be at most 60 s"
+    yield "of a time to come", 0.2, -10.0, "must be at most 60 s"
+    yield "of no time", 0.2, math.nan, "must be at most 60 s"
+    yield "before the node was started", 0.2, 30.0, "before the pump node was started"
+
+
+@pytest.mark.parametrize(
+    ("volume", "age", "words"), [case[1:] for case in refusals()],
+    ids=[case[0] for case in refusals()],
+)
+def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> None:
+    assert words in ask(rig, volume, age)
+    assert rig.control.dose is None
+    assert rig.run(30, 0.0).speed is None
+
+
+def test_a_site_that_does_not_allow_it_gives_none() -> None:
+    rig = ready(Rig(x2=0.5))
+    assert ask(rig) == rig.control.no_dose == "the site file allows no dose (greatest_dose)"
+    assert rig.run(30, 0.0).speed is None
+
+
+def test_before_anything_is_known_none_is_given() -> None:
+    assert "the pump may not run" in ask(Rig(site=SITE))
+
+
+def test_a_request_counts_once(rig: Rig) -> None:
+    """Neither repeated, nor one that was overtaken by a newer one, also of one that was refused."""
+    now = time.time()
+    assert rig.control.ask_dose(now, 0.1) == ""
+    rig.run(100, 0.0)
+    assert "made before the last one" in rig.control.ask_dose(now, 0.1)
+    assert "made before the last one" in rig.control.ask_dose(now - 0.001, 0.1)
+    assert "at least" in rig.control.ask_dose(now + 1, 0.001)
+    assert "made before the last one" in rig.control.ask_dose(now + 1, 0.1)
+
+
+def test_one_at_a_time(rig: Rig) -> None:
+    assert ask(rig, 0.2) == ""
+    rig.run(5, 0.0)
+    assert "another dose is under way: a dose: 0.0" in ask(rig, 0.3)
+    before = rig.plant.x2
+    rig.run(300, 0.0)
+    assert rig.plant.x2 - before < 0.22
+
+
+def test_what_cannot_begin_within_a_minute_expires() -> None:
+    """The least time off is longer. One that waits for less begins."""
+    for least_off, over in ((90.0, "expired"), (40.0, "")):
+        rig = Rig(x2=0.5, site=SITE, settings=settings_for(SITE, least_off=least_off))
+        rig.run(2, 0.0)
+        assert ask(rig) == ""
+        decision = rig.run(50, 0.0)
+        assert (decision.speed is None) == bool(over)
+        rig.run(12, 0.0)
+        assert end(rig)[0] == over
+    rig.run(60, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"frost": True}, "frost"), ({"roof_level": None}, "roof_level_unknown"),
+        ({"reasons": {"no_permit": "bringup has ended"}}, "no_permit"),
+        ({"command": None}, "command_unknown"), ({"command": math.nan}, "command_refused"),
+    ],
+)
+def test_any_interlock_ends_it_for_good(rig: Rig, change: dict[str, object], cause: str) -> None:
+    """Also one of the controller's command, which does not count otherwise."""
+    assert ask(rig, 0.5) == ""
+    assert rig.run(5, 0.0).speed is not None
+    rig.change = change
+    assert rig.step(0.0).speed is None
+    rig.change = {}
+    assert end(rig) == ("interlock", cause)
+    assert rig.run(120, 0.0, until=lambda one: one.speed is not None).speed is None
+
+
+def test_a_stop_a_pause_and_a_suspend_end_it_for_good(rig: Rig) -> None:
+    for act, undo, expected in (
+        (lambda: rig.control.stop(True), lambda: rig.control.stop(False),
+         ("interlock", "operator_stop")),
+        (lambda: rig.control.stop_on_page(True), lambda: rig.control.stop_on_page(False),
+         ("interlock", "page_stop")),
+        (lambda: rig.control.pause(time.time() + 3600), lambda: rig.control.pause(0.0),
+         ("interlock", "paused")),
+        (lambda: rig.suspend(30.0), lambda: None, ("unseen", "")),
+    ):
+        rig.run(30, 0.0)
+        assert ask(rig, 0.5) == ""
+        assert rig.run(5, 0.0).speed is not None
+        act()
+        rig.step(0.0)
+        assert end(rig) == expected
+        undo()
+        assert rig.run(60, 0.0, until=lambda one: one.speed is not None).speed is None
+
+
+def test_it_ends_at_the_roofs_target() -> None:
+    rig = ready(Rig(x2=SITE.x2_star - 0.1, site=SITE))
+    assert ask(rig, 0.5) == ""
+    rig.run(200, 0.0, until=lambda one: "dose" not in one.why)
+    assert end(rig)[0] == "full"
+    assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump delivers on its way to rest
+    assert "the roof is at its target" in rig.control.no_dose
+    assert "the roof is at its target" in ask(rig, 0.1)
+
+
+def test_the_limits_of_a_day_and_of_a_run_end_it() -> None:
+    """The controller's 0 does not end the rest of a pump that ran for too long in a dose."""
+    day = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_volume_per_day=0.3)))
+    assert ask(day, 0.5) == ""
+    day.run(300, 0.0, until=lambda one: bool(one.interlocks))
+    assert end(day) == ("interlock", "daily_volume")
+    run = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_run=20.0)))
+    assert ask(run, 0.5) == ""
+    run.run(40, 0.0, until=lambda one: bool(one.interlocks))
+    assert end(run) == ("interlock", "longest_run")
+
+
+def test_a_closed_valve_is_no_endless_dose(rig: Rig) -> None:
+    """A meter that reads nothing does not count: the flow that the speed should deliver does."""
+    rig.change, rig.arriving, rig.leaving = {"flow": 0.0}, 0.0, 0.0
+    assert ask(rig) == ""
+    rig.run(120, 0.0, until=lambda one: "dose" not in one.why and one.speed is None)
+    assert end(rig)[0] == "done"
