@@ -296,9 +296,20 @@ class Inputs:
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return some of the topics, by the role of who should publish them."""
-        topics = {name: one.topic for name, one in self.by_name.items()}
-        return by_publisher(names, topics, self._role)
+        """Return some of the topics, by the role of who should publish them.
+
+        Where the interface names two, the plant or a pump driver, it is the first of whom nothing
+        else is here.
+        """
+        here = {self._role} | {
+            one.topic.publishers[0] for name, one in self.by_name.items() if name not in names
+        }
+        roles: dict[str, list[str]] = {}
+        for name in names:
+            candidates = self.by_name[name].topic.publishers
+            role = next((role for role in candidates if role not in here), candidates[-1])
+            roles.setdefault(role, []).append(name)
+        return roles
 
     def say(self, silent: Mapping[str, Collection[str]]) -> str:
         """Name topics, and the nodes that should publish them."""
@@ -333,25 +344,3 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
         and any(other in roles and other != role for other in topic.publishers)
     }
     return set(roles) - waiting or set(roles)
-
-
-def by_publisher(
-    absent: Collection[str], topics: Mapping[str, Topic], own: str
-) -> dict[str, list[str]]:
-    """Return topics on which there is nothing, by the role of who should publish them.
-
-    Where the interface names two, the plant or a pump driver, it is the first of whom nothing else
-    is here.
-
-    Args:
-        absent: names of those topics.
-        topics: all that a node subscribes to, by name.
-        own: role of that node.
-    """
-    here = {own} | {topic.publishers[0] for name, topic in topics.items() if name not in absent}
-    roles: dict[str, list[str]] = {}
-    for name in absent:
-        candidates = topics[name].publishers
-        role = next((role for role in candidates if role not in here), candidates[-1])
-        roles.setdefault(role, []).append(name)
-    return roles

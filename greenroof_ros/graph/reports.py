@@ -18,12 +18,11 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.supervision import REPORT_PIPE, STARTING
+from greenroof_ros.graph.supervision import SOCKET, STARTING
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-_NO_PIPE = -1
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
@@ -71,7 +70,7 @@ class Reports:
     """
 
     def __init__(self, node: Node, role: str) -> None:
-        """Open the topic and, where a parent process wants reports, the pipe to it.
+        """Open the topic and, where a parent process wants reports, the socket to it.
 
         Args:
             node: whose state it is.
@@ -86,10 +85,10 @@ class Reports:
         self._role = role
         self._machine = socket.gethostname()
         self._process = f"{self._machine} {os.getpid()}"  # another one after a restart
-        self._pipe = int(os.environ.get(REPORT_PIPE, _NO_PIPE))
-        self.supervised = self._pipe != _NO_PIPE
+        self.supervised = SOCKET in os.environ
+        self._socket = int(os.environ[SOCKET]) if self.supervised else -1
         if self.supervised:
-            os.set_blocking(self._pipe, False)
+            os.set_blocking(self._socket, False)
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
@@ -145,9 +144,9 @@ class Reports:
                     }
                     for part, one in self.diagnoses.items()
                 }
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            with contextlib.suppress(BlockingIOError, ConnectionError):
                 line = json.dumps({"state": self.state, **values})
-                os.write(self._pipe, f"{line}\n".encode())
+                os.write(self._socket, f"{line}\n".encode())
 
 
 def _dated(

@@ -24,7 +24,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
-from greenroof_ros.graph.supervision import PERMIT_PIPE, PermitReader, read_report
+from greenroof_ros.graph.supervision import SOCKET, PermitReader, read_report
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, Supervisor
 
 TOO_LONG_S = 60
@@ -401,7 +401,7 @@ PERMITS = {
 def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
     """It lapses after two seconds; what is none is not taken for one; the next counts."""
     ours, theirs = os.pipe()
-    monkeypatch.setenv(PERMIT_PIPE, str(ours))
+    monkeypatch.setenv(SOCKET, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:
         reader = PermitReader()
         assert reader.missing(100.0) == NONE
