@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import signal
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -245,10 +246,9 @@ def _end(
 ) -> None:
     """Write the summary; print it if the run is done, or say how its bag is opened."""
     last = supervisor.last
-    refused: dict[str, int] = {}
+    refused: Counter[str] = Counter()
     for report in last.values():
-        for topic, count in report["refused"].items():
-            refused[topic] = refused.get(topic, 0) + count
+        refused.update(report["refused"])
     controller = last.get(run.controller.name, {})
     said: dict[str, Any] = {
         "refused": refused,

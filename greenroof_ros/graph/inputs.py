@@ -14,9 +14,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
 from greenroof_ros.graph.supervision import ROLES
-from greenroof_ros.pumping.input_rules import Verdict
+from greenroof_ros.pumping.input_rules import InputRules, Verdict
 
 # The name of a node and its other ends are known a moment after its publisher (s).
 DISCOVERY_S = 1.0
@@ -193,7 +194,10 @@ class Input:
         optional: live: whether the node acts without it.
         tolerates_second: lockstep: whether the node itself looks for a second publisher, which
             ends nothing.
+        rules: live: that its values must keep.
     """
+
+    rules: InputRules
 
     def __init__(
         self, publishers: Publishers, logger: Any, *,
@@ -247,6 +251,20 @@ class Input:
             self._refuse(float(wrong[0]), np.zeros(np.shape(value)))
         else:
             self.value, self.verdict = value, _GOOD
+
+    def judge(self) -> None:
+        """Judge the newest value by the rules of a live graph, as it is now."""
+        self.verdict = self.rules.judge(boot_time(), self.publishers.problem(time.monotonic()))
+
+    def refuse(self, why: str) -> None:
+        """Refuse the newest value in a live graph: who acts on it cannot.
+
+        Args:
+            why: a clause.
+        """
+        self.refused += 1
+        self.rules.refuse(boot_time(), f"was refused: {why}")
+        self.judge()
 
     def hand_on_to(self, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
         """Return what receives its messages and hands each value on."""

@@ -219,20 +219,6 @@ class LinkedNode(NoClockSubscription, Node):
             publishers.profile(), raw=True, event_callbacks=publishers.events(),
         )
 
-    def rivals(self, name: str) -> Callable[[float], str]:
-        """Watch whether another node of a live graph publishes what this one does.
-
-        Args:
-            name: of the topic in the interface.
-
-        Returns:
-            What says that there is one, at a time of the steady clock (s); empty where there is
-            none.
-        """
-        publishers = Publishers(self, self.interface[name], live=True)
-        self._open(publishers, lambda message: None)
-        return publishers.said
-
     @property
     def run_length(self) -> int | None:
         """N of the run that the node takes part in; None before the plant has said it."""
@@ -262,15 +248,6 @@ class LinkedNode(NoClockSubscription, Node):
         """Whether no input's present value was refused, or, live, breaks another rule."""
         self._trigger.judge()
         return all(one.good for one in self.inputs.by_name.values() if not one.optional)
-
-    def refuse(self, name: str, why: str) -> None:
-        """Refuse the newest value of an input in a live graph: it cannot be acted on.
-
-        Args:
-            name: of the topic in the interface.
-            why: a clause.
-        """
-        cast(Live, self._trigger).refuse(name, why)
 
     def diagnose(
         self, part: str, level: bytes, message: str, code: str = "", cause: str = ""

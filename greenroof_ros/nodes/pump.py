@@ -300,7 +300,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._meter: Input | None = None
         if self.live:
             self._meter = self.subscribe(_METER, optional=True)
-            self._rival = self.rivals("/pump/flow")
+            self._own_flow = self.subscribe("/pump/flow", optional=True)
         else:
             self.subscribe(CLOCK, self.set_time)
         self.open_outputs("/pump/flow", "/pump/state")
@@ -535,7 +535,7 @@ class PumpNode(Lifecycle, LinkedNode):
         reasons["two_controllers"] = self._command.publishers.said(time.monotonic())
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons["two_pumps"] = self._rival(time.monotonic())
+            reasons["two_pumps"] = self._own_flow.publishers.said(time.monotonic())
         reasons["no_command"] = self._silence()
         return reasons
 

@@ -25,7 +25,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
 from greenroof_ros.graph.supervision import SOCKET, PermitReader, read_report
-from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, Supervisor
+from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
 
 TOO_LONG_S = 60
 
@@ -54,7 +54,7 @@ class Site:
 
     def add(self, *nodes: str) -> None:
         for node in nodes:
-            self.supervisor.add(node, "small_node", node, str(self.marks))
+            self.supervisor.add(NodeStart(node, "small_node", (node, str(self.marks))))
 
     def until(self, condition: Callable[[], object], seconds: float = TOO_LONG_S) -> None:
         """Supervise until something holds."""
@@ -252,7 +252,7 @@ def test_a_recorder_ends_nothing(here: Site) -> None:
     """It is tried again, ever more seldom; the pump waits for what others wait for, not for it."""
     (here.marks / "weather-waits").touch()
     here.add("weather", "pump")
-    here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
+    here.supervisor.add(NodeStart("recorder", "small_node", ("wrong", str(here.marks))))
     here.until(lambda: here.supervisor.inhibit == "weather is starting")
     (here.marks / "weather-waits").unlink()
     here.until_ready()
@@ -325,7 +325,7 @@ def test_a_start_for_which_there_are_too_few_files(here: Site, files: int) -> No
     gc.collect()  # what an earlier test left open is not closed in between
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
-        nodes.start("weather", "small_node", "weather", str(here.marks))
+        nodes.start(NodeStart("weather", "small_node", ("weather", str(here.marks))))
     assert _open_files() == before
 
 
