@@ -13,7 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
 from greenroof_ros.graph.supervision import ROLES
@@ -335,6 +335,15 @@ class Inputs:
             f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role, names)}"
             for role, names in silent.items()
         )
+
+    def causes(self, awaited: Collection[str]) -> str:
+        """Name topics that are awaited, and the nodes that should publish them.
+
+        Those of a node that waits itself for another one of them are left out.
+        """
+        silent = self.by_role([name for name in self.by_name if name in awaited])
+        causes = root_causes(silent, read_topics().values())
+        return self.say({role: silent[role] for role in silent if role in causes})
 
     def call(self, role: str, names: Iterable[str]) -> str:
         """Return what to call the node of a role: its name, where it publishes one of some topics.

@@ -199,7 +199,7 @@ class Live:
         """In what time the node acts next (s)."""
         return max(0.0, self._due - boot_time())
 
-    def look(self, _now: float) -> None:
+    def look(self) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
         now = boot_time()
         self._note_pause(now)

@@ -44,7 +44,7 @@ KILLING_S = 5.0
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
 # How often the pump node is told whether it may run (s).
-_PERMIT_S = 0.25
+PERMIT_S = 0.25
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
 # Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
@@ -242,9 +242,10 @@ class Supervisor:
         name = node.name
         if name not in self._logs:
             self._logs[name] = _log_file(self._directory / f"{name}.log")
-        with contextlib.ExitStack() as its_ends, contextlib.ExitStack() as our_ends:
-            ours, its = _socket(our_ends, its_ends)
-            printed, printing = _socket(our_ends, its_ends)
+        with contextlib.ExitStack() as ends:
+            ours, its, printed, printing = (
+                ends.enter_context(end) for _ in range(2) for end in socket.socketpair()
+            )
             process = subprocess.Popen(
                 [sys.executable, "-m", node.module, *node.arguments, *self._ros_arguments],
                 stdin=subprocess.DEVNULL,
@@ -256,7 +257,9 @@ class Supervisor:
                 pass_fds=[its.fileno()],
                 start_new_session=True,
             )
-            our_ends.pop_all()
+            ends.pop_all()
+        for end in (its, printing):
+            end.close()
         self.nodes[name] = heard = NodeProcess(process, ours, self._logs[name])
         self._ears.register(ours, selectors.EVENT_READ, heard.hear)
         self._ears.register(printed, selectors.EVENT_READ, heard.log)
@@ -268,7 +271,7 @@ class Supervisor:
             inhibit: why it may not; empty where it may.
         """
         now, node = boot_time(), self.nodes.get(PUMP)
-        if node and (inhibit != self._inhibit or now - self._permitted >= _PERMIT_S):
+        if node and (inhibit != self._inhibit or now - self._permitted >= PERMIT_S):
             self._permitted, self._inhibit = now, inhibit
             line = json.dumps({"inhibit": inhibit, "at": now})
             with contextlib.suppress(OSError):  # it does not read, or has ended
@@ -384,14 +387,6 @@ def _log_file(path: Path) -> RotatingFileHandler:
     )
     log.terminator = ""
     return log
-
-
-def _socket(
-    our_ends: contextlib.ExitStack, its_ends: contextlib.ExitStack
-) -> tuple[socket.socket, socket.socket]:
-    """Open a socket between this process and another; each end is closed with its stack."""
-    ours, its = socket.socketpair()
-    return our_ends.enter_context(ours), its_ends.enter_context(its)
 
 
 @dataclass

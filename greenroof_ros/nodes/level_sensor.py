@@ -15,7 +15,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.sensor_file import TANKS, default_sensors, read_sensors
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import STALE
@@ -55,7 +55,7 @@ class LevelSensorNode(LinkedNode):
         self._reader = LevelSensor(self._sensor)
         self._reader.start()
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Publish a new reading that is good; say why another one is not."""
         reading, now = self._reader.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > _PERIODS * self._sensor.period:
@@ -71,7 +71,6 @@ class LevelSensorNode(LinkedNode):
             if reading.level is not None:
                 self.publish(self._topic, reading.level)
             self.say("sensor", reading.problem, "the sensor is read", "sensor_lost")
-        return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows."""

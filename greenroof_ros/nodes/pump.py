@@ -38,7 +38,7 @@ from greenroof_ros.graph.lifecycle import (
     RefusedError,
     transition,
 )
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK, RunIdentity
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
@@ -470,7 +470,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._levels.expect(self._decision.flow)
         self.publish("/pump/flow", self._decision.flow)
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Stop where something speaks against running, whether or not commands come."""
         now = boot_time()
         if not self.live:
@@ -494,7 +494,6 @@ class PumpNode(Lifecycle, LinkedNode):
             self._looked_at = now
             self._take_state()
             self._diagnose(now)
-        return LISTEN_S
 
     def _look_for_suspend(self, now: float) -> None:
         """Say, for a minute, that the machine was suspended while the pump was on."""
