@@ -53,7 +53,7 @@ class Peers:
         if now - self._counted < _COUNT_S:
             return
         self._counted = now
-        alone = not node.reports.supervised
+        alone = not node.reports.supervisor.given
         if node.reports.state == FINISHED:
             # The plant leaves first: until then somebody may need what the node said.
             self.over = alone and node.all_arrived() and (

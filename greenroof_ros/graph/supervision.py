@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 # The states of a node: not all its peers are there; they are; the run is over; so is the process.
@@ -96,14 +96,12 @@ def read_report(line: bytes) -> dict[str, Any] | None:
     return {"warnings": [], "refused": {}, **said}
 
 
-# --- the permit by which the pump node may run ----------------------------------------------------
-
-
-class PermitReader:
-    """The pump node's end: whether bringup lets it run.
+class SupervisorSocket:
+    """A node's end: what it reports, and for the pump node whether bringup lets the pump run.
 
     Attributes:
-        given: whether bringup started the node; otherwise it needs no permit.
+        given: whether who started the node wants its reports, and ends it; otherwise the pump
+            needs no permit.
     """
 
     def __init__(self) -> None:
@@ -115,6 +113,16 @@ class PermitReader:
         self._ended = False
         self._inhibit = ""
         self._at: float | None = None
+
+    def report(self, said: Mapping[str, Any]) -> None:
+        """Report, to who wants that.
+
+        A reader that is stopped must not stop the node: what does not fit is dropped, and said
+        again a moment later.
+        """
+        if self.given:
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                os.write(self._socket, f"{json.dumps(said)}\n".encode())
 
     def missing(self, now: float) -> str:
         """Return why the pump may not run; empty where it may.

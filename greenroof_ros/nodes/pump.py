@@ -43,7 +43,6 @@ from greenroof_ros.graph.live import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK, RunIdentity
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
-from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
@@ -277,7 +276,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._drive_stops_after = math.inf
         self._ledger = Ledger(self._state_file, time.time)
         self._begin()
-        self._permit = PermitReader()
+        self._permit = self.reports.supervisor
         self._decision = Decision(
             None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,

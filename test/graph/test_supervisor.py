@@ -24,7 +24,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
-from greenroof_ros.graph.supervision import SOCKET, PermitReader, read_report
+from greenroof_ros.graph.supervision import SOCKET, SupervisorSocket, read_report
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
 
 TOO_LONG_S = 60
@@ -403,7 +403,7 @@ def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> 
     ours, theirs = os.pipe()
     monkeypatch.setenv(SOCKET, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:
-        reader = PermitReader()
+        reader = SupervisorSocket()
         assert reader.missing(100.0) == NONE
         end.write(f"{line}\n".encode())
         fresh, late = PERMITS[line]
