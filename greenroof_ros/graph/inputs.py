@@ -332,7 +332,7 @@ class Inputs:
     def say(self, silent: Mapping[str, Collection[str]]) -> str:
         """Name topics, and the nodes that should publish them."""
         return "; ".join(
-            f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role, names)}"
+            f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role)}"
             for role, names in silent.items()
         )
 
@@ -345,14 +345,16 @@ class Inputs:
         causes = root_causes(silent, read_topics().values())
         return self.say({role: silent[role] for role in silent if role in causes})
 
-    def call(self, role: str, names: Iterable[str]) -> str:
-        """Return what to call the node of a role: its name, where it publishes one of some topics.
+    def call(self, role: str) -> str:
+        """Return what to call the node of a role: its name, where it publishes one of the topics.
 
         Args:
             role: of the interface.
-            names: of topics.
         """
-        found = [node for name in names for node in self.by_name[name].publishers.names()]
+        found = [
+            node for one in self.by_name.values() if role in one.topic.publishers
+            for node in one.publishers.names()
+        ]
         return found[0] if found else self.names.get(role, role)
 
 

@@ -80,16 +80,11 @@ class Peers:
 
     def _say_missing(self, now: float) -> None:
         """Say who is missing before the run: once that lasts, and again and again."""
-        node = self._node
-        inputs = node.inputs.by_name
-        missing = sorted(
-            node.inputs.call(role, [n for n, one in inputs.items() if role in one.topic.publishers])
-            for role in self._waiting()
-        )
+        missing = sorted(map(self._node.inputs.call, self._waiting()))
         if missing != self._missing:
             self._missing, self._say_at = missing, now + _PATIENCE_S
         if now > self._say_at:
-            node.get_logger().info(
+            self._node.get_logger().info(
                 f"waiting for {', '.join(missing)}" if missing else "all nodes are here"
             )
             self._say_at = now + _AGAIN_S if missing else math.inf
