@@ -49,17 +49,17 @@ _AT_REST = 0.5
 # What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
-# Of each topic that it must know to run, what it says.
-_KNOWN = {
-    "/weather/frost": "frost", "/cistern/level": "the cistern's level",
-    "/roof/level": "the roof's level",
-}
 # For what it must stop while the command goes on: what is said, when that is, and when it is over.
 _STOPS = (
     ("/weather/frost", 1.0, "in frost", "the frost is over"),
-    *(
-        (topic, math.nan, f"while {what} is unknown, NaN", f"{what} is known")
-        for topic, what in _KNOWN.items()
+    ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
+    (
+        "/cistern/level", math.nan, "while the cistern's level is unknown, NaN",
+        "the cistern's level is known",
+    ),
+    (
+        "/roof/level", math.nan, "while the roof's level is unknown, NaN",
+        "the roof's level is known",
     ),
 )
 # The cistern begins with so much water above the suction level (m3), enough for all checks but the
