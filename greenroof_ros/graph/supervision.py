@@ -72,7 +72,7 @@ def read_socket(number: int) -> bytes:
         BlockingIOError: nothing waits.
     """
     try:
-        return os.read(number, 1 << 20)
+        return os.read(number, 1 << 18)  # more than waits in one
     except ConnectionResetError:  # it ended with something unread
         return b""
 
