@@ -235,7 +235,9 @@ def test_a_node_that_fails_again_and_again_is_given_up(
     here: Site, kind: str, code: int, tried: int, reason: str
 ) -> None:
     """After 1 and 2 s; the third end is the last, and says so. A wrong parameter stays wrong."""
-    here.add("weather", kind)
+    here.add("weather")
+    here.until(lambda: here.starts("weather"))
+    here.add(kind)
     with pytest.raises(NodeFailed) as failed:
         here.until(lambda: False)
     here.end()
