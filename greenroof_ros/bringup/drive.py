@@ -6,7 +6,7 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from greenroof_ros.drives.placed import Placed, place_drive
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.supervision import PUMP
-from greenroof_ros.graph.supervisor import StopDrive
+from greenroof_ros.graph.supervisor import NodeStart, StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 from greenroof_ros.watch.beside import watcher
 
@@ -304,13 +304,13 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
 
 
 def own_parameters(
-    arguments: argparse.Namespace, nodes: Mapping[str, str], controller: ControllerChoice
+    arguments: argparse.Namespace, nodes: Sequence[NodeStart], controller: ControllerChoice
 ) -> list[Path]:
     """Return the parameter file of a user's own, if there is one.
 
     Args:
         arguments: the command line.
-        nodes: of each node that is started the module.
+        nodes: that are started.
         controller: of the graph.
 
     Raises:
@@ -324,6 +324,6 @@ def own_parameters(
     refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
     with importing_ros():
         from greenroof_ros.graph.parameters import refuse_unknown_in
-    whole = {f"{arguments.namespace}/{name}": module for name, module in nodes.items()}
+    whole = {f"{arguments.namespace}/{node.name}": node.module for node in nodes}
     refuse_unknown_in(file, whole, controller, _OF_BRINGUP)
     return [file]

@@ -51,7 +51,7 @@ def wait_for_drive(
     said: dict[str, Any] = {}
     while not said.get("active"):
         signals.check()
-        supervisor.permit.tell("waiting for nodes")
+        supervisor.permit("waiting for nodes")
         supervisor.listen()
         said = supervisor.last.get(PUMP, {})
         diagnoses = said.get("diagnoses", {})

@@ -73,7 +73,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
-    own = own_parameters(arguments, {node.name: node.module for node in nodes}, site.controller)
+    own = own_parameters(arguments, nodes, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
@@ -92,7 +92,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             record.write(summary.RUNNING)
             with supervisor:
                 for node in nodes:
-                    supervisor.add(node.name, node.module, *node.arguments)
+                    supervisor.add(node)
                 _keep_up(site, supervisor, record, start, signals)
         except Exception as error:  # whatever it is, the summary must not say that the site runs
             signals.ignore()

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.bringup.drive import (
     EXTERNAL,
@@ -24,27 +23,11 @@ from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, 
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.supervision import PUMP, RECORDER
+from greenroof_ros.graph.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
 # Size of one file of the bag (MB), where the whole may be ten times that.
 _BAG_FILE_MB = 100.0
-
-
-@dataclass(frozen=True)
-class LiveNode:
-    """A node of a live site.
-
-    Attributes:
-        name: of the node.
-        module: that it is.
-        arguments: of its command line.
-        parameters: that bringup decides.
-    """
-
-    name: str
-    module: str
-    arguments: tuple[str, ...]
-    parameters: dict[str, Any]
 
 
 class LiveSite:
@@ -138,7 +121,7 @@ class LiveSite:
             "fetch_url": self.fetch_url,
         }
 
-    def nodes(self, state: Path, place: Path) -> Iterator[LiveNode]:
+    def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:
         """Return its nodes.
 
         Args:
@@ -149,12 +132,12 @@ class LiveSite:
         common = {"live": True, "site_file": str(kept["site"])}
         if self.sensed is not None:
             for section in self.sensed.by_section:
-                yield LiveNode(
+                yield NodeStart(
                     QUANTITIES[section].node, "greenroof_ros.nodes.sensor", ("--of", section),
                     {"sensors_file": str(kept["sensors"])},
                 )
         if self.weather:
-            yield LiveNode(
+            yield NodeStart(
                 "weather", "greenroof_ros.nodes.weather", (),
                 {
                     **common,
@@ -164,7 +147,7 @@ class LiveSite:
                     "all_members": self.controller.ensemble,
                 },
             )
-        yield LiveNode(
+        yield NodeStart(
             self.controller.name, "greenroof_ros.nodes.controller",
             ("--controller", self.controller.reference),
             {
@@ -175,12 +158,12 @@ class LiveSite:
         )
         if self.drive is not None:
             drive = replace(self.drive, file=kept["drive"])
-            yield LiveNode(
+            yield NodeStart(
                 PUMP, "greenroof_ros.nodes.pump", (),
                 {**common, **drive.parameters(state / "pump.json")},
             )
         if self.bag_limit is not None:
-            yield LiveNode(
+            yield NodeStart(
                 RECORDER, "greenroof_ros.nodes.live_recorder", (),
                 {
                     "directory": str(state / "bag"),

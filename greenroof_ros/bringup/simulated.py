@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import signal
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import FINISHED, PUMP, READY, RECORDER, ROLES
-from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
+from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, NodeStart, Supervisor
 from greenroof_ros.recording.bag_reader import count_ticks
 
 _NODES = "greenroof_ros.nodes"
@@ -102,13 +103,14 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     drive = chosen_drive(arguments)
     stop_drive = drive.stopper() if drive is not None else None
-    nodes = {
-        **({PUMP: f"{_NODES}.pump"} if drive is not None else {}),
-        "plant": f"{_NODES}.plant",
-        "weather": f"{_NODES}.weather",
-        run.controller.name: f"{_NODES}.controller",
-        **({RECORDER: f"{_NODES}.recorder"} if not arguments.no_record else {}),
-    }
+    of_controller = ("--controller", run.controller.reference)
+    nodes = [
+        *([] if drive is None else [NodeStart(PUMP, f"{_NODES}.pump")]),
+        NodeStart("plant", f"{_NODES}.plant"),
+        NodeStart("weather", f"{_NODES}.weather"),
+        NodeStart(run.controller.name, f"{_NODES}.controller", of_controller),
+        *([] if arguments.no_record else [NodeStart(RECORDER, f"{_NODES}.recorder")]),
+    ]
     own = own_parameters(arguments, nodes, run.controller)
     speed = arguments.speed
     if speed is None:  # in the loop as a real drive, else as fast as it goes
@@ -117,7 +119,8 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         drive.refuse_speed(speed, signals.check)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
-            arguments.namespace, {*nodes, RECORDER, *controller_names()}, signals.check
+            arguments.namespace, {*(node.name for node in nodes), RECORDER, *controller_names()},
+            signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         of_drive = {} if drive is None else drive_parameters(
@@ -145,13 +148,10 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         try:
             with supervisor, progress:
-                if drive is not None:
-                    supervisor.start(PUMP, nodes.pop(PUMP))
-                    wait_for_drive(supervisor, signals, str(of_drive["state_file"]), progress)
-                for name, module in nodes.items():
-                    of_controller = name == run.controller.name
-                    chosen = ["--controller", run.controller.reference] if of_controller else []
-                    supervisor.start(name, module, *chosen)
+                for node in nodes:
+                    supervisor.start(node)
+                    if node.name == PUMP:
+                        wait_for_drive(supervisor, signals, str(of_drive["state_file"]), progress)
                 _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
         except InterruptedRun as error:
             signals.ignore()
@@ -195,7 +195,7 @@ def _watch(
     waiting, running, tick = set(supervisor.nodes), set(supervisor.nodes), -1
     while running:
         signals.check()
-        supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
+        supervisor.permit("waiting for nodes" if waiting - {RECORDER} else "")
         supervisor.listen()
         last = supervisor.last
         waiting -= {name for name in last if last[name]["state"] in (READY, FINISHED)}
@@ -246,10 +246,9 @@ def _end(
 ) -> None:
     """Write the summary; print it if the run is done, or say how its bag is opened."""
     last = supervisor.last
-    refused: dict[str, int] = {}
+    refused: Counter[str] = Counter()
     for report in last.values():
-        for topic, count in report["refused"].items():
-            refused[topic] = refused.get(topic, 0) + count
+        refused.update(report["refused"])
     controller = last.get(run.controller.name, {})
     said: dict[str, Any] = {
         "refused": refused,

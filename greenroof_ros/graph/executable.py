@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -38,6 +39,7 @@ from greenroof_ros.graph.domain import (
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
+from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.site import Site
 
@@ -195,10 +197,13 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             _run_in_batches()
         executor = SingleThreadedExecutor() if node.live else make_executor()
         begin_to_listen(executor, node)
-        while not node.over:
+        peers = None if node.live else Peers(node)
+        while peers is None or not peers.over:
             signals.check()
             executor.spin_once(timeout_sec=node.listen_s())
             node.check()
+            if peers is not None:
+                peers.look(time.monotonic())
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         code, failure = exit_code(error), str(error)

@@ -13,10 +13,11 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
 from greenroof_ros.graph.supervision import ROLES
-from greenroof_ros.pumping.input_rules import Verdict
+from greenroof_ros.pumping.input_rules import InputRules, Verdict
 
 # The name of a node and its other ends are known a moment after its publisher (s).
 DISCOVERY_S = 1.0
@@ -193,7 +194,10 @@ class Input:
         optional: live: whether the node acts without it.
         tolerates_second: lockstep: whether the node itself looks for a second publisher, which
             ends nothing.
+        rules: live: that its values must keep.
     """
+
+    rules: InputRules
 
     def __init__(
         self, publishers: Publishers, logger: Any, *,
@@ -248,6 +252,20 @@ class Input:
         else:
             self.value, self.verdict = value, _GOOD
 
+    def judge(self) -> None:
+        """Judge the newest value by the rules of a live graph, as it is now."""
+        self.verdict = self.rules.judge(boot_time(), self.publishers.problem(time.monotonic()))
+
+    def refuse(self, why: str) -> None:
+        """Refuse the newest value in a live graph: who acts on it cannot.
+
+        Args:
+            why: a clause.
+        """
+        self.refused += 1
+        self.rules.refuse(boot_time(), f"was refused: {why}")
+        self.judge()
+
     def hand_on_to(self, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
         """Return what receives its messages and hands each value on."""
 
@@ -296,25 +314,47 @@ class Inputs:
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return some of the topics, by the role of who should publish them."""
-        topics = {name: one.topic for name, one in self.by_name.items()}
-        return by_publisher(names, topics, self._role)
+        """Return some of the topics, by the role of who should publish them.
+
+        Where the interface names two, the plant or a pump driver, it is the first of whom nothing
+        else is here.
+        """
+        here = {self._role} | {
+            one.topic.publishers[0] for name, one in self.by_name.items() if name not in names
+        }
+        roles: dict[str, list[str]] = {}
+        for name in names:
+            candidates = self.by_name[name].topic.publishers
+            role = next((role for role in candidates if role not in here), candidates[-1])
+            roles.setdefault(role, []).append(name)
+        return roles
 
     def say(self, silent: Mapping[str, Collection[str]]) -> str:
         """Name topics, and the nodes that should publish them."""
         return "; ".join(
-            f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role, names)}"
+            f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role)}"
             for role, names in silent.items()
         )
 
-    def call(self, role: str, names: Iterable[str]) -> str:
-        """Return what to call the node of a role: its name, where it publishes one of some topics.
+    def causes(self, awaited: Collection[str]) -> str:
+        """Name topics that are awaited, and the nodes that should publish them.
+
+        Those of a node that waits itself for another one of them are left out.
+        """
+        silent = self.by_role([name for name in self.by_name if name in awaited])
+        causes = root_causes(silent, read_topics().values())
+        return self.say({role: silent[role] for role in silent if role in causes})
+
+    def call(self, role: str) -> str:
+        """Return what to call the node of a role: its name, where it publishes one of the topics.
 
         Args:
             role: of the interface.
-            names: of topics.
         """
-        found = [node for name in names for node in self.by_name[name].publishers.names()]
+        found = [
+            node for one in self.by_name.values() if role in one.topic.publishers
+            for node in one.publishers.names()
+        ]
         return found[0] if found else self.names.get(role, role)
 
 
@@ -333,25 +373,3 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
         and any(other in roles and other != role for other in topic.publishers)
     }
     return set(roles) - waiting or set(roles)
-
-
-def by_publisher(
-    absent: Collection[str], topics: Mapping[str, Topic], own: str
-) -> dict[str, list[str]]:
-    """Return topics on which there is nothing, by the role of who should publish them.
-
-    Where the interface names two, the plant or a pump driver, it is the first of whom nothing else
-    is here.
-
-    Args:
-        absent: names of those topics.
-        topics: all that a node subscribes to, by name.
-        own: role of that node.
-    """
-    here = {own} | {topic.publishers[0] for name, topic in topics.items() if name not in absent}
-    roles: dict[str, list[str]] = {}
-    for name in absent:
-        candidates = topics[name].publishers
-        role = next((role for role in candidates if role not in here), candidates[-1])
-        roles.setdefault(role, []).append(name)
-    return roles

@@ -53,10 +53,9 @@ class LinkedNode(NoClockSubscription, Node):
     Attributes:
         role: what the interface calls it: its name, or ``controller``.
         live: whether its graph is live.
+        lockstep: what makes it act, in a simulation.
         error: why the node cannot go on.
         acted: whether the run has begun for the node.
-        over: whether the node may end by itself: nobody supervises it, the run is over, and all
-            that it said has arrived.
         inputs: what it subscribes to.
         interface: every topic of the graph, by name.
         reports: what it says of itself.
@@ -83,7 +82,6 @@ class LinkedNode(NoClockSubscription, Node):
         self.live: bool = declare(self, [LIVE])["live"] if live is None else live
         self.error: Exception | None = None
         self.acted = False
-        self.over = False
         self.interface = read_live_topics() if self.live else read_topics()
         self.inputs = Inputs(role)
         self._heard: list[Publishers] = []  # of all that it subscribes to
@@ -93,9 +91,8 @@ class LinkedNode(NoClockSubscription, Node):
         self._reported = self._warned = self._looked = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
-        self._trigger: Live | Lockstep = (
-            Live(self, self.act, self.diagnose) if self.live else Lockstep(self)
-        )
+        self.lockstep = Lockstep(role, self.act, self.finish)
+        self._live = Live(self, self.act, self.diagnose) if self.live else None
         self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, not self.live)])
         self._ros_clock = cast(ROSClock, self.get_clock())
         self.reports = Reports(self, role)
@@ -104,13 +101,8 @@ class LinkedNode(NoClockSubscription, Node):
             decode = decoder(run.topic.type)
             self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
 
-    @property
-    def lockstep(self) -> Lockstep:
-        """What makes it act, in a simulation."""
-        return cast(Lockstep, self._trigger)
-
     def act(self) -> None:
-        """Act: the trigger says that it is time to."""
+        """Act: it is time to."""
         self.acted = True
         self.on_inputs()
 
@@ -119,13 +111,8 @@ class LinkedNode(NoClockSubscription, Node):
     def on_inputs(self) -> None:
         """Act: every input is fresh, or, live, it is time; see :attr:`good`."""
 
-    def on_idle(self) -> float:
-        """Look at what is due between messages; called every 50 ms at least.
-
-        Returns:
-            How long the node may wait for the next message (s).
-        """
-        return LISTEN_S
+    def on_idle(self) -> None:
+        """Look at what is due between messages; called every 50 ms at least."""
 
     def on_stop(self) -> None:
         """Put away what is open; called once at the end, whatever the reason."""
@@ -152,7 +139,8 @@ class LinkedNode(NoClockSubscription, Node):
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(file.resolve())}
         site = read_site(file)
-        self._trigger.act_every(site.tau)
+        if self._live:
+            self._live.act_every(site.tau)
         return site
 
     def set_time(self, time_ns: int) -> None:
@@ -194,7 +182,10 @@ class LinkedNode(NoClockSubscription, Node):
             publishers, self.get_logger(), optional=optional, tolerates_second=tolerates_second
         )
         self.inputs.by_name[name] = entry
-        self._open(publishers, self._trigger.receiver(entry, level, callback))
+        self._open(publishers, (
+            self._live.receiver(entry, level, callback) if self._live
+            else self.lockstep.receiver(entry, callback)
+        ))
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
@@ -219,24 +210,10 @@ class LinkedNode(NoClockSubscription, Node):
             publishers.profile(), raw=True, event_callbacks=publishers.events(),
         )
 
-    def rivals(self, name: str) -> Callable[[float], str]:
-        """Watch whether another node of a live graph publishes what this one does.
-
-        Args:
-            name: of the topic in the interface.
-
-        Returns:
-            What says that there is one, at a time of the steady clock (s); empty where there is
-            none.
-        """
-        publishers = Publishers(self, self.interface[name], live=True)
-        self._open(publishers, lambda message: None)
-        return publishers.said
-
     @property
     def run_length(self) -> int | None:
         """N of the run that the node takes part in; None before the plant has said it."""
-        run = None if self.live else self.lockstep.run
+        run = self.lockstep.run
         return None if run is None else round(run.last_tick)
 
     def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
@@ -260,17 +237,9 @@ class LinkedNode(NoClockSubscription, Node):
     @property
     def good(self) -> bool:
         """Whether no input's present value was refused, or, live, breaks another rule."""
-        self._trigger.judge()
+        if self._live:
+            self._live.judge()
         return all(one.good for one in self.inputs.by_name.values() if not one.optional)
-
-    def refuse(self, name: str, why: str) -> None:
-        """Refuse the newest value of an input in a live graph: it cannot be acted on.
-
-        Args:
-            name: of the topic in the interface.
-            why: a clause.
-        """
-        cast(Live, self._trigger).refuse(name, why)
 
     def diagnose(
         self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
@@ -315,8 +284,9 @@ class LinkedNode(NoClockSubscription, Node):
             self.diagnose(part, OK, well)
 
     def listen_s(self) -> float:
-        """How long the node may wait for the next message (s)."""
-        return min(self.on_idle(), self._trigger.due_in)
+        """Look at what is due; return how long the node may wait for the next message (s)."""
+        self.on_idle()
+        return min(LISTEN_S, (self._live or self.lockstep).due_in)
 
     def check(self) -> None:
         """Look at the wall clock: say how the node is, and act where it is time to.
@@ -329,14 +299,16 @@ class LinkedNode(NoClockSubscription, Node):
         if self.error is not None:
             raise self.error
         now = time.monotonic()
-        self._trigger.look(now)
+        if self._live:
+            self._live.look()
         if now - self._looked < LISTEN_S:  # a message costs little; asking ROS, milliseconds
             return
         self._looked = now
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        if not self.ready and self._trigger.has_begun and not self.inputs.absent():
+        begun = self._live is None or self._live.has_begun
+        if not self.ready and begun and not self.inputs.absent():
             self.reports.state = READY
             self._report(now)
         if now - self._reported > _REPORT_S:

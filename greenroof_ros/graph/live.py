@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -141,7 +140,7 @@ class Live:
             diagnose: says how a part of it is: its name, a level, a sentence and a code.
         """
         self._node, self._act, self._diagnose = node, act, diagnose
-        self._inputs: dict[str, tuple[Input, InputRules]] = {}
+        self._inputs: list[Input] = []
         self._period = math.inf
         self._due = math.inf
         self.has_begun = True
@@ -165,12 +164,12 @@ class Live:
         """
         node = self._node
         limit = LIMITS[entry.topic.name].name
-        rules = InputRules(
+        entry.rules = InputRules(
             boot_time(), node.get_parameter(limit).value,
             node.get_parameter(RECOVERY.name).value, limit_name=limit, level=level,
         )
-        self._inputs[entry.topic.name] = entry, rules
-        self.judge()
+        self._inputs.append(entry)
+        entry.judge()
 
         def on_message(message: bytes) -> None:
             now = boot_time()
@@ -183,34 +182,24 @@ class Live:
             except (LockstepError, ValueError, struct.error) as error:
                 entry.refused += 1
                 entry.verdict = Verdict("input_refused", f"was refused: {error}")
-            rules.came(now, entry.value, entry.verdict.why)
-            self._judge(entry, rules)
+            entry.rules.came(now, entry.value, entry.verdict.why)
+            entry.judge()
             if callback is not None:
                 callback(entry.value)
 
         return on_message
 
-    def refuse(self, name: str, why: str) -> None:
-        """Refuse the newest value of an input: who acts on it cannot."""
-        entry, rules = self._inputs[name]
-        entry.refused += 1
-        rules.refuse(boot_time(), f"was refused: {why}")
-        self.judge()
-
     def judge(self) -> None:
         """Judge all inputs as they are now."""
-        for entry, rules in self._inputs.values():
-            self._judge(entry, rules)
-
-    def _judge(self, entry: Input, rules: InputRules) -> None:
-        entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
+        for entry in self._inputs:
+            entry.judge()
 
     @property
     def due_in(self) -> float:
         """In what time the node acts next (s)."""
         return max(0.0, self._due - boot_time())
 
-    def look(self, _now: float) -> None:
+    def look(self) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
         now = boot_time()
         self._note_pause(now)
@@ -232,13 +221,13 @@ class Live:
         passed, self._looked = now - self._looked, now
         if passed > PAUSE_S:
             self._deaf_until = now + PAUSE_S
-            for _, rules in self._inputs.values():
-                rules.paused(now, passed)
-            self.judge()
+            for entry in self._inputs:
+                entry.rules.paused(now, passed)
+                entry.judge()
 
     def _say(self) -> None:
         """Say which of the inputs that the node needs are not good, and why."""
-        needed = [one for one, _ in self._inputs.values() if not one.optional]
+        needed = [one for one in self._inputs if not one.optional]
         bad = [one for one in needed if not one.good]
         if not bad:
             if needed:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import socket
@@ -18,12 +17,11 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.supervision import REPORT_PIPE, STARTING
+from greenroof_ros.graph.supervision import STARTING, SupervisorSocket
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-_NO_PIPE = -1
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
@@ -67,11 +65,11 @@ class Reports:
         numbers: of its parts, by name: what was measured or counted; None is not known.
         hardware: what its parts are about, where that is a device; otherwise the machine.
         publisher: of the reports.
-        supervised: whether the process that started the node wants its reports, and ends it.
+        supervisor: of the node, if it has one.
     """
 
     def __init__(self, node: Node, role: str) -> None:
-        """Open the topic and, where a parent process wants reports, the pipe to it.
+        """Open the topic and, where somebody supervises the node, the socket to it.
 
         Args:
             node: whose state it is.
@@ -86,10 +84,7 @@ class Reports:
         self._role = role
         self._machine = socket.gethostname()
         self._process = f"{self._machine} {os.getpid()}"  # another one after a restart
-        self._pipe = int(os.environ.get(REPORT_PIPE, _NO_PIPE))
-        self.supervised = self._pipe != _NO_PIPE
-        if self.supervised:
-            os.set_blocking(self._pipe, False)
+        self.supervisor = SupervisorSocket()
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
@@ -135,19 +130,11 @@ class Reports:
         now = self._node.get_clock().now()
         array.header.stamp = (now if now.nanoseconds else Clock().now()).to_msg()
         self.publisher.publish(array)
-        if self.supervised:
-            # A reader that is stopped must not stop the node: what does not fit is dropped, and
-            # said again a moment later.
-            if self.diagnoses:
-                values["diagnoses"] = {
-                    part: {
-                        "level": LEVELS[one.level], "message": one.message, **one.for_programs()
-                    }
-                    for part, one in self.diagnoses.items()
-                }
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
-                line = json.dumps({"state": self.state, **values})
-                os.write(self._pipe, f"{line}\n".encode())
+        diagnoses = {
+            part: {"level": LEVELS[one.level], "message": one.message, **one.for_programs()}
+            for part, one in self.diagnoses.items()
+        }
+        self.supervisor.report({"state": self.state, **values, "diagnoses": diagnoses})
 
 
 def _dated(

@@ -1,6 +1,6 @@
 """What a supervisor and its nodes say to each other: states and reports, and the pump's permit.
 
-Through pipes, since discovery in the graph can take seconds. No ROS is needed here.
+Through a socket, since discovery in the graph can take seconds. No ROS is needed here.
 """
 
 from __future__ import annotations
@@ -8,10 +8,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
-
-from greenroof_ros.common.times import boot_time
 
 # The states of a node: not all its peers are there; they are; the run is over; so is the process.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
@@ -22,16 +20,14 @@ ROLES = {"controller": "the controller", "pump": "the pump driver"}
 # Nodes that their supervisors treat in their own ways.
 PUMP, RECORDER = "pump", "recorder"
 
-# The environment variable that holds the file descriptor to which a started node writes its
-# reports, one JSON object a line with the key "state".
-REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
-
-# The environment variable that holds the file descriptor from which a started pump node reads, four
-# times a second, whether it may run: one JSON object a line, with the key "inhibit", empty or why
-# it may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
-PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
-# How often the permit is given, and how old it may be (s).
-_PERIOD_S, _GREATEST_AGE_S = 0.25, 2.0
+# The environment variable that holds the file descriptor of a started node's end of a socket to its
+# supervisor. There it writes its reports, one JSON object a line with the key "state". The pump
+# node reads there, four times a second, whether it may run: one JSON object a line, with the key
+# "inhibit", empty or why it may not, and "at", the time since the machine started (CLOCK_BOOTTIME,
+# s) at which that was so.
+SOCKET = "GREENROOF_ROS_SUPERVISOR"
+# How old a permit may be (s).
+_GREATEST_AGE_S = 2.0
 
 
 def _is_text(value: object) -> bool:
@@ -66,8 +62,23 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
 }
 
 
+def read_socket(number: int) -> bytes:
+    """Return what waits in a socket; nothing at its end, in whatever way the other side ended.
+
+    Args:
+        number: of its file descriptor.
+
+    Raises:
+        BlockingIOError: nothing waits.
+    """
+    try:
+        return os.read(number, 1 << 18)  # more than waits in one
+    except ConnectionResetError:  # it ended with something unread
+        return b""
+
+
 def read_report(line: bytes) -> dict[str, Any] | None:
-    """Return the report in a line of the pipe, or None where there is none.
+    """Return the report in a line of the socket, or None where there is none.
 
     A node that was started again can be of another version than its supervisor, where the package
     was changed meanwhile. What is of another type than readers expect is as if it were not said.
@@ -85,68 +96,33 @@ def read_report(line: bytes) -> dict[str, Any] | None:
     return {"warnings": [], "refused": {}, **said}
 
 
-# --- the permit by which the pump node may run ----------------------------------------------------
-
-
-class Permit:
-    """Bringup's end: given four times a second to the pump node that runs at present."""
-
-    def __init__(self) -> None:
-        """Begin without a pump node."""
-        self._writing: int | None = None
-        self._told = 0.0
-        self._inhibit = ""
-
-    def open(self) -> dict[str, int]:
-        """Make a pipe for a pump node that is to be started, and let go of the one before it.
-
-        Returns:
-            The reading end, by the environment variable that the node finds it by.
-        """
-        self.close()
-        reading, self._writing = os.pipe()
-        os.set_blocking(self._writing, False)
-        return {PERMIT_PIPE: reading}
-
-    def tell(self, inhibit: str) -> None:
-        """Tell the pump node whether it may run, when it is time to or that has changed.
-
-        A pump node that does not read must not stop this process.
-
-        Args:
-            inhibit: why it may not; empty where it may.
-        """
-        now = boot_time()
-        if self._writing is None or (inhibit == self._inhibit and now - self._told < _PERIOD_S):
-            return
-        self._told, self._inhibit = now, inhibit
-        line = json.dumps({"inhibit": inhibit, "at": now})
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):
-            os.write(self._writing, f"{line}\n".encode())
-
-    def close(self) -> None:
-        """Give no further permit: the pump node finds the end of the pipe."""
-        if self._writing is not None:
-            os.close(self._writing)
-            self._writing = None
-
-
-class PermitReader:
-    """The pump node's end: whether bringup lets it run.
+class SupervisorSocket:
+    """A node's end: what it reports, and for the pump node whether bringup lets the pump run.
 
     Attributes:
-        given: whether bringup started the node; otherwise it needs no permit.
+        given: whether who started the node wants its reports, and ends it; otherwise the pump
+            needs no permit.
     """
 
     def __init__(self) -> None:
-        """Take the pipe that the environment names, if it does."""
-        self.given = PERMIT_PIPE in os.environ
-        self._pipe = int(os.environ[PERMIT_PIPE]) if self.given else -1
+        """Take the socket that the environment names, if it does."""
+        self.given = SOCKET in os.environ
+        self._socket = int(os.environ[SOCKET]) if self.given else -1
         if self.given:
-            os.set_blocking(self._pipe, False)
+            os.set_blocking(self._socket, False)
         self._ended = False
         self._inhibit = ""
         self._at: float | None = None
+
+    def report(self, said: Mapping[str, Any]) -> None:
+        """Report, to who wants that.
+
+        A reader that is stopped must not stop the node: what does not fit is dropped, and said
+        again a moment later.
+        """
+        if self.given:
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                os.write(self._socket, f"{json.dumps(said)}\n".encode())
 
     def missing(self, now: float) -> str:
         """Return why the pump may not run; empty where it may.
@@ -170,7 +146,7 @@ class PermitReader:
         data = b""
         with contextlib.suppress(BlockingIOError):
             while not self._ended:
-                read = os.read(self._pipe, 1 << 16)
+                read = read_socket(self._socket)
                 self._ended = not read
                 data += read
         # A line is whole: so short a one is written at once. What a bringup of another version says

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import json
 import logging
-import os
+import math
 import selectors
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,7 +20,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -28,10 +30,11 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.graph.domain import LEASE
-from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, REPORT_PIPE, Permit, read_report
+from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, SOCKET, read_report, read_socket
 
 # How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
 # node, which waits until the pump stands: as long as the speed falls.
@@ -41,6 +44,8 @@ KILLING_S = 5.0
 # How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
+# How often the pump node is told whether it may run (s).
+PERMIT_S = 0.25
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
 # Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
@@ -92,19 +97,39 @@ class NodeFailed(Exception):
         self.code = code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED
 
 
+@dataclass(frozen=True)
+class NodeStart:
+    """A node that is to be started.
+
+    Attributes:
+        name: of the node; the pump node's decides that it gets a permit.
+        module: that it is, such as greenroof_ros.nodes.weather.
+        arguments: of the module's command line, beside those for ROS.
+        parameters: that bringup decides, where they are not written elsewhere.
+    """
+
+    name: str
+    module: str
+    arguments: tuple[str, ...] = ()
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+
 class NodeProcess:
     """A process of a node, and what it has said.
 
     Attributes:
         process: that runs it.
+        socket: to it.
         heard: when it last said something of itself, or was started (steady clock, s).
         spoke: whether it has.
         last: that it said of itself; empty before.
         last_lines: that it printed.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], log: RotatingFileHandler) -> None:
-        self.process = process
+    def __init__(
+        self, process: subprocess.Popen[bytes], to_it: socket.socket, log: RotatingFileHandler
+    ) -> None:
+        self.process, self.socket = process, to_it
         self.heard = time.monotonic()
         self.spoke = False
         self.last: dict[str, Any] = {}
@@ -113,12 +138,12 @@ class NodeProcess:
         self._cut = b""
 
     def hear(self, data: bytes) -> None:
-        """Take what came through the pipe of its reports."""
+        """Take what came through the socket."""
         self.spoke = True
         self.heard = time.monotonic()
         *lines, self._cut = (self._cut + data).split(b"\n")
         for line in lines:
-            # One that did not fit into a full pipe is cut short; the next one says it again.
+            # One that did not fit into a full socket is cut short; the next one says it again.
             self.last = read_report(line) or self.last
 
     def log(self, data: bytes) -> None:
@@ -143,7 +168,7 @@ class NodeProcess:
 
 
 class Supervisor:
-    """Node processes, each with a pipe on which it says every quarter of a second how it is.
+    """Node processes, each with a socket on which it says every quarter of a second how it is.
 
     Discovery in the graph can take seconds, and who watches over nodes must not miss a word. Where
     the pump node dies, it cannot stop the drive any more: leaving the ``with`` block ends all nodes
@@ -151,7 +176,6 @@ class Supervisor:
 
     Attributes:
         nodes: those that were started, by name.
-        permit: for the pump node, where there is one.
         awake_since: when this process itself last stood still (steady clock, s), or began.
         may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
@@ -171,8 +195,9 @@ class Supervisor:
                 and was done about it.
         """
         self.nodes: dict[str, NodeProcess] = {}
-        self.permit = Permit()
         self.may_run = ""
+        self._permitted = -math.inf  # when the pump node was last told whether it may run (s)
+        self._inhibit = ""
         self._stop_drive = stop_drive
         self._on_failure = on_failure
         self._directory = logs
@@ -185,7 +210,7 @@ class Supervisor:
             self._ros_arguments += ["--params-file", str(file)]
         if namespace:
             self._ros_arguments += ["-r", f"__ns:={namespace}"]
-        self._pipes = selectors.DefaultSelector()
+        self._ears = selectors.DefaultSelector()
         self._looked = self.awake_since = time.monotonic()
 
     def __enter__(self) -> Supervisor:
@@ -202,7 +227,6 @@ class Supervisor:
             self._see_drive_off(self._stop_drive)
         self._end(names - {PUMP, RECORDER})
         self._end(names & {RECORDER})
-        self.permit.close()
 
     def _see_drive_off(self, stop_drive: StopDrive) -> None:
         """Stop the drive, and tell it where the pump node did not end well, or the pump may run."""
@@ -214,41 +238,49 @@ class Supervisor:
 
     # --- starting -------------------------------------------------------------------------------
 
-    def start(self, node: str, module: str, *arguments: str) -> None:
+    def start(self, node: NodeStart) -> None:
         """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
-
-        Args:
-            node: its name; the pump node's decides that it gets a permit.
-            module: that it is, such as greenroof_ros.nodes.weather.
-            arguments: of the module's command line, beside those for ROS.
 
         Raises:
             OSError: the system has no process or file descriptor to give; nothing is left open.
         """
-        if node not in self._logs:
-            self._logs[node] = _log_file(self._directory / f"{node}.log")
-        with contextlib.ExitStack() as its_ends, contextlib.ExitStack() as our_ends:
-            given = self.permit.open() if node == PUMP else {}
-            for number in given.values():
-                its_ends.callback(os.close, number)
-            reports, given[REPORT_PIPE] = _pipe(our_ends, its_ends)
-            printed, printing = _pipe(our_ends, its_ends)
+        name = node.name
+        if name not in self._logs:
+            self._logs[name] = _log_file(self._directory / f"{name}.log")
+        with contextlib.ExitStack() as ends:
+            ours, its, printed, printing = (
+                ends.enter_context(end) for _ in range(2) for end in socket.socketpair()
+            )
             process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments, *self._ros_arguments],
+                [sys.executable, "-m", node.module, *node.arguments, *self._ros_arguments],
                 stdin=subprocess.DEVNULL,
-                stdout=printing,
+                stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **asked_to_end_with_this(), **self._environment,
-                    **{name: str(end) for name, end in given.items()},
+                    **asked_to_end_with_this(), **self._environment, SOCKET: str(its.fileno()),
                 },
-                pass_fds=given.values(),
+                pass_fds=[its.fileno()],
                 start_new_session=True,
             )
-            our_ends.pop_all()
-        self.nodes[node] = NodeProcess(process, self._logs[node])
-        self._pipes.register(reports, selectors.EVENT_READ, self.nodes[node].hear)
-        self._pipes.register(printed, selectors.EVENT_READ, self.nodes[node].log)
+            ends.pop_all()
+        for end in (its, printing):
+            end.close()
+        self.nodes[name] = heard = NodeProcess(process, ours, self._logs[name])
+        self._ears.register(ours, selectors.EVENT_READ, heard.hear)
+        self._ears.register(printed, selectors.EVENT_READ, heard.log)
+
+    def permit(self, inhibit: str) -> None:
+        """Tell the pump node, if there is one, whether it may run, when that is new or due.
+
+        Args:
+            inhibit: why it may not; empty where it may.
+        """
+        now, node = boot_time(), self.nodes.get(PUMP)
+        if node and (inhibit != self._inhibit or now - self._permitted >= PERMIT_S):
+            self._permitted, self._inhibit = now, inhibit
+            line = json.dumps({"inhibit": inhibit, "at": now})
+            with contextlib.suppress(OSError):  # it does not read, or has ended
+                node.socket.send(f"{line}\n".encode(), socket.MSG_DONTWAIT)
 
     # --- hearing --------------------------------------------------------------------------------
 
@@ -268,14 +300,14 @@ class Supervisor:
         self._looked = now
 
     def _read(self, seconds: float) -> None:
-        """Read what the nodes say, after at most so long (s): all that their pipes hold by then."""
-        for key, _ in self._pipes.select(seconds):
-            data = os.read(key.fd, 1 << 20)
+        """Read what the nodes say, after at most so long (s): all that waits by then."""
+        for key, _ in self._ears.select(seconds):
+            data = read_socket(key.fd)
             if data:
                 key.data(data)
             else:
-                self._pipes.unregister(key.fd)
-                os.close(key.fd)
+                self._ears.unregister(key.fileobj)
+                cast(socket.socket, key.fileobj).close()
 
     def quoted(self, node: str) -> str:
         """Read all that a node has said, and return its last lines."""
@@ -362,20 +394,11 @@ def _log_file(path: Path) -> RotatingFileHandler:
     return log
 
 
-def _pipe(our_ends: contextlib.ExitStack, its_ends: contextlib.ExitStack) -> tuple[int, int]:
-    """Open a pipe from another process to this one; each end is closed with its stack."""
-    reading, writing = os.pipe()
-    our_ends.callback(os.close, reading)
-    its_ends.callback(os.close, writing)
-    return reading, writing
-
-
 @dataclass
 class _Kept:
     """A node of a live site: how it is started, and how it has fared."""
 
-    module: str
-    arguments: tuple[str, ...]
+    start: NodeStart
     started: float = 0.0  # at what time (steady clock, s)
     starts_again: float | None = None  # at what time, where it does not run
     restarts: deque[float] = field(default_factory=deque)  # when, within the window
@@ -436,17 +459,17 @@ class LiveSupervisor(Supervisor):
             self._stopping.result()
         super().__exit__(*error)
 
-    def add(self, node: str, module: str, *arguments: str) -> None:
+    def add(self, node: NodeStart) -> None:
         """Start a node, now and whenever it has failed; see :meth:`start`."""
-        self._kept[node] = _Kept(module, arguments)
-        self._start(node, time.monotonic())
+        self._kept[node.name] = _Kept(node)
+        self._start(node.name, time.monotonic())
 
     def _start(self, name: str, now: float) -> None:
         """Start a node; one for which the system has no process or file is tried again for ever."""
         kept = self._kept[name]
         kept.started, kept.starts_again = now, None
         try:
-            self.start(name, kept.module, *kept.arguments)
+            self.start(kept.start)
             kept.cannot_start = ""
         except OSError as error:
             kept.starts_again = now + _LONGEST_WAIT_S
@@ -479,7 +502,7 @@ class LiveSupervisor(Supervisor):
         before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
         if self.inhibit and not before:
             self._inhibited_since, self._met = now, False
-        self.permit.tell(self.inhibit)
+        self.permit(self.inhibit)
 
     def _killed(self, name: str, now: float) -> str:
         """Kill a node that hangs or does not obey, and return why; empty where it does neither."""

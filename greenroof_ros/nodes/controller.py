@@ -236,7 +236,7 @@ class ControllerNode(LinkedNode):
         except NoCommandError:
             raise
         except ConfigurationError as error:
-            self.refuse(self._rain.topic.name, str(error))
+            self._rain.refuse(str(error))
         decides = allowed and not self._forecast_problem()
         return self._decide(decides), decides
 

@@ -18,7 +18,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
@@ -79,7 +79,7 @@ class LiveRecorderNode(LinkedNode):
         if not DISK.do(write, len(message)):
             self._unwritten += 1
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Flush when it is time to, and say how recording goes."""
         now = time.monotonic()
         if now - self._looked_at > _LOOK_S:
@@ -92,7 +92,6 @@ class LiveRecorderNode(LinkedNode):
             "recording", problem and f"nothing is recorded: {problem}",
             f"recording to {self._bag.directory}", "not_recorded",
         )
-        return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
         """Return where the bag is, and how many messages came into it since this start, or not."""

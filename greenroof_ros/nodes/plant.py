@@ -7,6 +7,7 @@ the flows of tick k.
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from functools import partial
@@ -16,7 +17,7 @@ from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import declare, site_file
@@ -197,11 +198,11 @@ class PlantNode(LinkedNode):
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Start when the graph is whole, let a tick go that waits, and watch the clock."""
-        now = time.monotonic()
+        now, self.lockstep.due_in = time.monotonic(), math.inf
         if self.reports.state == FINISHED:
-            return LISTEN_S
+            return
         if not self._running:
             if self.ready:
                 self._running = True
@@ -212,20 +213,22 @@ class PlantNode(LinkedNode):
                     f"no start within {self._start_limit:g} s: "
                     f"{self.inputs.say(self.inputs.absent())}"
                 )
-            return LISTEN_S
+            return
         if self._paused and not self._behind():
             pause = self._pause()
             if pause:
-                return min(pause, LISTEN_S)
-            self._publish_tick()
-            return LISTEN_S
+                self.lockstep.due_in = pause
+            else:
+                self._publish_tick()
+            return
         # Who has not answered yet may still be joining: on a busy machine that takes seconds.
         answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder" if self._paused else self.lockstep.missing()
+            missing = "/recorder/written from recorder"
+            if not self._paused:
+                missing = self.inputs.causes(self.lockstep.awaited)
             raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
-        return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
         """Return tick, levels (m) and command."""

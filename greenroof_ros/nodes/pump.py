@@ -46,12 +46,11 @@ from greenroof_ros.graph.lifecycle import (
     RefusedError,
     transition,
 )
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK, RunIdentity
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
-from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.dose import DONE
 from greenroof_ros.pumping.ledger import Ledger, state_directory
@@ -300,7 +299,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._drive_stops_after = math.inf
         self._ledger = Ledger(self._state_file, time.time)
         self._begin()
-        self._permit = PermitReader()
+        self._permit = self.reports.supervisor
         self._decision = Decision(
             None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
@@ -323,7 +322,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._meter: Input | None = None
         if self.live:
             self._meter = self.subscribe(_METER, optional=True)
-            self._rival = self.rivals("/pump/flow")
+            self._own_flow = self.subscribe("/pump/flow", optional=True)
         else:
             self.subscribe(CLOCK, self.set_time)
         self.open_outputs("/pump/flow", "/pump/state")
@@ -556,7 +555,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._levels.expect(self._decision.flow)
         self.publish("/pump/flow", self._decision.flow)
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Stop where something speaks against running, whether or not commands come."""
         now = boot_time()
         if not self.live:
@@ -580,7 +579,6 @@ class PumpNode(Lifecycle, LinkedNode):
             self._looked_at = now
             self._take_state()
             self._diagnose(now)
-        return LISTEN_S
 
     def _look_for_suspend(self, now: float) -> None:
         """Say, for a minute, that the machine was suspended while the pump was on."""
@@ -621,7 +619,7 @@ class PumpNode(Lifecycle, LinkedNode):
         reasons["two_controllers"] = self._command.publishers.said(time.monotonic())
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons["two_pumps"] = self._rival(time.monotonic())
+            reasons["two_pumps"] = self._own_flow.publishers.said(time.monotonic())
         reasons["no_command"] = self._silence()
         return reasons
 

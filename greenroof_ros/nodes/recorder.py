@@ -93,16 +93,16 @@ class RecorderNode(LinkedNode):
     def _report_written(self) -> None:
         self.publish("/recorder/written", float(self._bag.safe))
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """End the bag when the last tick is in it, or does not come whole."""
         now = time.monotonic()
         if self._closed or self.run_length is None or now - self._looked_at < LISTEN_S:
-            return LISTEN_S
+            return
         self._looked_at = now
         came = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
         ticks = self.run_length + 1
         if max(came.values()) < ticks:
-            return LISTEN_S
+            return
         if self._ending_since is None:
             self._ending_since = now
         if self._bag.written == ticks and max(came.values()) == ticks:
@@ -117,7 +117,6 @@ class RecorderNode(LinkedNode):
                 f"of each topic {ticks} messages should have come; messages were lost or came "
                 f"twice: {wrong}"
             )
-        return LISTEN_S
 
     def summary(self) -> dict[str, Any]:
         """Return how many messages of each topic are in the bag."""

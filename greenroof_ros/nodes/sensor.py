@@ -25,7 +25,7 @@ from greenroof_ros.drives.sensor_file import (
     read_sensors,
 )
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
@@ -79,7 +79,7 @@ class SensorNode(LinkedNode):
             self._reader, self._hangs_s = MqttReader(quantity.node, sensor, unit), math.inf
         self._reader.start()
 
-    def on_idle(self) -> float:
+    def on_idle(self) -> None:
         """Publish a new reading that is good; say why another one is not."""
         reading, now = self._reader.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > self._hangs_s:
@@ -97,7 +97,6 @@ class SensorNode(LinkedNode):
             self.say(
                 self._part, reading.problem, "the sensor is read", reading.code, self._level
             )
-        return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows."""

@@ -27,8 +27,7 @@ from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.lock import DriveLock
-from greenroof_ros.graph.supervision import Permit
-from greenroof_ros.graph.supervisor import NodeFailed
+from greenroof_ros.graph.supervisor import NodeFailed, NodeStart
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -158,12 +157,12 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the sensor roof, too")
 
 
-NODES = {
-    name: f"greenroof_ros.nodes.{module}" for name, module in {
+NODES = [
+    NodeStart(name, f"greenroof_ros.nodes.{module}") for name, module in {
         "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
         "recorder": "live_recorder", "roof_sensor": "sensor",
     }.items()
-}
+]
 
 
 def parameters(file: Path) -> list[Path]:
@@ -286,7 +285,7 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
     said = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
     silent: Any = SimpleNamespace(check=lambda *_: None, say=lambda _: None, waiting=lambda _: None)
     supervisor: Any = SimpleNamespace(
-        permit=Permit(), listen=lambda: None, check=lambda _: None, last={"pump": said}
+        permit=lambda _: None, listen=lambda: None, check=lambda _: None, last={"pump": said}
     )
     with pytest.raises(NodeFailed) as failed:
         in_the_loop.wait_for_drive(supervisor, silent, "pump.json", silent)

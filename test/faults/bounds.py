@@ -8,7 +8,7 @@ from __future__ import annotations
 from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
 from greenroof_ros.graph import supervision
 from greenroof_ros.graph.live import LIMITS
-from greenroof_ros.graph.supervisor import ENDING_S, SILENT_S
+from greenroof_ros.graph.supervisor import ENDING_S, PERMIT_S, SILENT_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
@@ -64,7 +64,7 @@ def bounds(site: Site) -> dict[str, float]:
         "frost": _limit("/weather/frost") + step,
         # The permit: at once for a node that ended, after its silence for one that hangs.
         "permit": supervision._GREATEST_AGE_S + step,
-        "silent": SILENT_S + supervision._PERIOD_S + step,
+        "silent": SILENT_S + PERMIT_S + step,
         # The drive stands by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,

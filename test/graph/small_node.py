@@ -1,4 +1,4 @@
-"""A node of the tests: no ROS, but the pipes, signals and ends of one.
+"""A node of the tests: no ROS, but the socket, signals and ends of one.
 
 Its first argument says what it does; ``marks`` in its second, a directory, are files by which a
 test sees and steers it.
@@ -11,14 +11,14 @@ import os
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+
+SOCKET = int(os.environ["GREENROOF_ROS_SUPERVISOR"])
 
 
 def report(state: str, **values: object) -> None:
-    os.write(
-        int(os.environ["GREENROOF_ROS_REPORT_PIPE"]),
-        (json.dumps({"state": state, **values}) + "\n").encode(),
-    )
+    os.write(SOCKET, (json.dumps({"state": state, **values}) + "\n").encode())
 
 
 def main() -> None:
@@ -32,7 +32,7 @@ def main() -> None:
         sys.exit(2)
     if kind == "fails":
         sys.exit(1)
-    permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
+    os.set_blocking(SOCKET, False)
     while True:
         says = marks / f"{kind}-says"
         said: dict[str, object] = {}
@@ -41,14 +41,8 @@ def main() -> None:
         if (marks / f"{kind}-stands").exists():
             said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
-        if permits is not None:
-            os.set_blocking(int(permits), False)
-            try:
-                lines = os.read(int(permits), 65536)
-            except BlockingIOError:
-                lines = b""
-            with (marks / "permits").open("ab") as stream:
-                stream.write(lines)
+        with suppress(BlockingIOError), (marks / "permits").open("ab") as stream:
+            stream.write(os.read(SOCKET, 65536))  # those of the pump node
         time.sleep(0.05)
 
 

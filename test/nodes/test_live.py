@@ -446,23 +446,39 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
         assert len(np.unique(newest(forecast))) > 5 and len(newest(forecast)) == 10 * steps
 
 
-def test_live_weather_that_is_fetched(site: Site) -> None:
-    """The forecast comes from a service, and is kept; why there is none is said."""
+def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
+    """The forecast comes from a service, and is kept; why there is none is said.
+
+    Without one unknown_frost_may_pump makes frost 0. A record of forecasts that is no use is said,
+    and does no harm.
+    """
     paper = read_site(CONFIG / "site.yaml")
     records = read_weather([default_weather()], paper, gaps=FILL)
     service = ForecastService(paper, records, records.first, 0)
     service.fault = "error"
     service.start()
-    file = site.cwd / "kept" / "forecast.csv"
+    file, record = site.cwd / "kept" / "forecast.csv", site.cwd / "dressed.csv"
+    record.write_text("issued\n")
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
+    arrays = site.watcher.hear("/diagnostics", lambda one: one)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
-        "horizon": 24.0, "all_members": "true",
+        "horizon": 24.0, "all_members": "true", "dressed": record,
     }
-    with site.live("weather", **options):
+    with site.live("weather", **options, unknown_frost_may_pump="true"):
         site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
-        site.until(site.says("/weather: forecast", ERROR, "cannot be read"), LATE, "no forecast")
+        site.until(site.says("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
+        site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
+        site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
+        useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
+        site.until(site.says(*useless), LATE, "why")
+        # It is ready once it has said what it lacks, not before it has looked.
+        for array in arrays:
+            said = {one.name: one.message for one in array.status}
+            assert said.get("/weather") != "ready" or "/weather: frost" in said
+        assert not forecast
+    frost.clear()
     service.fault = "none"
     with site.live("weather", **options):
         site.until(site.says(part, OK, "Open-Meteo"), LATE, "whose forecast it is")
@@ -470,28 +486,3 @@ def test_live_weather_that_is_fetched(site: Site) -> None:
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()
     assert [one.parent.name for one in file.parent.rglob("*.csv")].count("forecast") == 1
-
-
-def test_live_weather_that_lacks_something(site: Site) -> None:
-    """Without a file at the start the node waits for one; unknown_frost_may_pump makes frost 0.
-
-    With a record of forecasts that is no use they are used as they are issued, and it is said.
-    """
-    file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
-    record.write_text("issued\n")
-    frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    arrays = site.watcher.hear("/diagnostics", lambda one: one)
-    with site.live("weather", forecast=file, unknown_frost_may_pump="true", dressed=record):
-        site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
-        site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
-        site.until(lambda: len(frost) > 2, LATE, "frost")
-        assert site.says("/weather: forecast", ERROR, f"{file}: cannot be read")()
-        # It is ready once it has said what it lacks, not before it has looked.
-        for array in arrays:
-            said = {one.name: one.message for one in array.status}
-            assert said.get("/weather") != "ready" or "/weather: frost" in said
-        useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
-        site.until(site.says(*useless), LATE, "why")
-        write_forecast(file, timedelta(0), 3.6, 15.0)
-        site.until(lambda: forecast, LATE, "the forecast")
-        assert list(newest(forecast)) == pytest.approx([1e-6] * 10)

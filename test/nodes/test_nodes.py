@@ -215,12 +215,6 @@ def section(text: str, heading: str) -> dict[str, str]:
     return {name: " ".join(meaning.split()) for name, meaning in entries}
 
 
-def test_help_starts_no_node(tmp_path: Path) -> None:
-    """The help of the others is held against the nodes."""
-    for command in ("live_recorder", "controller", "sensor"):
-        assert "[--ros-args ...]" in help_of(tmp_path, command)
-
-
 def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
     """Who checks the sensor file names the parameter that the readers of the topic have."""
     assert {one.topic_name: one.limit for one in QUANTITIES.values()} == {
@@ -239,7 +233,9 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
 
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """Parameters of the nodes, each started by its example as typed."""
+    """Parameters of the nodes, each started by its example as typed; help itself starts none."""
+    for command in ("live_recorder", "controller", "level_sensor"):
+        assert "[--ros-args ...]" in help_of(tmp_path, command)
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
     of_mpc = section(help_of(tmp_path, "controller --controller mpc"), "parameters")
     assert set(weights) < of_mpc.keys()

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -542,16 +543,15 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
 
 def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
     """Held with a reason, without news for 2 s, and after bringup's end the motor stands."""
-    reading, writing = os.pipe()
-    with os.fdopen(writing, "w") as permits:
+    bringup, of_node = socket.socketpair()
+    with bringup:
 
         def give(hold: str) -> None:
-            permits.write(json.dumps({"inhibit": hold, "at": boot_time()}) + "\n")
-            permits.flush()
+            bringup.send(json.dumps({"inhibit": hold, "at": boot_time()}).encode() + b"\n")
 
-        env = {**environment(rig.domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
-        rig.start(popen={"env": env, "pass_fds": [reading]})
-        os.close(reading)
+        env = {**environment(rig.domain), "GREENROOF_ROS_SUPERVISOR": str(of_node.fileno())}
+        rig.start(popen={"env": env, "pass_fds": [of_node.fileno()]})
+        of_node.close()
         rig.join()
         rig.until_state("no permit yet")
         assert rig.drive.speed() == 0.0
