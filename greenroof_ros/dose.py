@@ -33,7 +33,7 @@ def make_parser() -> argparse.ArgumentParser:
         description="Have the pump deliver a volume once, now, whatever the controller commands: "
         "where the site file allows it (greatest_dose) and nothing keeps the pump off, and never "
         "above the roof's target. A dose that an interlock ends is over, and so is one that could "
-        "not begin within a minute. Ctrl-C ends this command, not the dose: stop the pump for that.",
+        "not begin within a minute. Ctrl-C ends this command and not the dose: stop the pump then.",
         epilog="example:\n  greenroof dose --volume 0.2\n\n"
         "exit codes: 0 delivered, 1 refused or ended early, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
