@@ -14,7 +14,7 @@ import secrets
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from string import Template
 from typing import Any
@@ -30,8 +30,8 @@ _CONNECT_S = 3.0
 _ON_S, _LOOK_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
-# So much of an answer that is none is shown (characters).
-_SHOWN = 120
+# So much of an answer that is none is shown (characters), and so many messages wait at most.
+_SHOWN, _KEPT = 120, 1000
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class RelayLine:
         self._known = {"device": relay.device, "me": self._name}
         self._numbers = itertools.count(1)
         self._awaited: Counter[str] = Counter()
-        self._heard: deque[tuple[str, bytes]] = deque()
+        self._heard: deque[tuple[str, bytes]] = deque(maxlen=_KEPT)
         self._changed = threading.Condition()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
@@ -174,6 +174,8 @@ class RelayLine:
             DriveError: no answer in time, or none that can be understood.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
+        if not self._awaited.total():
+            self._heard.clear()  # what came unasked answers nothing
         self._awaited[name] += 1
         self._publish(question.topic, question.payload, number, {})
         topic, until = self._filled(question.answer), time.monotonic() + self._timeout_s
@@ -219,9 +221,9 @@ class RelayLine:
         return Template(text).substitute(self._known, **values)
 
     def _publish(self, topic: str, payload: str, number: str, values: dict[str, str]) -> None:
-        if not self.connected:
+        filled = self._filled(payload, id=number, **values)
+        if not self.connected or self._client.publish(self._filled(topic), filled).rc:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
-        self._client.publish(self._filled(topic), self._filled(payload, id=number, **values))
 
     # --- in the client's thread -------------------------------------------------------------------
 
@@ -281,7 +283,7 @@ class Relay:
         Raises:
             DriveError: it cannot be read.
         """
-        return f"{self.file.make} {self.file.model} ({self._text(self.file.name)})"
+        return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
         """Return its timer (s); where it does not guard None, and why.
@@ -298,10 +300,10 @@ class Relay:
             for each in (self.file.timer, *self.file.must)
         }
         for each in self.file.must:
-            if (said := _text_at(answers[each.question], each.path)) != each.value:
+            if (said := _text(self._value(each, answers))) != each.value:
                 return None, f"{each.meaning}: {each.path} is {said}, and must be {each.value}"
         timer = self.file.timer
-        raw = value_at(answers[timer.question], timer.path)
+        raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise self.line.error("answer", f"its timer, {timer.path}, is {raw!r}: no number")
         seconds = timer.seconds(raw)
@@ -407,7 +409,7 @@ class Relay:
         if not self._placed.is_here:
             return f"the broker of {self.line.where} is not at loopback"
         try:
-            named = self._text(self.file.name)
+            named = _text(self._value(self.file.name))
         except DriveError as error:
             if error.kind == "connection":
                 raise
@@ -419,7 +421,7 @@ class Relay:
     def _read(self) -> bool:
         """Return whether it is on, as it says."""
         self._is_on, state = None, self.file.state
-        said = self._text(state)
+        said = _text(self._value(state))
         if said not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
@@ -445,10 +447,11 @@ class Relay:
             time.sleep(_LOOK_S)
         self._ordered = True
 
-    def _text(self, value: Value) -> str:
-        answer = self.line.ask(value.question)
+    def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
+        """Return a value of an answer; the relay is asked where there are no answers yet."""
+        answer = self.line.ask(value.question) if answers is None else answers[value.question]
         try:
-            return _text_at(answer, value.path)
+            return value_at(answer, value.path)
         except LookupError:
             raise self.line.error("answer", f"its answer has no {value.path}: {answer}") from None
 
@@ -466,7 +469,6 @@ def value_at(answer: Any, path: str) -> Any:
     return answer
 
 
-def _text_at(answer: Any, path: str) -> str:
+def _text(value: Any) -> str:
     """Return a value as JSON writes it, a text without its quotes."""
-    value = value_at(answer, path)
     return value if isinstance(value, str) else json.dumps(value)
