@@ -182,31 +182,29 @@ def _run(
     ) as progress:
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
-        pending: dict[Future[Any], Case] = {
-            workers.submit(bound_case, case): case for case in unbounded
+        pending: dict[Future[Any], tuple[Case, bool]] = {
+            workers.submit(bound_case, case): (case, False) for case in unbounded
         }
-        bounds = set(pending)
         for case in ordered:
             future = workers.submit(run_case, case, store.engine, store.trajectory_every)
-            pending[future] = case
+            pending[future] = case, True
         while pending:
             workers.check()
             done, _ = wait(list(pending), timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             for future in done:
-                case = pending.pop(future)
+                case, is_run = pending.pop(future)
                 try:
                     result = future.result()
                 except CancelledError:
                     raise
                 except Exception as error:  # of a run, or the end of its process
                     what, reason = "no bound", str(error) or type(error).__name__
-                    if future not in bounds:  # which the runs do not need
+                    if is_run:  # which needs no bound
                         what, store.failures[case.identity] = "failed", reason
                     progress.print(f"{what}: {names.name(case)}: {reason}", markup=False)
                 else:
-                    (store.keep_bound if future in bounds else store.keep)(case, result)
-                if future not in bounds:
-                    progress.advance(task)
+                    (store.keep if is_run else store.keep_bound)(case, result)
+                progress.advance(task, is_run)
             progress.refresh()
 
 

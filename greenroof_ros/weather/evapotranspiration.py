@@ -138,12 +138,13 @@ def _daily_extremes(
     """Least and largest temperature (degC) of each hour's day; NaN for a day that is not whole."""
     assert site.utc_offset is not None
     temperature = records.values["temperature"]
-    since_midnight = (records.first.timestamp() / 3600 + site.utc_offset) % 24
-    day = np.floor((since_midnight + np.arange(records.hours)) / 24).astype(int)
-    _, begins, hours = np.unique(day, return_index=True, return_counts=True)
+    # Of the first day, whose hours before the records, as those after them, are unknown.
+    before = int((records.first.timestamp() / 3600 + site.utc_offset) % 24)
+    after = -(before + records.hours) % 24
+    days = np.pad(temperature, (before, after), constant_values=np.nan).reshape(-1, 24)
     least, largest = (
-        np.repeat(np.where(hours == 24, extreme.reduceat(temperature, begins), np.nan), hours)
-        for extreme in (np.minimum, np.maximum)
+        np.repeat(extreme(days, axis=1), 24)[before : before + records.hours]
+        for extreme in (np.min, np.max)
     )
     return least, largest
 

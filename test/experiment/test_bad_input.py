@@ -56,12 +56,12 @@ FORECASTS = [
     ([HEADER, f"{H0},{H0},0,2", f"{H0},{H2},0,2"], 3, f"must be {H1}"),
     ([HEADER, f"noon,{H0},0,2"], 2, "issued = 'noon'"),
     ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in the order of time"),
-    ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a whole number from 0 to 99"),
+    ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),
     ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
-    ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2, but must have 0 to 1"),
+    ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2; they must be 0, 1, 2 and"),
     (
         [MEMBERS, f"{H0},{H0},0,0", f"{H1},{H1},0,0", f"{H1},{H1},1,0"], 3,
-        "has members 0, 1, but must have 0 to 0",
+        "as many members as that before it in FILE.csv, 1, not 2",
     ),
     (
         [MEMBERS, f"{H0},{H0},0,0", f"{H0},{H1},0,0", f"{H0},{H0},1,0"], 2,

@@ -208,6 +208,10 @@ def test_ensemble_of_runs(tmp_path: Path) -> None:
     assert (first.issued.hour, second.issued.hour) == (12, 18)
     assert first.rain.tolist() == [[0.0] * 11, [1.0] * 11, [2.0] * 11]
     assert second.rain.tolist() == [[0.0] * 5, [2.0] * 5, [4.0] * 5]
+    file = tmp_path / "without_control_2024060112.json"
+    members = {f"precipitation_member0{number}": [number] * 6 for number in (2, 1)}
+    file.write_text(json.dumps(answer(TIMES, **members)))
+    assert read_archive(file, BUDVA).issues[0].rain[:, 0].tolist() == [1.0, 2.0]
 
 
 # --- what is refused ---------------------------------------------------------------------------
@@ -253,6 +257,10 @@ WRONG = {
     "gap_2024060112.json": (
         run_of(precipitation_member02=[0.0] * 6),
         ": the issue of 2024-06-01T12:00+00:00 has members 0, 2; they must be 0, 1, 2 and so on",
+    ),
+    "many_2024060112.json": (
+        run_of(**{f"precipitation_member{number:02}": [0.0] * 6 for number in range(1, 101)}),
+        ": the issue of 2024-06-01T12:00+00:00 has 101 members, and must have at most 100",
     ),
     "other_2024060118.json": (
         run_of(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
