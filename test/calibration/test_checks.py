@@ -108,6 +108,12 @@ def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> Non
         assert finding in found(changed(alone, *change)), name
 
 
+@pytest.mark.parametrize(("hours", "side"), [(-1, "before"), (8, "after")])
+def test_a_clock_is_said_to_be_early_or_late(hours: float, side: str) -> None:
+    findings = check_record(changed(twin(30), "runoff", shifted(hours)), TWIN)
+    assert [one.figures["side"] for one in findings if one.code == "clock-shifted"] == [side]
+
+
 def test_a_column_of_nothing_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="level: has 0 values; it must have 100 at least"):
         found(changed(twin(30), "level", fixed(np.nan, 0)))

@@ -159,3 +159,4 @@ def test_a_row_has_the_temperatures_of_its_own_day(tmp_path: Path) -> None:
     whole = slice(188, 188 + 2 * 288)
     of_course = reference(file, "temperature [degC]", course, "")
     assert of_course[whole] == pytest.approx(in_first[whole])
+    assert of_course[:187].sum() < 0.5 * in_first[:187].sum()  # as cold as the 14th
