@@ -119,7 +119,8 @@ def test_a_timeout_that_does_not_guard(
 ) -> None:
     drive = _Drive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
-        "local_settings_stop_the_pump": False, "live": True, **given,
+        "local_settings_stop_the_pump": False, "live": True, "broker_login": "",
+        "broker_authority": "", **given,
     }, "pump")
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
