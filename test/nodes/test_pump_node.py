@@ -333,7 +333,7 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     rig.until_state("unknown: no connection")
     rig.drive.inject("none")
     rig.until_state("timeout does not guard")
-    rig.until_said("drive timeout", ERROR, "is off")
+    rig.until_said("drive timeout", ERROR, "does not guard")
     rig.stands_within(3)
 
 
