@@ -126,7 +126,8 @@ def test_a_timeout_that_does_not_guard(
 ) -> None:
     drive = _Drive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
-        "local_settings_stop_the_pump": False, "live": True, **given,
+        "local_settings_stop_the_pump": False, "live": True, "broker_login": "",
+        "broker_authority": "", **given,
     }, "pump")
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
@@ -140,7 +141,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.simulate("--fault", "timeout_off")
     node = rig.start()
     rig.join()
-    rig.until_said("drive timeout", ERROR, "is off", "58.")
+    rig.until_said("drive timeout", ERROR, "does not guard", "58.")
     rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", LATE, "configuring")
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
@@ -152,7 +153,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
         activate_without_drive_timeout="true", popen={"stderr": subprocess.PIPE, "text": True}
     )
     rig.run()
-    assert rig.says("drive timeout", WARN, "is off")
+    assert rig.says("drive timeout", WARN, "does not guard")
     # It counts steady time; the clock topic stands with the commands.
     began = time.monotonic()
     rig.observer.until(lambda: rig.drive.speed() == 0.0, 6, "the watchdog")
@@ -338,8 +339,8 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     rig.drive.inject("refused")
     rig.until_state("unknown: no connection")
     rig.drive.inject("none")
-    rig.until_state("timeout is off")
-    rig.until_said("drive timeout", ERROR, "is off")
+    rig.until_state("timeout does not guard")
+    rig.until_said("drive timeout", ERROR, "does not guard")
     rig.stands_within(3)
 
 
