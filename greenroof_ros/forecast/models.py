@@ -375,16 +375,16 @@ class ErrorModel(ForecastModel):
             np.exp(spread * dry - spread**2 / 2),
         )
 
-
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Return the white noise of an issue, which is not far from that of the issue before.
+        """Return the white noise of an issue, which resembles the noise of the issue before.
 
         Args:
             issue: h since 1970.
             hours: how many, the first as far before each issue.
 
         Returns:
-            That of all members and of each, shape (1 + members, hours); and of evapotranspiration.
+            The noise of all members and of each, shape (1 + members, hours); and of
+            evapotranspiration.
         """
         longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
         rain = np.zeros((self.members + 1, hours))
