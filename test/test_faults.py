@@ -26,7 +26,7 @@ SAMPLE = {
     "relayed:danfoss_fc202/off/weather.precipitation/0": (
         "nothing came within 5 s on /weather/precipitation", "exit code 1",
     ),
-    "service/six hours/limit/0": ("429 Too Many Requests", "ran on"),
+    "service/fails/limit/0": ("429 Too Many Requests", "ran on"),
 }
 
 MQTT = {

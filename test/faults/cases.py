@@ -523,7 +523,7 @@ def _readers(blocks: int) -> Iterator[Case]:
 def _service() -> Iterator[Case]:
     for fault in FAULTS:
         if fault != NONE:
-            yield Case("service", "six hours", fault, 0, Expected(stops=False))
+            yield Case("service", "fails", fault, 0, Expected(stops=False))
 
 
 def all_cases() -> list[Case]:

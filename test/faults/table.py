@@ -33,7 +33,7 @@ _KINDS = {
     "sensor": "a level sensor",
     "broker": "the broker of the sensors on MQTT",
     "forecast file": "the forecast file",
-    "six hours": "a forecast service that fails for six hours",
+    "fails": "a forecast service that fails for six hours",
     "site": "a burst pipe, a closed valve, a leak",
     "dry": "a cistern that runs empty",
     "stuck for ever": "a command that never changes",

@@ -234,7 +234,7 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
     """Parameters of the nodes, each started by its example as typed; help itself starts none."""
-    for command in ("live_recorder", "controller", "level_sensor"):
+    for command in ("live_recorder", "controller", "sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
     of_mpc = section(help_of(tmp_path, "controller --controller mpc"), "parameters")
