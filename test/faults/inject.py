@@ -169,6 +169,7 @@ def _broker(
         case "restarted":
             broker.kill()
             broker.start()
+            time.sleep(6.0)  # its clients wait for up to 5 s; what they say is of this case
         case "paused":
             broker.pause()
             undo.callback(broker.go_on)
