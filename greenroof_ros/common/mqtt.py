@@ -1,7 +1,8 @@
 """Where an MQTT broker is, and a client that is connected to it.
 
 MQTT 3.1.1 with a clean session: what was said while a client was away is not said to it later. A
-client connects by itself, again and again; what it is to publish meanwhile is dropped.
+client connects by itself, again and again; what it is to publish meanwhile is dropped, if it is of
+quality of service 0.
 """
 
 from __future__ import annotations
@@ -146,23 +147,27 @@ def make_client(
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
 
-    let_in = False
+    refused = False
 
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        nonlocal let_in
-        let_in = not code.is_failure
-        if code.is_failure:
+        nonlocal refused
+        refused = code.is_failure
+        if refused:
             on_disconnect(str(code))
         else:
             on_connect()
 
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        if let_in:  # otherwise the reason has been said
+        nonlocal refused
+        if not refused:  # otherwise the reason has been said
             on_disconnect("it broke off" if code.value == _UNSPECIFIED else str(code))
+        refused = False
 
     client.on_connect = connected
     client.on_disconnect = disconnected
-    client.on_connect_fail = lambda client, data: on_disconnect(f"nobody answers at {broker}")
+    nobody = f"nobody answers at {broker}"
+    nobody += ", or its certificate is not trusted" if broker.tls else ""
+    client.on_connect_fail = lambda client, data: on_disconnect(nobody)
     client.on_message = lambda client, data, message: on_message(
         message.topic, bytes(message.payload), message.retain
     )

@@ -15,6 +15,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from string import Template
 from typing import Any
@@ -150,7 +151,8 @@ class RelayLine:
     def close(self) -> None:
         """Part from the relay, and close the connection."""
         if self.parting is not None and self.connected:
-            self.publish(self.parting)
+            with suppress(DriveError):  # it has just been lost
+                self.publish(self.parting)
         self._closed_by = self._closed_by or "closed here"
         self._client.disconnect()
         self._client.loop_stop()
@@ -189,7 +191,7 @@ class RelayLine:
                 value_at(answer, question.known_by)
                 if self._file.number and str(value_at(answer, self._file.number)) != number:
                     continue
-            except (ValueError, LookupError):
+            except (ValueError, LookupError, RecursionError):
                 continue
             self._awaited[name] -= 1
             if self._file.number or self._awaited[name] <= 0:
@@ -294,11 +296,11 @@ class Relay:
         Raises:
             DriveError: it cannot be read.
         """
-        self._timer_s = None
         answers = {
             each.question: self.line.ask(each.question)
             for each in (self.file.timer, *self.file.must)
         }
+        self._timer_s = None  # what was read before holds until there are answers
         for each in self.file.must:
             if (said := _text(self._value(each, answers))) != each.value:
                 return None, f"{each.meaning}: {each.path} is {said}, and must be {each.value}"
@@ -306,7 +308,10 @@ class Relay:
         raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise self.line.error("answer", f"its timer, {timer.path}, is {raw!r}: no number")
-        seconds = timer.seconds(raw)
+        try:
+            seconds = timer.seconds(raw)
+        except OverflowError:
+            raise self.line.error("answer", f"its timer, {timer.path}, is too large") from None
         if seconds is None:
             return None, f"{timer.path} is {raw:g}: off"
         if seconds < self.file.least_timer:

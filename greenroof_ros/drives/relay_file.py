@@ -163,10 +163,15 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         }.items() for name, text in vars(part).items()
     }
     for key, text in texts.items():
+        names = ["device", "me"]
+        if key.endswith(".payload"):
+            names += ["id", "seconds"] if key == "switch_on.payload" else ["id"]
+        elif set(text) & set("#+"):
+            yield key, "must be one topic, without # and +"
         try:
-            Template(text).substitute(device="", me="", id="", seconds="")
+            Template(text).substitute(dict.fromkeys(names, ""))
         except (KeyError, ValueError):
-            yield key, "has another $ than $device, $me, $id and $seconds"
+            yield key, f"has another $ than {', '.join(f'${name}' for name in names)}"
     if relay.number and any("$id" not in each.payload for each in relay.questions.values()):
         yield "number", "is of questions whose payload has $id"
     if relay.state.is_on == relay.state.is_off:

@@ -27,6 +27,8 @@ from greenroof_ros.drives.modbus_line import (
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
+# A pump that stands and whose meter shows a flow for 12 s (follow_time) has a fault.
+_LONGEST_AFTERFLOW_S = 10.0
 _MODBUS_PORT = 502
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
@@ -163,7 +165,11 @@ class MqttSensor(Sensor):
     @property
     def place(self) -> tuple[object, ...]:
         """What no other sensor has."""
-        return self.address, self.value
+        try:
+            broker, topic = self.broker_and_topic()
+        except ConfigurationError:  # which is said by itself
+            return (self.address,)
+        return broker.host, broker.port, topic, self.value
 
     @property
     def steps(self) -> list[str | int]:
@@ -264,8 +270,15 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "counts", "goes with median: 1, for a median leaves out what comes now and then"
 
 
-def _late(sensor: Sensor, interval: float) -> Iterator[tuple[str, str]]:
+def _late(sensor: Sensor, quantity: Quantity, interval: float) -> Iterator[tuple[str, str]]:
     late = sensor.median // 2 * interval
+    shown = late + interval
+    if quantity is QUANTITIES["flow_meter"] and shown > _LONGEST_AFTERFLOW_S:
+        yield "median", (
+            f"shows a flow for up to {shown:g} s after it has stopped, where it is {interval:g} s "
+            f"from one reading to the next; at most {_LONGEST_AFTERFLOW_S:g} s, or it looks like a "
+            "contact that is welded"
+        )
     if late > _LONGEST_FILTER_S:
         yield "median", (
             f"is late by {late:g} s where it is {interval:g} s from one reading to the next; at "
@@ -290,7 +303,7 @@ def _modbus_mistakes(
             f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
             f"{sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} {unit}"
         )
-    yield from _late(sensor, sensor.period)
+    yield from _late(sensor, quantity, sensor.period)
     if sensor.period > greatest_age / 2:
         yield "period", (
             f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: nobody takes what "
@@ -316,7 +329,7 @@ def _mqtt_mistakes(
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
             yield key, "must be an absolute path: a copy of this file is read"
-    yield from _late(sensor, sensor.max_age)
+    yield from _late(sensor, quantity, sensor.max_age)
     if sensor.max_age > greatest_age:
         yield "max_age", (
             f"must be at most {greatest_age:g} s, {quantity.limit}: nobody takes what is older"

@@ -33,6 +33,8 @@ from greenroof_ros.model.site import Site
 
 # After so many periods without any reading, good or bad, the reader of a device hangs.
 _PERIODS = 5
+# After so long without any reading it is said what is waited for (s).
+_AWAITED_S = 5.0
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:
@@ -88,7 +90,9 @@ class SensorNode(LinkedNode):
                 self._part, STALE, "the sensor is not read any more: the reader hangs",
                 "sensor_hangs",
             )
-        elif reading.read_at > self._published:
+        elif reading.read_at > self._published or (
+            math.isinf(reading.read_at) and now - self._started > _AWAITED_S
+        ):
             self._published = reading.read_at
             self._value = reading.value
             self.reports.numbers[self._part] = {"value": reading.value}

@@ -79,6 +79,7 @@ RELAY_FAULTS: Mapping[str, Fault] = {
     "timer_long": Fault(21, "the relay's timer is set, for good", "s", 120),
     "power_up_on": Fault(22, "the relay is set to be on after power-up, for good"),
     "deaf": Fault(23, "the relay answers, and neither switches on nor off but by its timer"),
+    "auto_on": Fault(25, "a Shelly is set to switch itself on again after off, for good"),
     "welded": Fault(24, "the contact does not open any more; the relay says what it was told"),
 }
 SITE_FAULTS: Mapping[str, Fault] = {

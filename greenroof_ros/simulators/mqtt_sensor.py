@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import secrets
 from collections.abc import Callable
 from typing import Any
 
@@ -38,8 +39,8 @@ class SimulatedMqttSensor:
         broker, self._topic = sensor.broker_and_topic()
         self._will = (sensor.available, "offline") if sensor.available else None
         self._client = make_client(
-            broker, f"simulated_{name}", self._announce, lambda topic, payload, retained: None,
-            will=self._will,
+            broker, f"simulated_{name}_{secrets.token_hex(6)}", self._announce,
+            lambda topic, payload, retained: None, will=self._will,
         )
 
     def _announce(self) -> None:

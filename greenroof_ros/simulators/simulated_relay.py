@@ -33,6 +33,7 @@ class SimulatedRelay(ABC):
         on: whether it means to be on.
         timer_s: its timer as set (s); None for off.
         on_after_power_up: whether it is set to be.
+        auto_on: whether it is set to switch itself on again.
         deaf: whether it switches by its timer alone.
         welded: whether its contact does not open any more, once it was closed.
         say: reports what happens, for people.
@@ -55,6 +56,7 @@ class SimulatedRelay(ABC):
         """
         self.on = self.deaf = self.welded = False
         self.timer_s, self.on_after_power_up = timer_s, as_delivered
+        self.auto_on = False
         self.say: Callable[[str], None] = lambda text: None
         self._device, self._clock = device, clock
         self._off_at = math.inf
@@ -135,8 +137,8 @@ class Shelly(SimulatedRelay):
                 return {
                     "id": 0, "name": None, "in_mode": "detached",
                     "initial_state": "on" if self.on_after_power_up else "off",
-                    "auto_on": False, "auto_on_delay": 60.0, "auto_off": self.timer_s is not None,
-                    "auto_off_delay": self.timer_s or 60.0,
+                    "auto_on": self.auto_on, "auto_on_delay": 60.0,
+                    "auto_off": self.timer_s is not None, "auto_off_delay": self.timer_s or 60.0,
                 }
         return None
 
@@ -286,6 +288,8 @@ class RelayBench(Bench):
                 relay.timer_s = None
             case "timer_long":
                 relay.timer_s = float(self.fault.parameter)
+            case "auto_on":
+                relay.auto_on = True
             case "power_up_on":
                 relay.on_after_power_up = True
         return True

@@ -12,11 +12,13 @@ from typing import Any
 
 from cases import MODES, SIMULATED, WAYS
 
-# How the tables of drives on Modbus and of relays begin, and each ends.
-_BEGIN, _RELAYS, _END = (
-    "<!-- measured: make faults -->\n", "<!-- measured: make faults, relays -->\n",
-    "<!-- end of table -->",
+# How the tables begin, each of some rigs, and end: of relays, of what else comes over the network,
+# and of the rest.
+_RELAYS, _NETWORK, _REST = (
+    f"<!-- measured: make faults{of} -->\n" for of in (", relays", ", network", "")
 )
+_TABLES = {"relay": _RELAYS, "mqtt": _NETWORK, "service": _NETWORK}
+_END = "<!-- end of table -->"
 # What a reader looks for, by the beginning of a fault's name, or of rig and fault; the first fits.
 _KINDS = {
     "kill both": "pump node and bringup killed together",
@@ -55,10 +57,14 @@ def read_results(directory: Path) -> dict[str, dict[str, Any]]:
     return {result["id"]: result for result in map(json.loads, lines)}
 
 
+def _rig(result: dict[str, Any]) -> str:
+    """Return the kind of a result's rig."""
+    return str(result["id"]).partition("/")[0].partition(":")[0]
+
+
 def _kind(result: dict[str, Any]) -> str:
     """Return the beginning by which a result's row is known."""
-    rig = result["id"].partition("/")[0].partition(":")[0]
-    fault = result["fault"]
+    rig, fault = _rig(result), result["fault"]
     return next(
         kind for kind in _KINDS
         if (f"{rig}/{fault}" if "/" in kind else fault).startswith(kind)
@@ -129,5 +135,5 @@ def put(page: Path, mark: str, results: list[dict[str, Any]]) -> None:
 if __name__ == "__main__":
     read, written = map(Path, sys.argv[1:])
     every = read_results(read).values()
-    put(written, _BEGIN, [one for one in every if not one["id"].startswith("relay:")])
-    put(written, _RELAYS, [one for one in every if one["id"].startswith("relay:")])
+    for mark in (_RELAYS, _NETWORK, _REST):
+        put(written, mark, [one for one in every if _TABLES.get(_rig(one), _REST) == mark])
