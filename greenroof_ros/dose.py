@@ -54,11 +54,12 @@ class _Progress:
     Attributes:
         dose: as it was said last; None before that.
         heard: when that was (steady clock, s).
+        lost: whether the node does not know it any more: it was started again.
     """
 
     def __init__(self, pump: str, asked_at: float) -> None:
         self.dose: dict[str, Any] | None = None
-        self.heard = time.monotonic()
+        self.heard, self.lost = time.monotonic(), False
         self._pump, self._asked_at = pump, asked_at
 
     def take(self, name: str, message: bytes, *_: Any) -> None:
@@ -71,6 +72,8 @@ class _Progress:
                 self.heard = time.monotonic()
                 if dose is not None and dose["id"] == self._asked_at:
                     self.dose = dose
+                elif self.dose is not None:
+                    self.lost = True
 
 
 @command
@@ -92,6 +95,9 @@ def main() -> int:
             print(f"dose {asked_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
             while progress.dose is None or not progress.dose["over"]:
                 looker.look(_LOOK_S)
+                if progress.lost:
+                    print(f"{pump} was started again: the dose ended with it", flush=True)
+                    return EXIT_FAILED
                 if time.monotonic() - progress.heard > _SILENT_S:
                     print(f"{pump} is not heard any more: whether the dose goes on is not known")
                     return EXIT_FAILED

@@ -14,7 +14,7 @@ _MINUTE_NS = 60 * _SECOND_NS
 _DAY_S, _DAY_MINUTES = 86_400, 1440
 # So many days are kept: more than a look-ahead reaches, with the days after its forecast.
 _MOST_DAYS = 60
-_INTERVAL = re.compile(r"(\d\d):([0-5]\d)-(\d\d):([0-5]\d)")
+_INTERVAL = re.compile(r"([0-9]{2}):([0-5][0-9])-([0-9]{2}):([0-5][0-9])")
 
 
 class QuietHours:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -36,6 +37,8 @@ _LOOK_S, _AT_LEAST_S = 1.0, 10.0
 _MOST_TEXT, _MOST_ALARMS = 255, 10
 # How long the last message may take (s).
 _LAST_S = 1.0
+# For so long a stop is tried again (s): a pump node that died is back by then.
+_STOP_S = 60.0
 
 
 class Bridge:
@@ -67,6 +70,7 @@ class Bridge:
         self._why, self._ending = "", False  # why there is no connection
         self._sent: dict[str, str] = {}
         self._sent_at = 0.0
+        self._stop_until = -math.inf  # a stop is tried (steady clock, s)
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
             will=(f"{self._base}/availability", OFFLINE),
@@ -87,6 +91,8 @@ class Bridge:
                 signals.check()
                 if self._stop.wait(_LOOK_S):
                     self._stop.clear()
+                    self._stop_until = time.monotonic() + _STOP_S
+                if time.monotonic() < self._stop_until:
                     self._stop_pump()
                 self._publish_state()
         finally:
@@ -100,6 +106,7 @@ class Bridge:
     def _stop_pump(self) -> None:
         try:
             say(f"stop, over MQTT: {self._feed.ask('stop')}")
+            self._stop_until = -math.inf
         except StopFailedError as failure:
             say(f"stop, over MQTT: {failure}")
 

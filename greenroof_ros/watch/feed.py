@@ -117,7 +117,7 @@ class Feed:
         self._listens_since = 0.0
         self._mode = "none"
         self._live: bool | None = None  # the graph that is shown, or was shown last
-        self._site: Path | None = None
+        self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
         self._said = 0.0
         self._problem, self._problem_until = "", 0.0
@@ -308,9 +308,13 @@ class Feed:
     def _judge_by(self, path: Path | None) -> None:
         """Judge levels by a site file, or by the paper's where there is none."""
         file = path or papers_site()
-        if file == self._site:
+        try:
+            as_is = file, file.stat().st_mtime_ns
+        except OSError:
+            as_is = file, 0
+        if as_is == self._site:
             return
-        self._site = file
+        self._site = as_is
         note = "" if path else "Levels are judged by the paper's site, config/site.yaml."
         try:
             site = read_site(file)
