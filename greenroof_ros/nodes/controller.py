@@ -243,10 +243,11 @@ class ControllerNode(LinkedNode):
     def _expect(self, command: float) -> None:
         """Expect of the levels what a command does in a tick; a flow that is heard knows better.
 
-        A forecast of rain says nothing here: what it says need not fall.
+        Nothing is expected of a pump that has fallen silent: it may stand, and a level that does
+        not move then is not frozen. A forecast of rain says nothing here: it need not fall.
         """
-        site, flow = self._site, self._flow.value
-        if not self._flow.good:
+        site, flow = self._site, self._flow.value if self._flow.good else 0.0
+        if not self._flow.heard:
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(site, *volumes, min(command, 1.0))

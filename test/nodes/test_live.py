@@ -112,6 +112,9 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         site.said.clear()
         site.values["/cistern/level"] = cistern(time.monotonic())
         site.during(4)
+        # Nor does a pump that has fallen silent, for longer than flow_limit: it may stand.
+        del site.values["/pump/flow"]
+        site.during(9)
         # A command 0 for another reason, as when this process stood still, passes.
         assert not [text for text in site.said if "frozen" in text]
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
