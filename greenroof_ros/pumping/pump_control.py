@@ -316,7 +316,9 @@ class PumpControl:
             asked, why = self._follow(dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
             self._against = "the roof is at its target" if full else ""
-            if not full and self._room(seen.roof_level) < self._least_pulse:
+            assert seen.roof_level is not None
+            room = self._site.x2_star - self._site.roof_volume(seen.roof_level)
+            if not full and room < self._least_pulse:
                 self._against = (
                     "the roof lacks less of its target than the pump delivers once it is on"
                 )
@@ -346,10 +348,6 @@ class PumpControl:
             asked, state, why, active, flow, source, "; ".join(warnings), stands,
             said if backwards else seen.speed, stands or known_flow is not None, self._blind_for,
         )
-
-    def _room(self, roof_level: float | None) -> float:
-        """Return what the roof lacks of its target (m3)."""
-        return self._site.a2 * (self._site.z_veg - (roof_level or 0.0))
 
     def _dose_command(self, cistern_level: float) -> float:
         """Return the command of the present dose; no lower than what needs no pulses."""
