@@ -79,6 +79,7 @@ class Snapshot(Known):
             that is not known.
         second_master: that somebody else orders the drive about, and since then it is kept off;
             empty where nobody does.
+        start_failed: why it was stopped although it was to run; empty once *off* is asked for.
         errors: how often anything went wrong.
     """
 
@@ -91,6 +92,7 @@ class Snapshot(Known):
     unguarded: str = ""
     no_simulator: str | None = None
     second_master: str = ""
+    start_failed: str = ""
     errors: int = 0
 
     @property
@@ -226,7 +228,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     From CONNECTING a drive that stands is STOPPED at once.
 
     Each connection begins with *stop*. RUNNING ends where off is asked for, `demand` is late, the
-    drive does not come to run, or somebody else writes to it. In silence nothing is sent for longer
+    drive does not come to run, or somebody else writes to it. After a failed start, or a connection
+    that was lost in RUNNING, it stays off until `demand` has asked for off: whoever counts starts
+    and waits between them decides on the next. In silence nothing is sent for longer
     than the drive's own timeout, which then stops it: it may count any order as a sign of life.
     `close` leads out of each state and leaves the drive stopped. While this lives, it is the only
     one on this machine for its drive.
@@ -372,6 +376,8 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _lost(self, error: Exception, problem: str) -> None:
         """Let go of the connection; be silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
+        if self._snapshot.state is State.RUNNING:
+            self._update(start_failed=f"the connection was lost: {problem}")
         why = self._obedience.lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
             why = ""  # it says that itself
@@ -544,7 +550,10 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._paused_until = -math.inf
                 self._drive.reset()
             speed = self._wanted()
-            if speed is None or time.monotonic() < self._paused_until:
+            if self._demand[0] is None:
+                self._update(start_failed="")
+            kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
+            if speed is None or kept_off:
                 self._stop()
                 return False, ""
             self._run(speed)
@@ -561,7 +570,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         try:
             self._drive.run(speed, lambda: self._wanted() is not None)
         except DriveError as error:
-            if error.kind != "drive":
+            if error.kind == "drive":
+                self._update(start_failed=f"the drive did not come to run: {error}")
+            else:
                 self._obedience.forget()  # it may obey an order whose answer was lost
             raise
         self._obedience.forget()

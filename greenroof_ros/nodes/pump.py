@@ -611,6 +611,7 @@ class PumpNode(Lifecycle, LinkedNode):
                     "the drive is in local control: hand it over to the bus at its panel"
                 )
             reasons["second_master"] = self._drive.snapshot.second_master
+            reasons["start_failed"] = self._drive.snapshot.start_failed
             if not self._without_timeout:
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded

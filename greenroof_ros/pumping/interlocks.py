@@ -88,6 +88,7 @@ INTERLOCKS = {
     "drive_lost": Interlock(ENABLE, _NODE, "exchange_period"),
     "drive_local": Interlock(ENABLE, _NODE, by=_AT_PANEL),
     "second_master": Interlock(ENABLE, _NODE),
+    "start_failed": Interlock(ENABLE, _NODE, "least_off"),
     "drive_timeout": Interlock(
         ENABLE, _NODE,
         "drive_timeout_limit, local_settings_stop_the_pump, activate_without_drive_timeout",

@@ -27,6 +27,8 @@ _GREATEST_FLOW = 1.5
 # No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
+# So many failed starts, one after the other, are a fault.
+_FAILED_STARTS = 3
 # The state of a pump that an interlock keeps off, by the first that is active.
 _STATES = {LATCHED: "fault", INHIBIT: "held", ENABLE: "off"}
 
@@ -131,6 +133,7 @@ class PumpControl:
         # of the rated speed; before the first step it may have run.
         self._ramped = 1.0
         self._follow_error_for = 0.0
+        self._failed_starts = 0  # one after the other
         self._flowed_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
@@ -212,6 +215,7 @@ class PumpControl:
         """Forget what led to a fault."""
         self._delivery = DeliveryCheck(self._site, self._settings)
         self._follow_error_for = self._flowed_for = 0.0
+        self._failed_starts = 0
 
     def pass_unseen(self, dt: float) -> None:
         """Count time in which nobody was there, as in a suspend of the machine; then it is off.
@@ -447,9 +451,14 @@ class PumpControl:
 
         Beside them, what else the ledger keeps the pump off for: a stop, and a record not read.
         """
+        failed_start = seen.reasons.get("start_failed", "")
+        if failed_start and self._asked is not None:
+            self._failed_starts += 1
         if seen.speed is not None:  # what is not heard for a moment may go on
             beyond = self._is_beyond_ramp(seen.speed, drive_dt)
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
+            if self._asked is not None and not beyond and not failed_start:
+                self._failed_starts = 0
         found = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
         if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
             off = self._asked is None
@@ -458,6 +467,10 @@ class PumpControl:
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._follow_error_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
+            )
+        if self._failed_starts >= _FAILED_STARTS:
+            found["speed_not_followed"] = (
+                f"it was started {self._failed_starts} times, and each time {failed_start}"
             )
         found["turns_backwards"] = backwards
         if seen.drive_fault:

@@ -45,8 +45,8 @@ _PARTS_OF_REASON = {
     ),
     "no_permit": ("supervisor",),
     **dict.fromkeys(
-        ("not_active", "drive_lost", "drive_local", "second_master", "drive_not_ready",
-         "drive_speed_unknown", "drive_timeout", "drive_guards_later", "no_run"),
+        ("not_active", "drive_lost", "drive_local", "second_master", "start_failed",
+         "drive_not_ready", "drive_speed_unknown", "drive_timeout", "drive_guards_later", "no_run"),
         ("drive timeout", "drive"),
     ),
 }

@@ -23,6 +23,7 @@ from greenroof_ros.drives import exchange
 from greenroof_ros.drives.drive import DriveStatus, PlacedDrive
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
+    PAUSE_S,
     DriveExchange,
     Obedience,
     RunsOnError,
@@ -79,7 +80,7 @@ class Bench:
 
     def _ask(self) -> None:
         while not self._ended.wait(0.05):
-            self.exchange.demand(self.speed)
+            self.exchange.demand(None if self.now.start_failed else self.speed)
 
     def ask_no_more(self) -> None:
         self._ended.set()
@@ -336,6 +337,39 @@ def test_a_drive_that_does_not_start_is_left_off_for_a_while(bench: Bench) -> No
     assert RUN not in bench.drive.written
     assert bench.drive.written.count((1, 0)) >= 4  # it is being stopped, not started again
     assert bench.now.connected and bench.now.problem
+
+
+@pytest.mark.parametrize("fails", ["to start", "while it runs"])
+def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
+    bench: Bench, fails: str
+) -> None:
+    """Who asks counts starts, and waits between them; here the speed is asked for all the time."""
+    def ask(speed: float | None, seconds: float, until: Callable[[], object]) -> bool:
+        ends = time.monotonic() + seconds
+        while time.monotonic() < ends and not until():
+            bench.exchange.demand(speed)
+            time.sleep(0.02)
+        return bool(until())
+
+    answer = bench.drive.on_write
+    bench.ask_no_more()
+    bench.exchange.start()
+    if fails == "to start":
+        bench.drive.on_write = lambda _address, _word: None
+    else:
+        assert ask(0.5, 20, lambda: bench.now.state is State.RUNNING)
+        bench.lose()
+        bench.wire.answer = bench.drive
+    assert ask(0.5, 20, lambda: bench.now.connected and bench.now.start_failed)
+    bench.drive.on_write = answer
+    bench.drive.written.clear()
+    assert not ask(0.5, PAUSE_S + 1.0, lambda: RUN in bench.drive.written)
+    assert bench.now.start_failed.startswith({
+        "to start": "the drive did not come to run: ",
+        "while it runs": "the connection was lost: ",
+    }[fails])
+    assert ask(None, 5, lambda: not bench.now.start_failed)
+    assert ask(0.5, 20, lambda: bench.now.state is State.RUNNING)
 
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:

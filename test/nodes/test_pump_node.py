@@ -468,7 +468,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
     assert process.wait(1) == 1
     assert "the dose ended early, at " in process.stdout()
-    assert rig.code("dose") == "dose_ended_early"
+    rig.tick_until(0.0, lambda: rig.code("dose") == "dose_ended_early", LATE, "its code")
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10
 

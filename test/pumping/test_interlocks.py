@@ -33,7 +33,7 @@ def codes(decision: Decision) -> list[str]:
 
 AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
 NODE = [
-    "not_active", "drive_lost", "drive_local", "second_master", "drive_timeout",
+    "not_active", "drive_lost", "drive_local", "second_master", "start_failed", "drive_timeout",
     "drive_guards_later", "no_run", "no_permit", "two_controllers", "two_pumps", "no_command",
 ]
 CAUSES: dict[str, dict[str, Any]] = {

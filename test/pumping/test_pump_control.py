@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 
@@ -206,6 +207,38 @@ def test_a_ramp_that_is_allowed_is_no_fault(
     assert max(one.speed or 0.0 for one in rig.decisions) == pytest.approx(1.0)
     assert not [one for one in rig.decisions if one.state == "fault"]
     assert rig.decisions[-1].stands
+
+
+@pytest.mark.parametrize(("runs_after", "states"), [(9, {"off", "fault"}), (2, {"off"})])
+def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
+    runs_after: int, states: set[str]
+) -> None:
+    """Each is given up after 2 s, and the next one waits for the least time off."""
+    rig = Rig(settings=settings_for(PAPER_SITE, least_off=60.0))
+    failed = "the drive did not come to run: it has no voltage"
+    begun, on_for = [], 0
+    rig.stuck_speed = 0.0
+    for _ in range(1200):
+        gives_up = on_for == 2 and len(begun) % (runs_after + 1) != 0
+        rig.stuck_speed = 0.0 if len(begun) % (runs_after + 1) else None
+        rig.change = {"reasons": {"start_failed": failed}} if gives_up else {}
+        decision = rig.step(0.5 if on_for < 30 else 0.0)
+        if decision.speed is not None and on_for == 0:
+            begun.append(rig.now)
+        on_for = on_for + 1 if decision.speed is not None else 0
+        if decision.state == "fault":
+            break
+    assert all(next_one - one >= 60 for one, next_one in itertools.pairwise(begun))
+    assert {one.state for one in rig.decisions if one.interlocks} == states
+    if "fault" in states:
+        assert decision.why.startswith(f"it was started 3 times, and each time {failed}")
+        assert list(decision.interlocks) == ["speed_not_followed", "start_failed"]
+        assert len(begun) == 3
+        assert rig.control.reset()
+        rig.change = {}
+        assert rig.run(70, 0.5, until=lambda one: one.speed is not None).speed
+    else:
+        assert len(begun) > 6
 
 
 def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
