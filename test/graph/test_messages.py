@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from array import array
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,14 +15,23 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
 from builtin_interfaces.msg import Time  # noqa: E402
+from rclpy.duration import Duration, Infinite  # noqa: E402
 from rclpy.logging import get_logger  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 
-from greenroof_ros.common.interface import read_topics  # noqa: E402
+from greenroof_ros.common.interface import Qos, read_topics  # noqa: E402
 from greenroof_ros.graph.inputs import Input, Inputs, call_node, root_causes  # noqa: E402
-from greenroof_ros.graph.messages import LockstepError, WithFront, decoder, encoder  # noqa: E402
+from greenroof_ros.graph.messages import (  # noqa: E402
+    LockstepError,
+    WithFront,
+    decoder,
+    encoder,
+    lacks,
+    requirements,
+)
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
@@ -141,6 +151,66 @@ def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     assert call_node("_NODE_NAME_UNKNOWN_") == (
         "a node whose name is not known, such as one that was killed"
     )
+
+
+RELIABLE, BEST, LATCHED, VOLATILE = (
+    ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT,
+    DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE,
+)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "offered", "found"),
+    [
+        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
+        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 1.5), []),
+        (Qos("test", "reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, 3.0),
+         ["is best effort", "is volatile", "has a liveliness lease of 3 s"]),
+        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, None),
+         ["has no liveliness lease"]),
+        (Qos("test", "reliable", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), []),
+        (Qos("test", "reliable", "volatile", 1, math.inf), (BEST, VOLATILE, None), ["is best effort"]),
+        (Qos("test", "best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), []),
+        (Qos("test", "best_effort", "transient_local", 1, math.inf), (BEST, VOLATILE, None),
+         ["is volatile"]),
+    ],
+)
+def test_what_a_publisher_offers_less_than_is_required(
+    wanted: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None], found: list[str]
+) -> None:
+    """DDS connects who offers as much as is asked for, or more; a shorter lease is more."""
+    reliability, durability, lease_s = offered
+    profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
+    profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
+    assert lacks(profile, wanted) == found
+
+
+def test_requirements_in_words() -> None:
+    assert requirements(Qos("test", "best_effort", "volatile", 1, math.inf)) == (
+        "best effort, volatile, keep last 1"
+    )
+    assert requirements(Qos("test", "reliable", "transient_local", 64, 1.5)) == (
+        "reliable, transient local, keep last 64, with a liveliness lease of 1.5 s"
+    )
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize(
+    ("value", "good"),
+    [(0.0, True), (1.5, True), (3.0, True), (-1e-300, False), (3.0000001, False),
+     (math.nan, False), (math.inf, False)],
+)
+def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -> None:
+    """Of a number, of a row, and of each member of an ensemble; what is refused acts as 0."""
+    topics = read_topics()
+    for name, message in (
+        ("/pump/command", value), ("/forecast/precipitation", np.full((rows, 4), value)),
+    ):
+        topic = replace(topics[name], low=0.0, high=3.0)
+        entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))
+        entry.receive(encoder(topic.type, topic.dimensions)(message))
+        assert (entry.good, entry.refused) == (good, int(not good))
+        assert not np.any(np.subtract(entry.value, value if good else 0.0))
 
 
 def test_what_a_subscriber_takes_of_a_plan() -> None:
