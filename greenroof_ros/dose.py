@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from contextlib import closing
@@ -54,12 +55,13 @@ class _Progress:
     Attributes:
         dose: as it was said last; None before that.
         heard: when that was (steady clock, s).
+        begun: when the dose was accepted, likewise.
         lost: whether the node does not know it any more: it was started again.
     """
 
     def __init__(self, pump: str, asked_at: float) -> None:
         self.dose: dict[str, Any] | None = None
-        self.heard, self.lost = time.monotonic(), False
+        self.heard, self.begun, self.lost = time.monotonic(), math.inf, False
         self._pump, self._asked_at = pump, asked_at
 
     def take(self, name: str, message: bytes, *_: Any) -> None:
@@ -72,7 +74,7 @@ class _Progress:
                 self.heard = time.monotonic()
                 if dose is not None and dose["id"] == self._asked_at:
                     self.dose = dose
-                elif self.dose is not None:
+                elif self.dose is not None or self.heard > self.begun + _SILENT_S:
                     self.lost = True
 
 
@@ -91,7 +93,7 @@ def main() -> int:
             except StopFailedError as failure:
                 print(f"error: {failure}", file=sys.stderr)
                 return EXIT_FAILED
-            progress.heard = time.monotonic()
+            progress.heard = progress.begun = time.monotonic()
             print(f"dose {asked_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
             while progress.dose is None or not progress.dose["over"]:
                 looker.look(_LOOK_S)

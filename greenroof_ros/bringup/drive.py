@@ -164,6 +164,7 @@ class DriveChoice:
         from greenroof_ros.drives.lock import DriveInUseError
 
         placed = self.read()
+        placed.connection()  # loads its library: when it is needed the disk may hang
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:

@@ -56,7 +56,8 @@ class Lookahead:
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`). What is known of
     the members' future says
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain`. Without a forecast it fills the
-    roof to its target and holds it there, which is best if no rain comes.
+    roof to its target and holds it there, which is best if no rain comes; but what is missing for a
+    moment ends no wait for rain, since the last plan is followed until it is old.
 
     It plans again when the plan is an hour old, or a 48th of the horizon, and when a member's rain
     has become more or less. Between plans it follows the levels of the last one, which it has for
@@ -223,7 +224,7 @@ class Lookahead:
                 if not rain_counts:
                     rain[:, 1:] = 0.0
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
-        else:
+        elif self._age >= self._longest or rain_counts != self._rain_counts:
             self._policy = None
         now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
         self._fallen += now[0] * site.tau

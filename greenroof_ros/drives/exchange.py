@@ -23,7 +23,7 @@ STILL_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* and whose speed does not fall for so long (s) has a fault, and is
 # left in silence when that fault could be seen for so long (s). Longer than a drive needs to begin
 # its ramp, and than a tick of who asks for it, even where a connection breaks meanwhile; together
-# less than the pump control waits for a speed to follow.
+# no longer than the pump control waits, by default, for a speed to follow beyond the ramp.
 RUNS_ON_S, SEEN_S = 10.0, 2.0
 # The same after a silence that did not help (s): it may be faults that only a person can end.
 RUNS_ON_AGAIN_S = 60.0
@@ -229,8 +229,8 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     Each connection begins with *stop*. RUNNING ends where off is asked for, `demand` is late, the
     drive does not come to run, or somebody else writes to it. After a failed start, or a connection
-    that was lost in RUNNING, it stays off until `demand` has asked for off: whoever counts starts
-    and waits between them decides on the next. In silence nothing is sent for longer
+    that was lost while a speed was asked for, it stays off until `demand` has asked for off: who
+    counts starts and waits between them decides on the next. In silence nothing is sent for longer
     than the drive's own timeout, which then stops it: it may count any order as a sign of life.
     `close` leads out of each state and leaves the drive stopped. While this lives, it is the only
     one on this machine for its drive.
@@ -376,7 +376,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _lost(self, error: Exception, problem: str) -> None:
         """Let go of the connection; be silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
-        if self._snapshot.state is State.RUNNING:
+        if self._demand[0] is not None:
             self._update(start_failed=f"the connection was lost: {problem}")
         why = self._obedience.lost(drive.stopped, now)
         if isinstance(error, RunsOnError):

@@ -118,16 +118,17 @@ class RelayLine:
         self.where = str(relay)
         self.parting: Message | None = None
         self._file, self._timeout_s = relay.file, timeout_s
-        # Another one for each connection: what answers an old one is not heard on a new one.
-        self._name = f"greenroof_ros-{secrets.token_hex(6)}"
-        self._known = {"device": relay.device, "me": self._name}
-        self._numbers = itertools.count(1)
+        # One name for all connections, so that a broker can be told who may publish on it; where
+        # answers have numbers, those of another connection are not taken for one's own.
+        self._known = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
+        self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
         self._heard: deque[tuple[str, bytes]] = deque(maxlen=_KEPT)
         self._changed = threading.Condition()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
-            relay.broker, self._name, self._on_connect, self._on_message, self._on_disconnect
+            relay.broker, f"greenroof_ros-{secrets.token_hex(6)}", self._on_connect,
+            self._on_message, self._on_disconnect,
         )
 
     @property

@@ -46,8 +46,9 @@ _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 _PAUSE_S, _WHOLE_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
 # The clock of the service and ours may differ by so much (s).
 _CLOCKS_S = 600.0
-# How long to wait after a failure (s): from the first to the last.
-_FIRST_WAIT_S, _LAST_WAIT_S = 60.0, 3600.0
+# How long to wait after a failure (s): from the first to the last, and where the service asks to be
+# left alone, at most.
+_FIRST_WAIT_S, _LAST_WAIT_S, _LONGEST_WAIT_S = 60.0, 3600.0, 86_400.0
 
 
 class ServiceError(Exception):
@@ -115,8 +116,7 @@ class Service:
             import aiohttp  # noqa: F401 - to be found missing at once
         self._site, self._request = site, request
         self._parameters = request.parameters(site)
-        self._tag = ""
-        self._answer = b""
+        self._tag, self._answer = "", b""  # of the last that was a forecast
 
     def fetch(self, now: datetime) -> Issue:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
@@ -132,7 +132,10 @@ class Service:
         where = self._request.address()
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
-            return _issue(asyncio.run(self._ask(now)), self._site, hour)
+            tag, answer = asyncio.run(self._ask(now))
+            issue = _issue(answer, self._site, hour)
+            self._tag, self._answer = tag, answer
+            return issue
         except asyncio.TimeoutError as error:
             raise ServiceError(f"{where}: gave no whole answer within {_WHOLE_S:g} s") from error
         except (ClientError, OSError) as error:
@@ -141,8 +144,8 @@ class Service:
         except ConfigurationError as error:
             raise ServiceError(f"{where}: its answer {error.wrong}") from error
 
-    async def _ask(self, now: datetime) -> bytes:
-        """Return an answer, which is the last one where the service says that it still holds.
+    async def _ask(self, now: datetime) -> tuple[str, bytes]:
+        """Return an answer and its tag: the last ones where the service says that they still hold.
 
         Raises:
             ServiceError: it refuses, sends too much, or a clock is wrong.
@@ -164,14 +167,13 @@ class Service:
                     raise ServiceError(f"{where}: sent more than {_MOST_BYTES} bytes")
             _check_clock(response.headers.get("Date", ""), now)
             if response.status == 304 and self._answer:
-                return self._answer
+                return self._tag, self._answer
             if response.status != 200:
                 raise ServiceError(
                     f"{where}: {response.status} {response.reason}: {_reason(answer)}",
                     _wait(response.headers.get("Retry-After", ""), now),
                 )
-            self._tag, self._answer = response.headers.get("ETag", ""), answer
-            return answer
+            return response.headers.get("ETag", ""), answer
 
 
 def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
@@ -279,7 +281,7 @@ class Fetcher:
         except Exception as error:  # whatever it is, the next forecast is asked for
             self.problem = str(error) or type(error).__name__
             asked = error.wait if isinstance(error, ServiceError) else None
-            wait = max(self._wait, asked or 0.0)
+            wait = max(self._wait, min(asked or 0.0, _LONGEST_WAIT_S))
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
         self.problem, self.newest, self._wait = "", issue, _FIRST_WAIT_S
@@ -303,11 +305,15 @@ class Fetcher:
 
 
 def _says_the_same(before: Issue | None, issue: Issue) -> bool:
-    """Whether a forecast says nothing of the hours of an earlier one that this did not say."""
-    if before is None or len(before.rain) != len(issue.rain):
+    """Whether a forecast is the end of an earlier one, and no more."""
+    if before is None:
         return False
-    rain = before.rain[:, (issue.issued - before.issued) // HOUR :]
-    return rain.size > 0 and np.array_equal(rain, issue.rain[:, : rain.shape[1]])
+    then, now = (
+        np.vstack([
+            row for row in (one.rain, one.evapotranspiration, one.temperature) if row is not None
+        ]) for one in (before, issue)
+    )
+    return np.array_equal(then[:, (issue.issued - before.issued) // HOUR :], now)
 
 
 def _replace(file: Path, text: str) -> None:

@@ -17,7 +17,7 @@ What ends a run:
 - a second publisher, or a second message before its node has acted. Only the pump node tolerates
   either of commands, and stops the pump; the plant, which hears both, ends the run;
 - a second message after the node has acted: it counts for the next tick, and is found when that
-  comes too, or at the end by the count, as is one that only the recorder misses.
+  comes too, or as one after the last tick. One that only the recorder misses, its count shows.
 
 Second publishers, and a plant that has gone, :mod:`greenroof_ros.graph.peers` finds. There are no
 timers and no sleeps on the way of a tick; the only wall clocks end a run which hangs, and the pump
@@ -100,7 +100,8 @@ class Lockstep:
 
         def receive(message: bytes) -> None:
             """Take a message, and act where it was the last that was awaited."""
-            if name not in awaited and not entry.tolerates_second:
+            second = name not in awaited
+            if second and not entry.tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} came twice in tick {self.tick} "
@@ -109,7 +110,7 @@ class Lockstep:
                 )
             entry.receive(message)
             awaited.discard(name)
-            if not awaited:
+            if not (awaited or second):
                 self.act()
 
         return receive
@@ -120,6 +121,7 @@ class Lockstep:
         self.tick += 1
         self._act()
         if self.is_over:
+            self.awaited.clear()  # whatever comes now is one too many
             self._finish()
 
     def hear_run(self, values: array[float]) -> None:

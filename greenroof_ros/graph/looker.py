@@ -29,7 +29,15 @@ DIAGNOSTICS = "/diagnostics"
 
 
 class StopFailedError(Exception):
-    """The pump node did not say that it did what was asked; the message says why."""
+    """The pump node did not say that it did what was asked; the message says why.
+
+    Attributes:
+        answered: whether it said anything.
+    """
+
+    def __init__(self, why: str, *, answered: bool = False) -> None:
+        super().__init__(why)
+        self.answered = answered
 
 
 class Looker:
@@ -196,7 +204,8 @@ class Looker:
         else:
             ok, message = result.success, result.message
         if not ok:
-            raise StopFailedError(str(message))  # it is kept off, but not over a restart
+            # It is kept off, but not over a restart.
+            raise StopFailedError(str(message), answered=True)
         return str(message)
 
     def close(self) -> None:

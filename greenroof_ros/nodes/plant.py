@@ -30,6 +30,8 @@ from greenroof_ros.model.site import Site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
+# What a tick is late by more than this (s) is not caught up with.
+_LATE_S = 1.0
 # An identity of a run has so many bits: a double holds it exactly.
 _IDENTITY_BITS = 53
 
@@ -126,8 +128,10 @@ class PlantNode(LinkedNode):
         """How long the present tick must still wait for its time at this pace (s)."""
         if not self._speed:
             return 0.0
-        due = self._began + self._tick * self._site.tau / self._speed
-        return max(0.0, due - time.monotonic())
+        wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
+        if wait < -_LATE_S:
+            self._began -= wait  # a real pump's least times must not pass faster to make up for it
+        return max(0.0, wait)
 
     def _levels(self) -> tuple[float, float]:
         """Return what the sensors of cistern and roof read in the present tick (m)."""

@@ -333,8 +333,9 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
         given = values[PAUSE_UNTIL.name]
-        # Who starts the node with a pause that is over by now starts it without one.
-        if given and read_start(given, key=PAUSE_UNTIL.name).timestamp() > time.time():
+        # A pause that is over by now, or shorter than the one that is kept, changes nothing.
+        least = max(time.time(), self._ledger.record.pause_until)
+        if given and read_start(given, key=PAUSE_UNTIL.name).timestamp() > least:
             self._pause(given)
         self._show_pause()
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -743,7 +744,7 @@ class PumpNode(Lifecycle, LinkedNode):
             frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
         self.say("frost", frost, "there is no frost", code, WARN)
         if self._permit.given:
-            missing = self._permit.missing(now)
+            missing = self._permit.missing(boot_time())  # one may have come since `now`
             self.say("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
         self._diagnose_drive(now)
 

@@ -233,6 +233,7 @@ class WeatherNode(LinkedNode):
                 )
                 self._live_forecast.file.look()
                 self._fetcher = self._fetch(values, file) if values["fetch"] else None
+            self._gauges: set[str] = set()  # that were good once
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
             )
@@ -397,11 +398,17 @@ class WeatherNode(LinkedNode):
         return self._unknown_frost
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
-        """Say how a gauge is that has a publisher; a site may do without."""
-        if gauge.good or gauge.heard:
-            bad = "" if gauge.good else f"{gauge.problem}; {instead}"
-            cause = gauge.verdict.code
-            self.say(part, bad, f"{gauge.name} is good", "gauge_bad", WARN, cause)
+        """Say how a gauge is that has a publisher, or was good once; a site may do without."""
+        if gauge.good:
+            self._gauges.add(part)
+        if not gauge.heard:
+            return
+        bad, well = "", f"{gauge.name} is good"
+        if part not in self._gauges and not gauge.publishers.count:
+            well = f"nobody publishes {gauge.name}"
+        elif not gauge.good:
+            bad = f"{gauge.problem}; {instead}"
+        self.say(part, bad, well, "gauge_bad", WARN, gauge.verdict.code)
 
 
 main = node_command(WeatherNode, partial(

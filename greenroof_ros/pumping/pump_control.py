@@ -477,9 +477,15 @@ class PumpControl:
             code = "runs_on" if seen.runs_on else "drive_fault"
             found[code] = f"the drive reports: {seen.drive_fault}"
         latched = evaluate(found)
-        if latched and not self._ledger.record.fault:
-            code = next(iter(latched))
-            self._ledger.fault(latched[code], code)
+        # The first fault is kept, but what the page may clear hides nothing that it may not.
+        worst = next((code for code in latched if not INTERLOCKS[code].on_page), "")
+        kept = INTERLOCKS.get(self._ledger.record.fault_code)
+        if not self._ledger.record.fault:
+            worst = worst or next(iter(latched), "")
+        elif kept is None or not kept.on_page:
+            worst = ""
+        if worst:
+            self._ledger.fault(latched[worst], worst)
         record = self._ledger.record
         found |= {
             "operator_stop": record.operator_stop, "record_unknown": record.unknown,

@@ -109,6 +109,8 @@ class Bridge:
             self._stop_until = -math.inf
         except StopFailedError as failure:
             say(f"stop, over MQTT: {failure}")
+            if failure.answered:
+                self._stop_until = -math.inf
 
     def _publish_state(self) -> None:
         shown = document(self._store, time.monotonic())

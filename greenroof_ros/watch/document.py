@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import asdict
 from typing import Any
 
@@ -250,6 +251,7 @@ def _stop(store: Store) -> dict[str, Any]:
     It is where an operator stopped it and it stands: the stop alone says that it should. ``call``
     and ``release`` are what somebody types to stop and release it; empty where that would do
     nothing. What ends in ``_here`` may be done here, and what in ``_then`` says what happens then.
+    Who asks for a dose sends ``asked_at`` back: a request that is held up on the way is old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -287,7 +289,8 @@ def _stop(store: Store) -> dict[str, Any]:
         "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "greatest_dose": greatest,
-        "dose_here": greatest is not None and not no_dose,
+        "dose_here": (dose_here := greatest is not None and not no_dose),
+        "asked_at": time.time() if dose_here else None,
         "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
         "but not above the roof's target. It ends early where anything keeps the pump off. "
         + LOCK_OUT,

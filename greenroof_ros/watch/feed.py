@@ -124,6 +124,7 @@ class Feed:
         self._asked: queue.SimpleQueue[tuple[str, dict[str, float], Future[str]]] = (
             queue.SimpleQueue()
         )
+        self._waiting: list[tuple[str, dict[str, float], Future[str]]] = []
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
@@ -181,12 +182,12 @@ class Feed:
         if self._looker is not None:
             self._looker.wake()
         try:
-            return asked.result(_STOP_S + 2.0)
+            return asked.result(2 * _STOP_S + 2.0)
         except FutureTimeoutError:
-            asked.cancel()
-            raise StopFailedError(
-                "The watcher is busy: whether the pump node did that is not known."
-            ) from None
+            what = "the pump node was not asked, and nothing was done"
+            if not asked.cancel():
+                what = "whether the pump node did that is not known"
+            raise StopFailedError(f"The watcher is busy: {what}.") from None
 
     # --- the graph ------------------------------------------------------------------------------
 
@@ -482,6 +483,23 @@ class Feed:
         if two:
             raise StopFailedError(two)
 
+    def _take_asked(self) -> bool:
+        """Take in what is asked, and return whether anything is.
+
+        A stop comes first, and undoes what was asked before it: that must not be done after it.
+        """
+        while not self._asked.empty():
+            asked = self._asked.get()
+            if asked[0] == "stop":
+                for action, _, before in self._waiting:
+                    if action != "stop" and before.set_running_or_notify_cancel():
+                        before.set_exception(StopFailedError(
+                            "Nothing was done: somebody asks to stop the pump."
+                        ))
+                self._waiting = [one for one in self._waiting if one[0] == "stop"]
+            self._waiting.append(asked)
+        return bool(self._waiting)
+
     def _answer(self) -> None:
         if (looker := self._looker) is None:
             return
@@ -489,8 +507,8 @@ class Feed:
             "stop": looker.stop_pump, "release": looker.release_pump, "clear": looker.clear_fault,
             "dose": looker.give_dose,
         }
-        while not self._asked.empty():
-            action, request, asked = self._asked.get()
+        while self._take_asked():
+            action, request, asked = self._waiting.pop(0)
             if asked.set_running_or_notify_cancel():
                 try:
                     self._prepare_stop()

@@ -18,7 +18,7 @@ import logging
 import time
 import traceback
 import zlib
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -234,6 +234,7 @@ class _Site:
         self._store, self._feed = store, feed
         self._names, self._token = names, token
         self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}
+        self._newest: asyncio.Task[tuple[bool, str]] | None = None
         self.connections: _Connections | None = None
         self.news = News(store)
         self.app = web.Application(
@@ -332,11 +333,14 @@ class _Site:
                 reason="nothing is released here: see greenroof watch --allow-release"
             )
         if action == "dose":
-            given = {"volume": _volume(body.get("volume")), "asked_at": time.time()}
+            given = {
+                "volume": _number(body, "volume", "m3"), "asked_at": _number(body, "asked_at", "s"),
+            }
         task = self._acting.get(action)
-        if task is None or task.done():
+        # Nobody joins a stop that a release was asked for after.
+        if task is None or task.done() or (task is not self._newest and not given):
             task = asyncio.create_task(self._ask(action, given, request.remote or ""))
-            self._acting[action] = task
+            self._acting[action] = self._newest = task
         elif given:
             return _said(False, "Another dose was asked for a moment ago.")
         return _said(*await asyncio.shield(task))
@@ -398,12 +402,13 @@ async def _sent(
         await asyncio.sleep(_TAKEN_S)
 
 
-def _volume(value: object) -> float:
-    """Return the volume of a dose that is asked for (m3); what it may be, the pump node knows."""
+def _number(body: Mapping[str, object], name: str, unit: str) -> float:
+    """Return a number of a dose that is asked for; what it may be, the pump node knows."""
+    value = body.get(name)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         with suppress(OverflowError):
             return float(value)
-    raise web.HTTPBadRequest(reason="volume must be a number (m3)")
+    raise web.HTTPBadRequest(reason=f"{name} must be a number ({unit})")
 
 
 def _hours(text: str) -> float:

@@ -330,6 +330,18 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     assert plant.x2 == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
 
 
+def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
+    """A plan for 12 h is followed for a quarter of an hour; only then the roof is filled."""
+    controller = lookahead()
+    none: list[float] = []
+    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
+    waited = [controller.command(2.3, 0.03, none, none) for _ in range(899)]
+    assert not any(waited)
+    assert controller.command(2.3, 0.03, none, none) > 0
+    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
+    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
+
+
 def test_forecasts_of_another_shape_are_refused() -> None:
     """And of nothing that is a number nothing is planned."""
     controller = lookahead()

@@ -1,15 +1,16 @@
 """The case at a forecast service: six hours of one of its failures, as a live site meets it.
 
-Requests and answers are real; the time between two requests is not waited for. What the file of
-forecasts is worth is asked of it in each ten minutes.
+Requests and answers are real; the time between two requests is not waited for. In each ten minutes
+the file of forecasts is read, and controller and pump control decide by it, in this process.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-import numpy as np
 from cases import Case
 from live import Outcome
 from places import CONFIG
@@ -18,7 +19,10 @@ from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.forecast.service import Fetcher, Service, ServiceRequest
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.limits import settings_for
+from greenroof_ros.pumping.pump_control import Observation, PumpControl
 from greenroof_ros.simulators.forecast_service import NONE, ForecastService
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
@@ -59,19 +63,19 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
         # Where a connection breaks, the HTTP library asks once more by itself.
         if len(waits) > _MOST_REQUESTS or server.asked - 1 > 2 * len(waits):
             outcome.fail(f"the service was asked {server.asked - 1} times in {_HOURS} h")
-        known = _known(LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False), began)
+        forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
+        forecast.file.look()
+        known = _stands_from(site, forecast, began, thermometer=False)
         if not 3600 <= known <= _ISSUE_LIMIT_S:
-            outcome.fail(f"the last forecast was used for {known:g} s")
-        # Without a forecast, on a dry roof and with water in the cistern.
-        choice = find_controller("lookahead")
-        values = {one.name: one.default for one in choice.parameters_on(site)}
-        command = decide(choice.make(site, values), True, 1.5, 0.01, (), ())
-        if not command > 0:
-            outcome.fail("a dry roof is not watered without a forecast")
+            outcome.fail(f"without a thermometer the pump stood from {known:g} s on")
+        if (stood := _stands_from(site, forecast, began, thermometer=True)) < math.inf:
+            outcome.fail(f"with a thermometer the pump stood from {stood:g} s on")
         server.fault = NONE
         if fetcher.fetch() != _EVERY_S or fetcher.problem:
             outcome.fail(f"after the fault: {fetcher.problem}")
-        outcome.recovery = "ran on; fetched again at the next request"
+        outcome.recovery = (
+            f"ran on; without a thermometer until the forecast was too old ({known / 60:g} min)"
+        )
     finally:
         server.close()
 
@@ -87,13 +91,32 @@ def _requests(fetcher: Fetcher, outcome: Outcome) -> list[float]:
     return waits
 
 
-def _known(forecast: LiveForecast, began: datetime) -> float:
-    """Return for how long after some time there is a forecast (s), of finite numbers."""
-    forecast.file.look()
+def _stands_from(
+    site: Site, forecast: LiveForecast, began: datetime, *, thermometer: bool
+) -> float:
+    """Return from when on (s) a pump stands that is to run; infinite where it never does.
+
+    Each ten minutes a new pump control is asked for a quarter of a minute: its own limits do not
+    count. While there is a forecast the pump is commanded to run; then by `lookahead`, on a dry
+    roof. Without a thermometer the temperature is the forecast's.
+    """
+    choice = find_controller("lookahead")
+    values = {one.name: one.default for one in choice.parameters_on(site)}
     for minutes in range(0, 60 * _HOURS, 10):
         try:
-            rain = forecast.at(began + timedelta(minutes=minutes)).rain
+            outlook = forecast.at(began + timedelta(minutes=minutes))
+            command, frost = 1.0, outlook.temperature <= 0
         except NoForecastError:
+            command = decide(choice.make(site, values), True, 1.5, 0.01, (), ())
+            frost = False if thermometer else None
+        control = PumpControl(site, settings_for(site), Ledger(None, time.time), 15.0)
+        seen = Observation(
+            command=command, cistern_level=1.5, roof_level=0.01, frost=frost, speed=0.0,
+            drive_ready=True,
+        )
+        for _ in range(15):
+            decision = control.step(1.0, seen, 0.0)
+        if decision.speed is None:
+            assert list(decision.interlocks) == ["frost_unknown"], decision.why
             return 60.0 * minutes
-        assert np.isfinite(rain).all()
-    return np.inf
+    return math.inf

@@ -3,7 +3,12 @@
 import re
 import subprocess
 import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime, timezone
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +24,10 @@ from greenroof_ros.forecast.service import (
     ServiceError,
     ServiceRequest,
 )
+from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE
+from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE, Issue
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators.forecast_service import ForecastService
 from greenroof_ros.weather.reading import default_weather, read_weather
@@ -103,6 +109,73 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
     server.fault = "none"
     assert fetcher.fetch() == 1800
     assert fetcher.problem == ""
+
+
+@contextmanager
+def _answering(answer):
+    """Serve what a function makes of each request's headers: status, headers and body."""
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            status, headers, body = answer(self.headers)
+            self.send_response(status)
+            for name, value in {**headers, "Content-Length": str(len(body))}.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_):
+            pass
+
+    served = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=served.serve_forever, daemon=True).start()
+    try:
+        yield Service(SITE, ServiceRequest(url=f"http://127.0.0.1:{served.server_port}/"))
+    finally:
+        served.shutdown()
+        served.server_close()
+
+
+def test_an_answer_that_is_no_forecast_is_asked_for_again(server, tmp_path):
+    """It was cut short on the way, and has the tag of the whole: 304 would be said for good."""
+    whole = server.answer({"hourly": [",".join(VARIABLES.values())]}, 1)
+    bodies = iter([whole[: len(whole) // 2], whole])
+
+    def answer(headers):
+        if headers["If-None-Match"] == '"v1"':
+            return 304, {}, b""
+        return 200, {"ETag": '"v1"'}, next(bodies)
+
+    with _answering(answer) as service:
+        fetcher = Fetcher(service, tmp_path / "forecast.csv", None, 1800)
+        assert (fetcher.fetch(), bool(fetcher.problem)) == (60, True)
+        for _ in range(2):
+            assert (fetcher.fetch(), fetcher.problem) == (1800, "")
+
+
+@pytest.mark.parametrize("asks", ["99999999999", "Fri, 31 Dec 9999 23:59:59 GMT", "100000"])
+def test_a_service_is_left_alone_for_a_day_at_most(tmp_path, asks):
+    with _answering(lambda _: (429, {"Retry-After": asks}, b"")) as service:
+        fetcher = Fetcher(service, tmp_path / "forecast.csv", None, 1800)
+        assert fetcher.fetch() == 86_400
+
+
+def test_what_is_new_in_any_hour_and_quantity_is_kept():
+    """No rain in the hours of before, and some after them, is another forecast."""
+    issued = _now().replace(minute=0, second=0, microsecond=0)
+    before = Issue(issued, Path(), None, np.zeros((1, 48)), np.ones(48), np.ones(48))
+    later = replace(
+        before, issued=issued + 5 * HOUR, rain=np.zeros((1, 43)),
+        evapotranspiration=np.ones(43), temperature=np.ones(43),
+    )
+    assert module._says_the_same(before, before) and module._says_the_same(before, later)
+    longer = replace(
+        later, rain=np.eye(1, 48, 47), evapotranspiration=np.ones(48), temperature=np.ones(48)
+    )
+    frost = replace(later, temperature=np.zeros(43))
+    members = replace(later, rain=np.zeros((2, 43)))
+    for new in (longer, frost, members, replace(later, evapotranspiration=np.zeros(43))):
+        assert not module._says_the_same(before, new)
+    assert not module._says_the_same(None, before)
 
 
 def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):

@@ -130,6 +130,9 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
         "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
     "a level twice in the run": (
         "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+    "a level after the last tick": (
+        "onoff", [("/run", [7.0, 0.0, 0.0]), *INPUTS], [LEVEL], 1,
+        "/cistern/level came twice in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),

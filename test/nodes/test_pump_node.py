@@ -482,9 +482,9 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
     url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
     before = sum(rig.flows)
 
-    def answer(given: str) -> dict[str, Any]:
+    def answer(given: str, age: float = 0.0) -> dict[str, Any]:
         request = Request(
-            f"{url}dose", b'{"volume": 0.2}',
+            f"{url}dose", json.dumps({"volume": 0.2, "asked_at": time.time() - age}).encode(),
             {"X-Greenroof": "1", "Authorization": f"Bearer {given}"},
         )
         with ThreadPoolExecutor() as pool:
@@ -501,6 +501,8 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
         return bool(said["ok"])
 
     assert answer("wrong") == {"status": 401}
+    wait_for(lambda: "no pump node" not in answer(token, 70.0)["sentence"], LATE, "its pump node")
+    assert "the request is 7" in answer(token, 70.0)["sentence"]  # it was held up on the way
     wait_for(is_given, LATE, "a dose")
     assert "another dose is under way" in answer(token)["sentence"]
     rig.until_it_stands(60, 0.0)

@@ -292,6 +292,39 @@ def test_where_the_time_is_not_known_the_pump_stands() -> None:
     assert codes(rig.run(30, 0.5)) == ["quiet_hours"]
 
 
+@pytest.mark.parametrize(
+    ("worse", "change"),
+    [("drive_fault", {"drive_fault": "overcurrent"}), ("turns_backwards", {"speed": -0.3})],
+)
+def test_what_the_page_may_clear_hides_nothing_that_it_may_not(
+    worse: str, change: dict[str, Any]
+) -> None:
+    """The worse fault is kept in place of the first, also when it has gone; the first comes not."""
+    rig = Rig(x2=0.5)
+    rig.stuck_speed = 0.05
+    assert codes(rig.run(60, 0.5, until=lambda one: bool(one.interlocks))) == ["speed_not_followed"]
+    assert rig.control.page_may_not_clear == ""
+    rig.stuck_speed, rig.change = 0.0, change
+    rig.step(0.5)
+    rig.change = {}
+    assert rig.step(0.5).state == "fault"
+    assert rig.ledger.record.fault_code == worse
+    assert rig.control.page_may_not_clear
+    rig.stuck_speed = 0.05
+    rig.run(60, 0.5)
+    assert rig.ledger.record.fault_code == worse
+
+
+def test_a_delivery_fault_is_seen_behind_a_speed_that_does_not_follow() -> None:
+    """It runs on against the order, and what it pumps arrives nowhere."""
+    rig = Rig(x2=0.5)
+    rig.stuck_speed = 1.0
+    rig.arriving = 0.0
+    rig.run(300, 0.5)
+    assert rig.ledger.record.fault_code in ("delivery", "runs_on")
+    assert rig.control.page_may_not_clear
+
+
 def test_the_end_of_a_pause_starts_no_pump_sooner_than_it_may() -> None:
     rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
     assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None

@@ -531,6 +531,7 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
         "call": STOP, "release": "",
         "release_here": False, "release_then": ANY, "clear_here": False, "clear_then": ANY,
         "no_clear": "", "greatest_dose": None, "dose_here": False, "dose_then": ANY, "no_dose": "",
+        "asked_at": None,
     }
     for wall in (100.2, 100.4):
         for process in ("host 1", "host 2"):

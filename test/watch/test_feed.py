@@ -9,6 +9,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -324,3 +325,18 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
         with pytest.raises(StopFailedError, match="no pump node"):
             feed.ask("stop")
         assert time.monotonic() - began < 15
+
+
+def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None:
+    """A release that is done after it would undo it."""
+    feed = Feed(Kept())
+    asked = [(action, Future[str]()) for action in ("release", "stop", "dose", "stop", "release")]
+    for action, answer in asked:
+        feed._asked.put((action, {}, answer))
+    assert feed._take_asked()
+    assert [one[0] for one in feed._waiting] == ["stop", "stop", "release"]
+    for number, (_, answer) in enumerate(asked):
+        assert answer.done() == (number in (0, 2))
+        if answer.done():
+            with pytest.raises(StopFailedError, match="Nothing was done: somebody asks to stop"):
+                answer.result()

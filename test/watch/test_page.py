@@ -523,7 +523,7 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     assert posted(page) == []
     stop.click()
     page.locator("#ask-yes").click()
-    until_shown(page, "#answer.failed", "is not known")
+    until_shown(page, "#answer.failed", "was not asked")
     assert posted(page) == ["stop"]
     until_shown(page, "#stop-button:enabled")
     assert not page.locator("#lost").is_visible()
@@ -566,7 +566,7 @@ def test_the_token_is_sent_from_the_address_and_releases_after_a_question(browse
         assert posted(page) == []
         page.locator("#release-button").click()
         page.locator("#ask-yes").click()
-        until_shown(page, "#answer.failed", "is not known")
+        until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release"]
         page.locator("#release-button").click()
         stopped[:] = pump("held: stopped", stop="stopped", stopped_by=["page", "service"])
@@ -595,8 +595,10 @@ def test_a_dose_is_asked_for_with_its_volume_after_a_question(browser: Any) -> N
         until_shown(page, "#ask", "Give a dose of 0.25 m³?")
         with page.expect_request("**/dose") as sent:
             page.locator("#ask-yes").click()
-        assert sent.value.post_data_json == {"volume": 0.25}
-        until_shown(page, "#answer.failed", "is not known")
+        body = sent.value.post_data_json
+        assert (body["volume"], body.keys()) == (0.25, {"volume", "asked_at"})
+        assert time.time() - 10 < body["asked_at"] < time.time()
+        until_shown(page, "#answer.failed", "was not asked")
         page.locator("#dose-button").click()
         ready[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
         until_shown(page, "#answer.failed", "what was asked about has changed")

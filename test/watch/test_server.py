@@ -9,6 +9,7 @@ import socket
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from graphs import wait_for
 from page_server import Answer, Stream, page_files, request, send, served
 from said import ERROR, SECOND
 
-from greenroof_ros.watch import server
+from greenroof_ros.watch import feed, server
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
@@ -175,7 +176,7 @@ def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
     assert answer.status == 200
     assert answer.json() == {
         "ok": False,
-        "sentence": "The watcher is busy: whether the pump node did that is not known.",
+        "sentence": "The watcher is busy: the pump node was not asked, and nothing was done.",
     }
     (event,) = shown(watched)["events"]
     assert "Stop, from 127.0.0.1" in event["what"]
@@ -191,7 +192,7 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
-            body = b'{"volume": 0.2}'
+            body = f'{{"volume": 0.2, "asked_at": {time.time()}}}'.encode()
             assert request(port, "POST", f"/{action}", body, **RIGHT).status == status
             if token:
                 assert request(port, "POST", f"/{action}", body, **ACT).status == 401
@@ -201,12 +202,32 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(
     assert said == [action.capitalize()]
 
 
-@pytest.mark.parametrize("volume", ['""', '"0.2"', "null", "true", "[0.2]", "1" + 400 * "0"])
-def test_a_dose_without_a_volume_is_refused(volume: str, watched: Store) -> None:
+def test_who_asks_for_a_stop_after_a_release_does_not_join_the_stop_before_it(
+    watched: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be answered, and the release be the last that is done."""
+    monkeypatch.setattr(feed, "_STOP_S", 0.5)
     watched.allow_release = True
+    with served(watched, "secret") as port, ThreadPoolExecutor() as askers:
+        for action in ("stop", "stop", "release", "stop"):
+            askers.submit(request, port, "POST", f"/{action}", b"{}", **RIGHT)
+            time.sleep(0.3)
+        askers.shutdown()
+    said = [event["what"].partition(",")[0] for event in shown(watched)["events"]]
+    assert sorted(said) == ["Release", "Stop", "Stop"]
+
+
+@pytest.mark.parametrize("wrong", ['""', '"0.2"', "null", "true", "[0.2]", "1" + 400 * "0"])
+@pytest.mark.parametrize(("name", "unit"), [("volume", "m3"), ("asked_at", "s")])
+def test_a_dose_without_volume_or_time_is_refused(
+    name: str, unit: str, wrong: str, watched: Store
+) -> None:
+    watched.allow_release = True
+    body = {"volume": "0.2", "asked_at": "1.0"} | {name: wrong}
+    text = ", ".join(f'"{key}": {value}' for key, value in body.items())
     with served(watched, "secret") as port:
-        answer = request(port, "POST", "/dose", f'{{"volume": {volume}}}'.encode(), **RIGHT)
-    assert (answer.status, answer.json()["sentence"]) == (400, "volume must be a number (m3)")
+        answer = request(port, "POST", "/dose", f"{{{text}}}".encode(), **RIGHT)
+    assert (answer.status, answer.json()["sentence"]) == (400, f"{name} must be a number ({unit})")
     assert shown(watched)["events"] == []
 
 

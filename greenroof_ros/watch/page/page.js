@@ -296,8 +296,9 @@ const post = async (path, body) => {
     body: JSON.stringify(body), signal: AbortSignal.timeout(10_000),
   });
   const said = await response.json();
-  if (!response.ok) throw new Error(said.sentence);
-  return said;
+  if (response.ok) return said;
+  if (response.status >= 500) throw new Error(said.sentence);
+  return { ok: false, sentence: `Nothing was done: ${said.sentence}.` };
 };
 
 // Each asks once, and says what came of it.
@@ -358,7 +359,7 @@ for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
 byId("ask-no").addEventListener("click", () => byId("ask").close());
 byId("ask-yes").addEventListener("click", () => {
   byId("ask").close();
-  act(asked, askedBody);
+  act(asked, asked === "dose" ? { ...askedBody, asked_at: shown.stop.asked_at } : askedBody);
 });
 
 // Charts
