@@ -20,16 +20,14 @@ from doc_commands.blocks import fences
 from places import CHECKOUT
 
 import greenroof_ros
+from greenroof_ros.__main__ import COMMANDS as GREENROOF_COMMANDS
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
     "recorder", "live_recorder", "pump", "sensor",
 )
-COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
-    "verify", "bridge", "study", "report", "watch",
-)
+# Each command of `greenroof` by its module; `live` is bringup's.
+COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.
 SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
