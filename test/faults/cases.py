@@ -138,7 +138,8 @@ _OF_MAKE = {
 # What there is of it on a serial line, where nothing connects; the line of a simulator that is
 # started again would have another name.
 _SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
-# The motor does not stop, whatever it is ordered to do: there must be an alarm, and the fault latches.
+# The motor does not stop, whatever it is ordered to do: there must be an alarm, and the fault
+# latches.
 _UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
 
 
