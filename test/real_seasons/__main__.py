@@ -42,7 +42,14 @@ from real_seasons.runs import (  # noqa: E402
     Case,
     write,
 )
-from real_seasons.tables import Results, by_halves, of_owner, of_period, present_hour  # noqa: E402
+from real_seasons.tables import (  # noqa: E402
+    Results,
+    by_halves,
+    of_owner,
+    of_period,
+    present_hour,
+    resolution,
+)
 from real_seasons.trust_figure import draw  # noqa: E402
 
 PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
@@ -101,6 +108,8 @@ def main() -> None:
                 present_hour(found), of_owner(found),
             ):
                 print("", *lines, sep="\n", flush=True)
+            if period is not AUTUMN:
+                print("", *resolution(inputs, roof, period), sep="\n", flush=True)
             draw(found, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
 
 

@@ -161,6 +161,12 @@ class Inputs:
             for wet in (False, True)
         }
 
+    def measured(self, time: datetime, hours: int) -> float:
+        """Return what fell from a time on (mm); NaN where an hour of it is missing."""
+        begin = (time - self.record.rain_from) // HOUR
+        rain = self.record.precipitation[max(0, begin) : begin + hours]
+        return float(rain.sum()) if len(rain) == hours else math.nan
+
     def is_wet(self, period: Period, time: datetime) -> bool | None:
         """Whether a time is in the wetter half of a period; None where it is in neither."""
         week = (time - period.start) // timedelta(hours=WEEK_H)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import timedelta
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from real_seasons.inputs import BLOCK_WEEKS
+from real_seasons.inputs import BLOCK_WEEKS, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
@@ -25,6 +26,9 @@ Results: TypeAlias = dict[Case, dict[str, Any]]
 
 # Of the bootstrap. Blocks of weeks, since a storm's excess stays for more than one.
 RESAMPLES = 2000
+
+# Sums of forecasts are over so many hours.
+_SUM_H = 48
 
 # What an owner sees of a run: heading, form, and of which weekly sums it is the ratio.
 OWNERS = {
@@ -130,6 +134,38 @@ def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
         for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
             yield f"\n{words}, {chosen.sum()} weeks: "
             yield from _rows(weeks, (ISSUED, CROSSED), chosen)
+
+
+def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
+    """Yield how much of the rain's variance each service forecasts, in sums over two days.
+
+    That is the squared correlation of the members' mean with the gauge. The bias is forecast over
+    measured.
+    """
+    halves = {period.words: (False, True), "drier half": (False,), "wetter half": (True,)}
+    yield from _head([
+        "forecast", *(f"{words}: {what}" for words in halves for what in ("r²", "bias"))
+    ])
+    end = period.start + timedelta(hours=period.hours)
+    for source in SOURCES:
+        for form, archive in (
+            (ISSUED, inputs.issued[source]), (DRESSED, inputs.dressed(roof, source))
+        ):
+            sums = [
+                (inputs.is_wet(period, issue.issued), issue.rain[:, :_SUM_H].sum(axis=1).mean(),
+                 inputs.measured(issue.issued, _SUM_H))
+                for issue in archive.issues
+                if period.start <= issue.issued < end and issue.hours >= _SUM_H
+            ]
+            cells = [f"{source}, {form}"]
+            for chosen in halves.values():
+                said, fell = np.array([
+                    one[1:] for one in sums if one[0] in chosen and not np.isnan(one[2])
+                ]).T
+                cells += [
+                    f"{np.corrcoef(said, fell)[0, 1] ** 2:.2f}", f"{said.sum() / fell.sum():.2f}"
+                ]
+            yield f"| {' | '.join(cells)} |"
 
 
 def present_hour(results: Results) -> Iterator[str]:
