@@ -45,7 +45,7 @@ _LEAST_COMMAND = 1e-5
 Array = NDArray[np.float64]
 
 # In place of a plan: where the last one is followed on, and where the controller did not decide.
-_NO_NEW_PLAN, _UNDECIDED = np.empty((0, 3)), np.full((1, 3), np.nan)
+_NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 
 
 class Lookahead:
@@ -78,10 +78,12 @@ class Lookahead:
         fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
             NaN where it is left alone, and where the controller did not decide.
         trust: share of the room for forecast rain that is left (1).
-        plan: a plan that was made in this tick, a row for each step, shape (steps, 3): the step's
+        plan: a plan that was made in this tick, a row for each step, shape (steps, 4): the step's
             end (s from this tick), the mean flow of the pumps in it (m3/s), and the level of the
-            roof that is expected at its end (m); both are means over the members. Shape (0, 3)
-            where the last plan is followed on; one row of NaN where the controller did not decide.
+            roof that is expected at its end (m), both means over the members; and the level to
+            which the roof is filled in it if no rain has come until then (m), 0 where it is left
+            alone. Shape (0, 4) where the last plan is followed on; one row of NaN where the
+            controller did not decide.
         planned_deviation: mean deviation over the horizon and the days after it, of all members,
             that the last plan expects (m3); NaN before the first.
         solves: how many plans were made.
@@ -296,8 +298,13 @@ class Lookahead:
         self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
     ) -> Array:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
-        flows, roofs = self._program.follow(policy, *inputs, self.trust)
-        rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
+        x1, x2, rain, evaporated, flow = inputs
+        flows, roofs, _ = self._program.follow(policy, *inputs, self.trust)
+        driest = int((rain @ np.diff(policy.edges)).argmin())
+        dry = x1, x2, np.zeros_like(rain[:1]), evaporated, flow
+        _, _, (aims,) = self._program.follow(policy, *dry, self.trust, driest)
+        depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
+        rows = policy.edges[1:], flows.mean(axis=0), *depths
         horizon = self._after.edges[self._after.steps]
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 

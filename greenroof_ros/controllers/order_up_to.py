@@ -257,9 +257,9 @@ class OrderUpTo:
 
     def follow(
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
-        flow: Array, share: float,
-    ) -> tuple[Array, Array]:
-        """Return what a policy pumps in each step (m3/s) and the roof at its end (m3).
+        flow: Array, share: float, member: int | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """Return what a policy pumps (m3/s), the roof at the end, and what it is filled to (m3).
 
         Args:
             policy: that :meth:`solve` found for the others.
@@ -269,23 +269,26 @@ class OrderUpTo:
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), shape (n,).
             share: of the room for forecast rain that is left (1).
+            member: that is told apart from the others in place of these; None for each itself.
 
         Returns:
-            Two arrays of shape (members, n).
+            Of each step, three arrays of shape (members, n); filled to 0 is left alone.
         """
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self.usable(x1))
         mains = self._site.mains_flow or 0.0
-        pumped, left = np.empty_like(rain), np.empty_like(rain)
+        pumped, left, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            level = self.levels(policy, step, policy.group_of[step], water, roof, share)
+            groups = policy.group_of[step] if member is None else policy.group_of[step][member]
+            level = self.levels(policy, step, groups, water, roof, share)
+            aimed[:, step] = np.where(level >= roof, level, 0.0)
             most = np.minimum(flow[step], water / seconds + mains)
             roof, took = self.move(
                 level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
             )
             water = self._cistern.after(water - took, rain[:, step], seconds)
             pumped[:, step], left[:, step] = took / seconds, roof
-        return pumped, left
+        return pumped, left, aimed
 
     def move(
         self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: Any,

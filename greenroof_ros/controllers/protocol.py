@@ -24,7 +24,7 @@ class Controller(Protocol):
       live site while there is none; the class is not asked.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
       each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. It is a
-      number, of ``/controller/plan`` a numpy array of shape (steps, 3).
+      number, of ``/controller/plan`` a numpy array of shape (steps, 4).
     - ``learned``: a property, numbers by name that it knows from what has happened and would need
       weeks to know again. The node of a live site sets it after a restart, to what it was before.
     - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A

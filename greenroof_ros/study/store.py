@@ -74,14 +74,14 @@ class Store:
         identity = {
             "engine": engine,
             "trajectory_every": trajectory_every,
-            "numbers": _numbers(),
+            "numbers": _numbers(engine),
             "runs": [case.identity for case in cases],
         }
         try:
             self._open(grid, identity)
         except OSError as error:
             raise ConfigurationError(
-                f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+                f"cannot be read or written: {error.strerror}", key="--output", value=str(directory)
             ) from error
         self.outcomes: dict[str, Outcome] = {}
         self.failures: dict[str, str] = {}
@@ -207,15 +207,17 @@ class _WithoutTexts(ast.NodeTransformer):
         return None if isinstance(node.value, ast.Constant) else node
 
 
-def _numbers() -> dict[str, str]:
+def _numbers(engine: str) -> dict[str, str]:
     """Return the versions of what makes the numbers of a run: whether a stored one still counts.
 
     Of this package it is the code in the folders that do, without its comments and docstrings, and
-    the constants of the forecast skills that have a name.
+    the constants of the forecast skills that have a name. With the engine ``ros`` graph and nodes
+    make them, too.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    for folder in ("model", "formats", "weather", "forecast", "controllers", "experiment"):
+    folders = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
+    for folder in [*folders, "graph", "nodes"] if engine == "ros" else folders:
         for file in sorted((package / folder).rglob("*.py")):
             code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
             digest.update(file.relative_to(package).as_posix().encode() + code.encode())

@@ -15,6 +15,8 @@ AHEAD_S = 12 * 3600.0
 
 # Fewer members than these have no tenth: their range is from the least to the greatest.
 _TENTHS = 10
+# Levels that are as near to each other count as one (m).
+_ALIKE_M = 0.0005
 # Less is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
@@ -113,10 +115,23 @@ class Plan(_Steps):
     Attributes:
         flow: mean of each step (m3/s).
         level: of the roof at the end of each step, as expected (m).
+        fill_to: to which the roof is filled in each step if no rain has come (m); 0 for left alone.
     """
 
     flow: Values
     level: Values
+    fill_to: Values
+
+    def without_rain(self, now: float) -> tuple[float, float]:
+        """Return when the roof is filled highest if no rain comes, up to 12 h ahead, and how high.
+
+        As s since 1970 and m, which is 0 where the plan is over.
+        """
+        ahead = np.flatnonzero((self.ends > now) & (self.begins < now + AHEAD_S))
+        if not len(ahead):
+            return now, 0.0
+        highest = ahead[(self.fill_to[ahead] > self.fill_to[ahead].max() - _ALIKE_M).argmax()]
+        return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
     def pumped(self, now: float) -> Pumped | None:
         """Return what is to be pumped from now on to 12 h ahead; None for nothing."""

@@ -431,8 +431,9 @@ class Store:
         Args:
             time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
             rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
-                that is expected at its end (m), shape (steps, 3). Empty: nothing has changed. With
-                a number that cannot be: there is no plan now.
+                that is expected at its end (m), and to which it is filled if no rain has come (m),
+                shape (steps, 4); without the last in older bags. Empty: nothing has changed. With a
+                number that cannot be: there is no plan now.
             past: whether it is for the past, too: what it expects is kept, and all plans before it
                 have come.
         """
@@ -637,9 +638,9 @@ class Store:
 def _plan_of(at: float, rows: Values) -> Plan | None:
     """Return the plan of some time (s since 1970); None where one of its numbers cannot be."""
     plan = np.asarray(rows, dtype=np.float64)
-    if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
+    if plan.ndim != 2 or plan.shape[1] not in (3, 4) or len(plan) > _MOST_STEPS:
         return None
-    ends, flow, level = plan.T
+    ends, flow, level, *fill_to = plan.T
     if not np.all((plan >= 0) & (plan <= _LARGEST)) or np.any(np.diff(ends, prepend=0.0) <= 0):
         return None
-    return Plan(at, at + ends, flow, level)
+    return Plan(at, at + ends, flow, level, fill_to[0] if fill_to else np.zeros_like(ends))

@@ -25,6 +25,8 @@ SOON_S = 600.0
 # an older one has missed such a run (s).
 _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
+# A later level counts where it is higher by more than this (m).
+_HIGHER_M = 0.0005
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _GAUGE = "/gauge/precipitation"
@@ -294,7 +296,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     else:
         sentence = "commands no pumping now"
     if not alarm and not store.ended:
-        sentence = "; ".join(filter(None, (_aim(store), sentence, _trusted(store))))
+        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, _trusted(store))))
     return {
         "label": "Controller",
         "value": name or ("not recorded" if store.ended else words.UNKNOWN), "number": None,
@@ -303,17 +305,26 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     }
 
 
-def _aim(store: Store) -> str:
-    """Return to what a controller fills the roof now; empty where it leaves it alone."""
+def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
+    """Return to what a controller fills the roof, now and later; empty where it leaves it alone."""
     level = store.known("/controller/fill_to")
-    return "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
+    said = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
+    if plan is None or now is None:
+        return said
+    begin, later = plan.without_rain(now)
+    if begin <= now or later <= (level or 0.0) + _HIGHER_M:
+        return said
+    then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
+    return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
 
 
 def _trusted(store: Store) -> str:
-    """Return how far a controller trusts the forecast; empty where it does in full."""
+    """Return how far a controller trusts the forecast, and why not in full; empty: not known."""
     share = store.known("/controller/trust")
-    if share is None or share == 1:
+    if share is None:
         return ""
+    if share == 1:
+        return "trusts the forecast"
     if share == 0:
         return "does not trust the forecast: of late a roof without one would have done better"
     return (

@@ -33,7 +33,7 @@ def planning(plan: str) -> tuple[str, str]:
 
 FINITE = "its commands are finite and not negative, at all levels and forecasts"
 OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
-NO_PLAN = "no numpy array of floats, of shape (n, 3), in the attribute plan"
+NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
 BROKEN = [
     # What it does wrong, the rule that it breaks, and what is said of it.
     (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
@@ -68,7 +68,7 @@ BROKEN = [
         "statistics() must be None or have fallbacks, max_s, mean_s, p99_s, solves",
     ),
     # The node can send no other plan than an array of floats with the interface's columns.
-    (planning("numpy.zeros((2, 3), dtype=int)"), OUTPUTS, NO_PLAN),
+    (planning("numpy.zeros((2, 4), dtype=int)"), OUTPUTS, NO_PLAN),
     (planning("numpy.zeros((2, 2))"), OUTPUTS, NO_PLAN),
 ]
 

@@ -171,5 +171,5 @@ def test_the_plan_leaves_the_room_that_the_command_leaves(share: float, asked: f
     controller, steps = lookahead(horizon=HORIZON), len(ENDS) - 1
     controller.learned = {**controller.learned, "trust": share}
     controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [asked] * steps)
-    ends, _, levels = controller.plan.T
+    ends, _, levels, _ = controller.plan.T
     assert levels[ends == 120] == pytest.approx(controller.fill_to, abs=1e-5)

@@ -250,7 +250,7 @@ def test_the_papers_hours_beside_their_bound(tmp_path: Path) -> None:
 
 def planned_volumes(controller: Lookahead) -> Array:
     """Return what its plan pumps in each step (m3)."""
-    ends, flows, _ = controller.plan.T
+    ends, flows, _, _ = controller.plan.T
     return np.asarray(flows * np.diff(ends, prepend=0.0))
 
 
@@ -308,6 +308,20 @@ def test_what_it_plans_is_what_happens(max_command: float, x1: float) -> None:
         levels.append(plant.x2 / PAPER_SITE.a2)
     assert plan[:, 2] == pytest.approx(levels, abs=1e-6)
     assert plan[:, 1].max() > 0
+
+
+def test_what_it_plans_if_no_rain_comes() -> None:
+    """Rain in one step that fills the roof: until its end the roof is left alone, then filled."""
+    ends, wet = growing_steps(12.0)[1:], 25
+    rain = [0.0] * STEPS
+    rain[wet] = 0.03 / (ends[wet] - ends[wet - 1])
+    controller = lookahead()
+    assert controller.command(2.3, 0.03, [rain], DRY) == 0.0
+    fill_to = controller.plan[:, 3]
+    assert not fill_to[: wet + 1].any()
+    assert fill_to[wet + 1] == pytest.approx(PAPER_SITE.z_veg)
+    assert not fill_to[wet + 2 :].any()  # nothing dries: it holds that by itself
+    assert controller.plan[wet:, 2] == pytest.approx(0.06)  # with the rain it is as full as this
 
 
 # --- the controller -------------------------------------------------------------------------------
@@ -388,7 +402,7 @@ def test_it_plans_again_when_something_changed() -> None:
     Of 12 h a plan is followed for a quarter of an hour. A tick that it does not decide is no plan.
     """
     controller = lookahead()
-    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 3)
+    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 4)
 
     def plans(seconds: int, *members: list[float]) -> int:
         before = controller.solves
@@ -396,13 +410,13 @@ def test_it_plans_again_when_something_changed() -> None:
             controller.command(2.3, 0.05, members, DRY)
         return controller.solves - before
 
-    assert plans(1, DRY) == 1 and controller.plan.shape == (STEPS, 3)
-    assert plans(60, rain_in((5, 7), 0.9e-3)) == 0 and controller.plan.shape == (0, 3)
+    assert plans(1, DRY) == 1 and controller.plan.shape == (STEPS, 4)
+    assert plans(60, rain_in((5, 7), 0.9e-3)) == 0 and controller.plan.shape == (0, 4)
     assert plans(60, rain_in((5, 7), 1.1e-3)) == 1
     assert plans(1, DRY, DRY) == 1
     assert plans(900, DRY, DRY) == 1
     controller.skip()
-    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 3)
+    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 4)
 
 
 def test_who_fears_the_worst_members_leaves_room_for_them() -> None:

@@ -117,7 +117,7 @@ def test_plans_travel_with_their_own_labels() -> None:
     message = deserialize_message(encode(np.ones((2, 3))), Float64MultiArray)
     assert [one.label for one in message.layout.dim] == ["step", "quantity"]
     assert encode(np.empty((0, 3))) == encode(array("d"))
-    assert encode(np.full((1, 3), math.nan)) == encode(topic.undecided)
+    assert encode(np.full((1, 4), math.nan)) == encode(topic.undecided)
 
 
 def test_layout_that_does_not_fit() -> None:
@@ -220,11 +220,11 @@ def test_what_a_subscriber_takes_of_a_plan() -> None:
     encode = encoder(topic.type, topic.dimensions)
     publishers = SimpleNamespace(topic=topic, full_name=topic.name)
     entry = Input(publishers, get_logger("test"))
-    for value in (np.array([[10.0, 0.008, 0.036], [20.0, 0.0, 0.0]]), np.empty((0, 3))):
+    for value in (np.array([[10.0, 0.008, 0.036, 0.04], [20.0] + 3 * [0.0]]), np.empty((0, 4))):
         entry.receive(encode(value))
         assert entry.good and np.asarray(entry.value).size == value.size
     entry.receive(encode(topic.undecided))
-    assert not entry.good and list(entry.value) == [0.0] * 3
+    assert not entry.good and list(entry.value) == [0.0] * 4
 
 
 def test_root_causes_of_the_interface() -> None:

@@ -111,6 +111,21 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     )
 
 
+def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: Observer) -> None:
+    """A real pump's least times, which are counted in ticks, would pass faster than they do."""
+    times = observer.hear("/roof/level", lambda _: time.monotonic())
+    nodes.node("weather")
+    nodes.node("onoff")
+    plant = nodes.node("plant", run_length=400, speed=4.0)
+    observer.until(lambda: len(times) > 4, 60, "ticks")
+    plant.process.send_signal(signal.SIGSTOP)
+    time.sleep(3.0)
+    plant.process.send_signal(signal.SIGCONT)
+    stalled = len(times)
+    observer.until(lambda: len(times) > stalled + 8, 60, "ticks after it")
+    assert times[stalled + 8] - times[stalled] > 8 / 4 - 0.5
+
+
 # What the test's own node says to one under test: topics, each with a value.
 Said = list[tuple[str, Any]]
 LEVEL = ("/cistern/level", 2.5)

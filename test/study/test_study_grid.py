@@ -108,7 +108,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
-        (["--output", "/proc/study"], "--output = '/proc/study': cannot be written"),
+        (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
 )
 def test_what_is_wrong_ends_before_anything_runs(

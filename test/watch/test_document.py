@@ -265,18 +265,25 @@ def test_the_plan_in_words() -> None:
 
 
 @pytest.mark.parametrize(("trust", "rest"), [
-    (1.0, []), (2 / 3, ["leaves 67 % of the room that the forecast asks for"]),
+    (1.0, ["trusts the forecast"]), (2 / 3, ["leaves 67 % of the room that the forecast asks for"]),
     (0.0, ["does not trust the forecast"]),
 ])
 def test_what_the_controller_fills_to_and_how_far_it_trusts(trust: float, rest: list[str]) -> None:
-    """One level; of trust nothing while it is full, and nothing at all while the roof is alone."""
+    """One level now, and one for later; no level while the roof is left alone."""
     one = watched()
     one.add_plan(MINUTE, np.array([[3600.0, 1e-3, 0.045]]))
     hear(one, 60, 61, {"/controller/fill_to": 0.041, "/controller/trust": trust})
     parts = tile_of(one, "controller")["sentence"].split("; ")
     assert parts[0] == "fills to 41.0 mm now"
     assert [part.partition(":")[0] for part in parts[2:]] == rest
+    later = [[3600.0, 0.0, 0.045, 0.041], [7200.0, 0.0, 0.045, 0.0412], [9000.0, 0.0, 0.045, 0.044]]
+    one.add_plan(MINUTE + SECOND, np.array(later))
+    said = tile_of(one, "controller")["sentence"].partition("; ")[0]
+    assert said == "fills to 41.0 mm now, and to 44.0 mm after 02:01 if no rain has come"
     hear(one, 61, 62, {"/controller/fill_to": math.nan, "/controller/trust": 1.0})
+    said = tile_of(one, "controller")["sentence"].partition("; ")[0]
+    assert said == "fills to 44.0 mm after 02:01 if no rain comes"
+    one.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # of an older bag
     assert "fill" not in tile_of(one, "controller")["sentence"]
 
 
