@@ -44,6 +44,7 @@ class LiveSite:
             is none, or the weather is somebody else's.
         fetch_model: weather model that is fetched; empty for the service's choice.
         fetch_url: of the server that it is fetched from; empty for Open-Meteo's.
+        fetch_every: from one forecast to the next (min).
         dressed: file of what fell after past forecasts, which is added to; None for none.
         drive: of the pump; None where it is somebody else's.
         bag_limit: size of the bag beyond which the oldest of it is removed (MB); None for no bag.
@@ -99,6 +100,7 @@ class LiveSite:
         self.forecast = _forecast(arguments)
         self.fetch_model: str = arguments.fetch_model
         self.fetch_url: str = arguments.fetch_url
+        self.fetch_every: float = arguments.fetch_every or 30.0
         self.dressed = _readable(arguments.dressed, "--dressed") if arguments.dressed else None
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
@@ -110,7 +112,7 @@ class LiveSite:
         }
         return {name: file for name, file in files.items() if file is not None}
 
-    def fetched(self, state: Path) -> dict[str, str]:
+    def fetched(self, state: Path) -> dict[str, str | float]:
         """Return the weather node's parameters of the forecast, given the directory of all kept."""
         if self.forecast != OPEN_METEO:
             return {"forecast": str(self.forecast or "")}
@@ -119,6 +121,7 @@ class LiveSite:
             "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
             "fetch_model": self.fetch_model,
             "fetch_url": self.fetch_url,
+            "fetch_every": self.fetch_every,
         }
 
     def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:
@@ -213,6 +216,10 @@ def make_parser() -> argparse.ArgumentParser:
         "--fetch-url", default="", metavar="URL", help="of a server like open-meteo's, for that"
     )
     group.add_argument(
+        "--fetch-every", type=within(10, 1440), metavar="MIN",
+        help="from one forecast of open-meteo to the next (default: 30)",
+    )
+    group.add_argument(
         "--dressed", metavar="FILE.csv",
         help="instead of each forecast an ensemble of what fell after similar ones, by a file that "
         "'greenroof verify --dress' made; what falls here is added to it, and without a forecast "
@@ -248,7 +255,7 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     Raises:
         ConfigurationError: there is no such file, or an option is for what is not fetched.
     """
-    for option in ("fetch_model", "fetch_url"):
+    for option in ("fetch_model", "fetch_url", "fetch_every"):
         value = getattr(arguments, option)
         refuse((
             bool(value) and arguments.forecast != OPEN_METEO, f"--{option.replace('_', '-')}",

@@ -68,8 +68,6 @@ _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspirat
 _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
     "/forecast/precipitation", "/forecast/evapotranspiration",
 )
-# How often a live site fetches its forecast (s).
-_FETCH_S = 1800.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -105,15 +103,18 @@ def parameters(site: Site) -> list[Parameter]:
             "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
         ),
         Parameter(
-            "fetch", "", meaning="live: every half hour Open-Meteo's forecast is fetched as the "
-            "FILE.csv of forecast, and kept beside it where it is new: of its interface forecast "
-            "or ensemble; empty: somebody else writes the file",
+            "fetch", "", meaning="live: Open-Meteo's forecast is fetched as the FILE.csv of "
+            "forecast, and kept beside it where it is new: of its interface forecast or ensemble; "
+            "empty: somebody else writes the file",
             among=("", *INTERFACES),
         ),
         Parameter(
             "fetch_model", "", meaning="weather model by Open-Meteo's name; empty: its own choice",
         ),
         Parameter("fetch_url", "", meaning="of a server like Open-Meteo's; empty: theirs"),
+        Parameter(
+            "fetch_every", 30.0, "min", 10.0, 1440.0, "from one fetched forecast to the next"
+        ),
         Parameter(
             "forecast_skill", forecast.skill,
             meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
@@ -318,7 +319,7 @@ class WeatherNode(LinkedNode):
             values["fetch"] == ENSEMBLE, values["fetch_model"], min(days, MOST_DAYS),
             values["fetch_url"],
         ))
-        fetcher = Fetcher(service, file, file.with_suffix(""), _FETCH_S)
+        fetcher = Fetcher(service, file, file.with_suffix(""), 60 * values["fetch_every"])
         fetcher.start()
         return fetcher
 
