@@ -11,25 +11,25 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 import venv
 from pathlib import Path
 
 import pytest
 import yaml
 from doc_commands.blocks import fences
+from graphs import wait_for
 from places import CHECKOUT
 
 import greenroof_ros
+from greenroof_ros.__main__ import COMMANDS as GREENROOF_COMMANDS
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
     "recorder", "live_recorder", "pump", "sensor",
 )
-COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "calibrate",
-    "verify", "bridge", "study", "report", "watch",
-)
+# Each command of `greenroof` by its module; `live` is bringup's.
+COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs the first alone.
 SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
@@ -141,6 +141,26 @@ def pip_of(environment):
     return [sys.executable, "-m", "pip", "--python", environment / "bin" / "python"]
 
 
+def empty_environment(directory):
+    """Return a new virtual environment in a directory, without anything."""
+    environment = bare_environment(Path(os.environ.get("HOME", directory)))
+    # Without a pip: one of its own would take as long as the rest.
+    run(
+        sys.executable, "-m", "venv", "--without-pip", directory / "venv",
+        cwd=directory, env=environment,
+    )
+    return directory / "venv"
+
+
+def with_wheel(environment, released, extras=""):
+    """Install the wheel with its extras into a virtual environment, and return that."""
+    (wheel,) = released.glob("*.whl")
+    run(*pip_of(environment), "install", "--no-compile", f"{wheel}{extras}",
+        cwd=environment.parent,
+        env=bare_environment(Path(os.environ.get("HOME", environment.parent))))
+    return environment
+
+
 @pytest.fixture(scope="module")
 def released(package_index, tmp_path_factory):
     """Return the directory of sdist and wheel, the wheel being built from the sdist."""
@@ -156,17 +176,7 @@ def released(package_index, tmp_path_factory):
 @pytest.fixture(scope="module")
 def pip_installed(released, tmp_path_factory):
     """Return a new virtual environment in which the wheel was installed, and nothing else."""
-    directory = tmp_path_factory.mktemp("pip")
-    environment = bare_environment(Path(os.environ.get("HOME", directory)))
-    # This environment's pip, told to work there: one of its own would take as long as the rest.
-    run(
-        sys.executable, "-m", "venv", "--without-pip", directory / "venv",
-        cwd=directory, env=environment,
-    )
-    (wheel,) = released.glob("*.whl")
-    run(*pip_of(directory / "venv"), "install", "--no-compile", wheel,
-        cwd=directory, env=environment)
-    return directory / "venv"
+    return with_wheel(empty_environment(tmp_path_factory.mktemp("pip")), released)
 
 
 def test_a_package_index_would_take_the_release(released):
@@ -227,6 +237,84 @@ def test_pip_install_simulates_and_reads_copies_of_its_grids(
         assert run(*command, cwd=tmp_path, env=pip_environment).strip()
     printed = run(commands / "python", "-c", count, cwd=tmp_path, env=pip_environment)
     assert printed.strip() == "30"
+
+
+# Two runs of half an hour.
+SMALL_GRID = """
+site: site.yaml
+weather:
+  - file: weather/toronto_2021-07.csv
+    start: 2021-07-07T02:00
+    hours: 0.5
+    evapotranspiration: published
+initial: low-low
+controllers: {mpc: {}, onoff: {}}
+"""
+
+
+@pytest.fixture(scope="module")
+def with_extras(released, tmp_path_factory):
+    """Return a new virtual environment with the wheel, and what studies and the page need."""
+    empty = empty_environment(tmp_path_factory.mktemp("extras"))
+    return with_wheel(empty, released, "[study,watch]")
+
+
+@pytest.fixture(scope="module")
+def with_ros(with_extras, released, setup_options):
+    """Return the same environment after ROS 2 came in; skip where the index has none for it."""
+    environment = bare_environment(Path(os.environ.get("HOME", with_extras)))
+    rclpy = setup_options["extras_require"]["ros"][0]
+    probe = subprocess.run(
+        [*pip_of(with_extras), "download", "--no-deps", "--dest", with_extras.parent, rclpy],
+        cwd=with_extras.parent, env=environment, text=True, timeout=1800,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )
+    if probe.returncode:
+        pytest.skip(f"pip finds no {rclpy}: {probe.stdout.strip().splitlines()[-1]}")
+    return with_wheel(with_extras, released, "[ros]")
+
+
+def test_pip_install_with_extras_studies_and_reports(with_extras, tmp_path):
+    """Anywhere, without ROS: a grid of one's own, and the page of its results."""
+    greenroof = with_extras / "bin" / GREENROOF
+    environment = bare_environment(tmp_path, with_extras / "bin")
+    (tmp_path / "small.yaml").write_text(SMALL_GRID)
+    run(greenroof, "study", "small.yaml", "--output", "study", cwd=tmp_path, env=environment)
+    run(greenroof, "report", "study", cwd=tmp_path, env=environment)
+    table = (tmp_path / "study" / "results.csv").read_text().splitlines()
+    assert len(table) == 1 + 2
+    assert "</html>" in (tmp_path / "study" / "report" / "report.html").read_text()
+    assert list((tmp_path / "study" / "report" / "figures").glob("*.png"))
+
+
+def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, domain):
+    """The run as its nodes wrote it, then its page, which answers a browser until Ctrl-C."""
+    greenroof = with_ros / "bin" / GREENROOF
+    environment = bare_environment(tmp_path, with_ros / "bin") | {
+        "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    run(greenroof, "run", "--hours", "0.1", "--output", "run", cwd=tmp_path, env=environment)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["status"], summary["steps"]) == ("done", 360)
+    said = tmp_path / "said"
+    with said.open("w") as output:
+        page = subprocess.Popen(
+            [greenroof, "watch", "--bag", "run/bag"], cwd=tmp_path, env=environment,
+            stdout=output, stderr=subprocess.STDOUT,
+        )
+    try:
+        found = wait_for(
+            lambda: page.poll() is not None or re.search(r"http://\S+", said.read_text()),
+            60, "an address",
+        )
+        assert page.poll() is None, said.read_text()
+        with urllib.request.urlopen(found[0], timeout=60) as answer:
+            assert answer.status == 200
+            assert "<title>Green roof</title>" in answer.read().decode()
+    finally:
+        page.send_signal(signal.SIGINT)
+        code = page.wait(timeout=60)
+    assert code == 0, said.read_text()
 
 
 # -------------------------------------------------------------------------------------- ros2

@@ -72,7 +72,7 @@ class Sensor:
     high: float = entry("greatest value that is accepted, likewise", -100, 100)
     offset: float = entry("value where raw is 0, likewise", -1e3, 1e3, default=0.0)
     median: int = entry(
-        "readings of which the median is taken, an odd number; 1: no filter", 1, 99, default=5
+        "how many readings the median is taken over, an odd number; 1: no filter", 1, 99, default=5
     )
     counts: bool = entry(
         "scale x raw is a running total (m or m3), whose growth in a second is the value; median: "

@@ -525,8 +525,8 @@ class LiveSupervisor(Supervisor):
     def _disobeys(self, now: float) -> str:
         """Return what the pump node does although it may not; empty where it does nothing such.
 
-        A pump that turns although the node says that it is told to stop is met once while the pump
-        may not run: the node is right perhaps, and another stop no use.
+        A pump that turns although the node says that it was ordered to stop is met once while the
+        pump may not run: the node is right perhaps, and another stop no use.
         """
         if not self.inhibit or self._says_it_stands():
             return ""

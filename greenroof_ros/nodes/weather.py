@@ -85,7 +85,7 @@ def parameters(site: Site) -> list[Parameter]:
             "empty: the file's own if it has one",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="refuse a run of which an hour is missing, or fill it: rain "
+            "gaps", REFUSE, meaning="refuse a run in which an hour is missing, or fill it: rain "
             "with none, all else with the mean at that time of day over three days before and "
             "after",
             among=GAPS,

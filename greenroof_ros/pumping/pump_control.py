@@ -189,7 +189,7 @@ class PumpControl:
         cleared = self._ledger.record.fault
         if cleared:
             self._ledger.fault("", "")
-            self._judge_anew()
+            self._forget_evidence()
         return cleared
 
     @property
@@ -209,9 +209,9 @@ class PumpControl:
     def clear_on_page(self) -> None:
         """Clear a latched fault that the page may clear; what still is latches again."""
         self._ledger.clear_on_page()
-        self._judge_anew()
+        self._forget_evidence()
 
-    def _judge_anew(self) -> None:
+    def _forget_evidence(self) -> None:
         """Forget what led to a fault."""
         self._delivery = DeliveryCheck(self._site, self._settings)
         self._follow_error_for = self._flowed_for = 0.0
@@ -429,7 +429,7 @@ class PumpControl:
     def _flows_at_rest(self, drive_dt: float, seen: Observation) -> str:
         """Return that a meter shows a flow while the pump stands by its drive; empty for none.
 
-        A drive knows its motor, and a relay what it was told; neither sees a welded contact.
+        A drive knows its motor, and a relay what it was ordered; neither sees a welded contact.
         """
         level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
         least = self._settings.least_flow * flow_at(self._site, 1.0, level)
@@ -462,7 +462,7 @@ class PumpControl:
         found = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
         if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
             off = self._asked is None
-            asked = "it is told to stop" if off else f"{self._asked:.2f} is asked for"
+            asked = "it was ordered to stop" if off else f"{self._asked:.2f} is asked for"
             found["runs_on" if off else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._follow_error_for:.0f} s, which a ramp of "

@@ -61,15 +61,15 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     ),
     "speed_stays": Fault(15, "the speed stays as it is"),
     "stuck_running": Fault(
-        16, "the motor runs on, whatever the drive is told", "speed in 0.01 %; 0: the present one",
-        0,
+        16, "the motor runs on, whatever the drive is ordered to do",
+        "speed in 0.01 %; 0: the present one", 0,
     ),
     "power_cycle": Fault(17, "the drive loses power for a moment, once"),
     "timeout_off": Fault(18, "the drive's communication timeout is turned off, for good"),
     "refused_writes": Fault(19, "every write is refused", "exception code", 6),
     "runs_on": Fault(
-        20, "told to stop, the drive says that it is off, and the motor runs on, until the drive's "
-        "communication timeout passes",
+        20, "ordered to stop, the drive says that it is off, and the motor runs on, until the "
+        "drive's communication timeout passes",
         "how long each connection lasts, s; 0: for ever", 0,
     ),
 }
@@ -80,7 +80,7 @@ RELAY_FAULTS: Mapping[str, Fault] = {
     "power_up_on": Fault(22, "the relay is set to be on after power-up, for good"),
     "deaf": Fault(23, "the relay answers, and neither switches on nor off but by its timer"),
     "auto_on": Fault(25, "a Shelly is set to switch itself on again after off, for good"),
-    "welded": Fault(24, "the contact does not open any more; the relay says what it was told"),
+    "welded": Fault(24, "the contact does not open any more; the relay says what it was ordered"),
 }
 SITE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),

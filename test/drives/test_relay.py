@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import itertools
 import json
 import re
@@ -11,10 +12,11 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from brokers import Mosquitto, mosquitto, needs_mosquitto
-from places import CONFIG
+from places import CHECKOUT, CONFIG
 from simulators import Simulator
 from simulators import until as wait
 
@@ -78,8 +80,11 @@ class Wiretap:
 class Bench:
     """A relay, a broker, and an exchange that is asked again and again, as by the node."""
 
-    def __init__(self, make: str, directory: Path, *options: str, **special: float) -> None:
-        self.broker = Mosquitto(directory)
+    def __init__(
+        self, make: str, directory: Path, *options: str, broker: tuple[str, ...] = (),
+        **special: float,
+    ) -> None:
+        self.broker = Mosquitto(directory, *broker)
         self.at = placed(make, f"{self.broker.address}/roof")
         self.relay = Simulator(
             "drive_simulator", "--drive", make, "--at", str(self.at), "--workbench", "0",
@@ -126,7 +131,7 @@ class Bench:
 
 
 @contextmanager
-def bench_of(make: str, directory: Path, *options: str, **special: float) -> Iterator[Bench]:
+def bench_of(make: str, directory: Path, *options: str, **special: Any) -> Iterator[Bench]:
     with closing(Bench(make, directory, *options, **special)) as made:
         yield made
 
@@ -326,6 +331,26 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
         ends = time.monotonic() + 4.0
         wait(lambda: bench.exchange.demand(1.0) or time.monotonic() > ends, 10)
         assert len(tap.switched(on=True)) == 1
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) -> None:
+    """Those of the list that doc/reference/relays.md gives; the relay and this are anonymous."""
+    page = (CHECKOUT / "doc/reference/relays.md").read_text(encoding="utf-8")
+    block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
+    topics = [line.split() for line in block.splitlines() if line.startswith("topic ")]
+    assert len(topics) > 1
+    rules = [f"topic readwrite {topic.replace('roof-pump', 'roof')}" for *_, topic in topics]
+    (tmp_path / "acl").write_text("\n".join([*rules, ""]))
+    lines = f"user {getpass.getuser()}", "allow_anonymous true", f"acl_file {tmp_path / 'acl'}"
+    with bench_of(make, tmp_path, broker=lines) as bench:
+        bench.run()
+        bench.speed = None
+        wait(lambda: not bench.closed, 10)
+    (tmp_path / "acl").write_text("topic readwrite another/#\n")
+    with bench_of(make, tmp_path, broker=lines) as bench:
+        bench.exchange.start()
+        wait(lambda: "no answer to the question" in bench.now.problem, 20)
 
 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
     [
         (0.0, 0.5, "the pump turns at 0.00 of its speed, and 0.6"),
         (1.0, 0.5, "the pump turns at 1.00 of its speed, and 0.6"),
-        (0.5, 0.0, "the pump turns at 0.50 of its speed, and it is told to stop, for 13 s"),
+        (0.5, 0.0, "the pump turns at 0.50 of its speed, and it was ordered to stop, for 13 s"),
     ],
 )
 def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:

@@ -138,7 +138,8 @@ _OF_MAKE = {
 # What there is of it on a serial line, where nothing connects; the line of a simulator that is
 # started again would have another name.
 _SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
-# The motor does not stop, whatever it is told: there must be an alarm, and the fault latches.
+# The motor does not stop, whatever it is ordered to do: there must be an alarm, and the fault
+# latches.
 _UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
 
 
@@ -152,7 +153,7 @@ def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iter
             for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
                 yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
                     stops=None, watch=0.0, bound="follow", recovery="latches",
-                    alarm=r"told to stop|acknowledges \*stop\*|contactor"))
+                    alarm=r"ordered to stop|acknowledges \*stop\*|contactor"))
 
 
 def _drive_alone(repeats: int) -> Iterator[Case]:

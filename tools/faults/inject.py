@@ -212,7 +212,7 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
 
 
 def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
-    """Let the motor run whatever it is told, or again after it stood; then it can be stopped."""
+    """Let the motor run whatever the order, or again after it stood; then it can be stopped."""
     undo.callback(rig.watcher.stop, False)
     undo.callback(wait, lambda: rig.truth.speed <= AT_REST, 8, "a pump that can be stopped stands")
     undo.callback(rig.truth.inject_drive, "none")
