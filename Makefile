@@ -106,7 +106,7 @@ docs: $(FOR_DOCS)
 	@echo "written: doc/_build/index.html"
 
 bench: $(FOR_BENCH)
-	@$(BIN)/python test/bench.py
+	@$(BIN)/python tools/bench.py
 
 doc-commands: $(FOR_TEST)
 	@GREENROOF_ROS_TEST_DOCS=1 $(BIN)/python -m pytest test/doc/test_commands.py -k as_written \
@@ -114,10 +114,10 @@ doc-commands: $(FOR_TEST)
 
 # Goes on where it was ended; when all is done, the table of the documentation is made again.
 faults: $(FOR_TEST)
-	@$(BIN)/python -m pytest test/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
+	@$(BIN)/python -m pytest tools/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
 	    -o timeout=1200 $(ARGS)
 ifeq ($(ARGS),)
-	@$(BIN)/python test/faults/table.py runs/faults doc/reference/faults.md
+	@$(BIN)/python tools/faults/table.py runs/faults doc/reference/faults.md
 endif
 
 # Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.

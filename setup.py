@@ -149,7 +149,7 @@ setup(
             "myst-parser>=4,<6",  # pages are Markdown
             "furo>=2024.8.6",  # theme: light and dark, wide and narrow
         ],
-        # The stormwater model that the measured roof is compared with: test/measured_roofs.
+        # The stormwater model that the measured roof is compared with: tools/measured_roofs.
         "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import fcntl
-import os
-import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from graphs import Process, bring_up, own_domain
 from hypothesis import settings
+from inherited import no_state_of_the_user, pytest_configure
 from places import Once
 from studies import study
+
+__all__ = ["no_state_of_the_user", "pytest_configure"]
 
 # The same examples on every machine, and no limit on their time.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
@@ -24,21 +25,6 @@ LONGEST = (
     "test_pump_drivers.py", "test_calibrate.py", "test_fit.py", "test_error_model.py",
     "test_report_page.py", "test_report.py",
 )
-
-# A thousand processes that import the package need not compile it each, whatever the user has set.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-
-# What a shell starts in its background ignores Ctrl-C, and so would the commands of the tests.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-# Under nohup they would ignore the end of the terminal.
-if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
-    signal.signal(signal.SIGHUP, lambda *_: None)
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Let Ctrl-C be for the first process alone: it ends the workers, which print nothing of it."""
-    if hasattr(config, "workerinput"):
-        signal.signal(signal.SIGINT, lambda *_: None)  # what they start has its own again
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
@@ -89,14 +75,6 @@ def unused_domain() -> Iterator[int]:
 def domain(unused_domain: int) -> int:
     """The same, for graphs."""
     return unused_domain
-
-
-@pytest.fixture(autouse=True)
-def no_state_of_the_user(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No test may find or leave anything in the home directory, nor of a drive of another test."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
 
 
 @pytest.fixture(autouse=True)

@@ -43,7 +43,7 @@ def campaign(
                if not key.startswith("PYTEST_")}
     return subprocess.run(
         [
-            sys.executable, "-m", "pytest", str(CHECKOUT / "test/faults/campaign.py"), "-q", "-n",
+            sys.executable, "-m", "pytest", str(CHECKOUT / "tools/faults/campaign.py"), "-q", "-n",
             "2", "--dist", "loadgroup", "-p", "no:cacheprovider", "-k", " or ".join(sample),
         ],
         env={**outside, "FAULTS_RESULTS": str(results)}, cwd=CHECKOUT, timeout=240,

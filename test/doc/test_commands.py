@@ -3,7 +3,7 @@
 ``make doc-commands`` runs all of them: each page in a copy of the checkout and in one shell, its
 blocks in order, as a reader types them with ``.venv`` active. A command that never ends gets Ctrl-C
 once it is ready. What running a block takes beside that, and why some are not run, stands in
-``test/doc_commands/notes.yaml``.
+``tools/doc_commands/notes.yaml``.
 """
 
 from __future__ import annotations

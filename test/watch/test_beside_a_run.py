@@ -6,14 +6,12 @@ import filecmp
 import os
 import signal
 import socket
-import sys
 import time
 from pathlib import Path
 
 import pytest
 from browsers import started_browser
 from graphs import Process, bag_file, bring_up, wait_for
-from places import CHECKOUT
 from test_watch_command import document, end, stop_on_page, watcher
 
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -24,11 +22,8 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
     domain: int, tmp_path: Path
 ) -> None:
     """Until the pump node is told so: for another watcher, and when the controller is killed."""
-    sys.path.insert(0, str(CHECKOUT / "test" / "faults"))
-    try:
-        from rig import SiteRig
-    finally:
-        del sys.path[0]
+    from faults.rig import SiteRig
+
     with SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig:
         process, port = watcher(domain, tmp_path)
 

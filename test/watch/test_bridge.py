@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import defaultdict
@@ -23,7 +22,7 @@ import pytest
 from brokers import mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, free_ports, messages_of, wait_for
-from places import CHECKOUT, guarding
+from places import guarding
 from said import ERROR, SECOND, START, hear, node, store
 from simulators import Simulator
 
@@ -332,11 +331,8 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 def test_at_a_live_site_an_alarm_comes_and_goes_by_code(domain: int, tmp_path: Path) -> None:
     """And a broker that is killed costs the site nothing."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    sys.path.insert(0, str(CHECKOUT / "test" / "faults"))
-    try:
-        from rig import SiteRig
-    finally:
-        del sys.path[0]
+    from faults.rig import SiteRig
+
     with (
         mosquitto(tmp_path) as broker, phone(broker.address) as heard,
         SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig,

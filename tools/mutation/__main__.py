@@ -111,7 +111,7 @@ def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row
     }
     limits: dict[str, float] = {}
     mutants = mutants_of(list(commands), Path("mutants.sqlite"))
-    sample = random.Random(seed).sample(mutants, min(size, len(mutants)))  # noqa: S311
+    sample = random.Random(seed).sample(mutants, min(size, len(mutants)))
     killed = timeouts = 0
     survivors = []
     for number, item in enumerate(sample, start=1):

@@ -25,15 +25,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(CHECKOUT / "test" / "faults"), str(CHECKOUT / "test"), str(CHECKOUT)]
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
-from browsers import started_browser  # noqa: E402
-from cases import LIVE, Case, all_cases  # noqa: E402
-from diagnosed import Diagnosed  # noqa: E402
-from graphs import Process, free_ports, own_domain  # noqa: E402
-from live import Outcome, run_case  # noqa: E402
-from rig import RIGS, BrokenError, Rig, wait  # noqa: E402
+import paths  # noqa: F401
+from browsers import started_browser
+from diagnosed import Diagnosed
+from faults.cases import LIVE, Case, all_cases
+from faults.live import Outcome, run_case
+from faults.rig import RIGS, BrokenError, Rig, wait
+from graphs import Process, free_ports, own_domain
 
 # Within which a change must be on the page (s), where the machine does nothing else.
 LIMIT_S = 2.0
@@ -236,7 +236,7 @@ def do(
                 rig.until_running()
                 wait(lambda p=page, s=said: p.looks[-1].alarms == s.stands, 30, "no page of all")
             began = time.monotonic()
-            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)  # noqa: S311
+            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)
             time.sleep(limit + _LONGER_S)
             comparison = Comparison(said, page, began, time.monotonic(), limit)
             if page.problem:

@@ -18,14 +18,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(CHECKOUT / "test"), str(CHECKOUT)]
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
-from graphs import Process, free_ports, own_domain, wait_for  # noqa: E402
-from places import DATA  # noqa: E402
+import paths  # noqa: F401
+from graphs import Process, free_ports, own_domain, wait_for
+from places import DATA
 
-from greenroof_ros.graph.looker import Looker  # noqa: E402
-from greenroof_ros.watch import wire  # noqa: E402
+from greenroof_ros.graph.looker import Looker
+from greenroof_ros.watch import wire
 
 TURN_S = 6.0
 

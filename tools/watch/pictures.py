@@ -19,16 +19,16 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(CHECKOUT / "test" / "faults"), str(CHECKOUT / "test"), str(CHECKOUT)]
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
-from graphs import Process, bring_up, free_ports, own_domain, wait_for  # noqa: E402
-from places import DATA  # noqa: E402
-from playwright.sync_api import sync_playwright  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rig import SiteRig  # noqa: E402
+import paths  # noqa: F401
+from faults.rig import SiteRig
+from graphs import Process, bring_up, free_ports, own_domain, wait_for
+from places import DATA
+from playwright.sync_api import sync_playwright
+from rich.console import Console
 
-from greenroof_ros.watch.terminal import pages  # noqa: E402
+from greenroof_ros.watch.terminal import pages
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
 # A storm of 23 mm begins some hours later.
@@ -128,7 +128,7 @@ STATES: dict[str, Callable[[int, Path], Any]] = {
 
 def _told(address: str, name: str) -> dict[str, Any]:
     """Return what the page is told, from its stream."""
-    with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:  # noqa: S310
+    with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:
         for line in stream:
             if line.strip() == f"event: {name}".encode():
                 told: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))

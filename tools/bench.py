@@ -1,0 +1,269 @@
+"""The speed of the graph and of the controller, as ratios measured in one run: ``make bench``.
+
+Times on shared machines mean little; what is measured beside each other, round by round, does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import pty
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from typing import Any
+
+import paths  # noqa: F401
+from graphs import environment, own_domain
+from markdown_tables import head, row
+from places import CONFIG
+
+ROUNDS = 5
+HOURS = 2
+ECHOES = 7200
+
+
+def echo(role: str) -> None:
+    """One of the two processes of the yardstick: a Float64 there and back again."""
+    import rclpy
+    from rclpy.node import Node
+    from std_msgs.msg import Float64
+
+    from greenroof_ros.common.interface import read_topics
+    from greenroof_ros.graph.domain import make_executor
+    from greenroof_ros.graph.messages import qos_profile
+
+    rclpy.init(args=[])
+    node = Node(role)
+    executor = make_executor()
+    executor.add_node(node)
+    profile = qos_profile(read_topics()["/roof/level"].qos)
+    outward, inward = ("ping", "pong") if role == "caller" else ("pong", "ping")
+    publisher = node.create_publisher(Float64, outward, profile)
+    received = 0
+
+    def answer(message: Float64) -> None:
+        nonlocal received
+        received += 1
+        publisher.publish(message)
+
+    node.create_subscription(Float64, inward, answer, profile)
+    if role == "answerer":
+        while True:
+            executor.spin_once(timeout_sec=0.5)
+    until = time.monotonic() + 3
+    while time.monotonic() < until:
+        executor.spin_once(timeout_sec=0.1)
+    publisher.publish(Float64())
+    while received < 500:
+        executor.spin_once(timeout_sec=0.5)
+    first, began = received, time.perf_counter()
+    while received < first + ECHOES:
+        executor.spin_once(timeout_sec=0.5)
+    print((time.perf_counter() - began) / ECHOES)
+    sys.stdout.flush()
+    os._exit(0)
+
+
+def measure_echo(domain: int) -> float:
+    """Return the round trip between two processes (s)."""
+    command = [sys.executable, __file__]
+    answerer = subprocess.Popen(
+        [*command, "answerer"], env=environment(domain), stderr=subprocess.DEVNULL
+    )
+    try:
+        done = subprocess.run(
+            [*command, "caller"],
+            env=environment(domain), check=True, capture_output=True, text=True,
+        )
+    finally:
+        answerer.kill()
+        answerer.wait()
+    return float(done.stdout)
+
+
+def measure_graph(domain: int, *arguments: str) -> float:
+    """Return a tick of the whole graph (s): bringup on a terminal, so that it draws its bar."""
+    environ = {**environment(domain), "TERM": "xterm"}
+    with tempfile.TemporaryDirectory() as directory:
+        leader, follower = pty.openpty()
+        drain = threading.Thread(target=_drain, args=(leader,), daemon=True)
+        drain.start()
+        done = subprocess.run(
+            [
+                sys.executable, "-m", "greenroof_ros.bringup", "--json", "--hours", str(HOURS),
+                "--output", f"{directory}/run", *arguments,
+            ],
+            env=environ, cwd=directory, check=True,
+            stdout=subprocess.PIPE, stderr=follower, text=True,
+        )
+        os.close(follower)
+    summary = json.loads(done.stdout)
+    return float(summary["wall_s"]) / int(summary["steps"])
+
+
+def _drain(leader: int) -> None:
+    try:
+        while os.read(leader, 1 << 16):
+            pass
+    except OSError:
+        return
+
+
+def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
+    """Return a tick of ``simulate`` (s) with plant and metrics, and its decisions' times."""
+    from greenroof_ros.experiment.closed_loop import closed_loop
+    from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+    from greenroof_ros.model.metrics import Metrics
+
+    parser = argparse.ArgumentParser()
+    add_run_arguments(parser, arguments)
+    run = run_from_arguments(parser.parse_args(arguments))
+    controller = run.make_controller()
+    began = time.perf_counter()
+    for _ in closed_loop(run, controller, Metrics()):
+        pass
+    return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
+
+
+def measure_study() -> float:
+    """Return the wall time of the paper's study over its MPC runs', were they all it is.
+
+    The latter is the time of one 12 h MPC run alone times their number, over the cores.
+    """
+    with tempfile.TemporaryDirectory() as directory:
+
+        def timed(module: str, *options: str) -> float:
+            began = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", f"greenroof_ros.{module}", "--output", *options],
+                cwd=directory, check=True, capture_output=True,
+            )
+            return time.perf_counter() - began
+
+        alone = [timed("simulate", f"run{number}") for number in range(3)]
+        mpc_runs = 15
+        return timed("study", "study") / (
+            statistics.median(alone) * mpc_runs / len(os.sched_getaffinity(0))
+        )
+
+
+def measure_do_mpc(steps: int = 30) -> float:
+    """Return a step of do-mpc (s) on the same problem: smooth plant, horizon 10, same cost."""
+    import casadi
+    import do_mpc
+    import numpy as np
+
+    from greenroof_ros.model.initial_state import initial_state
+    from greenroof_ros.model.site import read_site
+
+    site = read_site(CONFIG / "site.yaml")
+    model: Any = do_mpc.model.Model("discrete")
+    x1, x2 = model.set_variable("_x", "x1"), model.set_variable("_x", "x2")
+    u = model.set_variable("_u", "u")
+    rain = model.set_variable("_tvp", "rain")
+    evapotranspiration = model.set_variable("_tvp", "evapotranspiration")
+    e = site.epsilon
+
+    def psi(y: Any) -> Any:
+        positive = casadi.fmax(y, 1e-12)
+        low = positive**1.5 / (3 * e) + 2 / 3 * e**0.5
+        return casadi.if_else(
+            y > e, casadi.sqrt(positive), casadi.if_else(y > 0, low, 2 / 3 * e**0.5)
+        )
+
+    def sigma(y: Any) -> Any:
+        return 1 / (1 + casadi.exp(-y / e))
+
+    q_out = site.c_out * psi(x1 / site.a1 - site.z_o)
+    q_pump = (
+        u * site.b * psi(x1 / site.a1 + site.c_hat - site.d)
+        * sigma(x1 - site.a1 * site.suction_level) * sigma(site.x2_star - x2)
+    )
+    q_drain = (
+        site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma(x2 - site.z_cap)
+    )
+    model.set_rhs("x1", x1 + site.tau * (rain * site.a_in - q_out - q_pump))
+    model.set_rhs("x2", x2 + site.tau * (rain * site.a2 + q_pump - evapotranspiration - q_drain))
+    model.setup()
+    controller: Any = do_mpc.controller.MPC(model)
+    controller.settings.n_horizon = site.M
+    controller.settings.t_step = site.tau
+    controller.settings.store_full_solution = False
+    controller.settings.supress_ipopt_output()
+    cost = (x2 / site.a2 - site.z_veg) ** 2
+    controller.set_objective(mterm=cost, lterm=cost + 0.001 * u**2)
+    controller.bounds["lower", "_u", "u"] = 0
+    template = controller.get_tvp_template()
+    controller.set_tvp_fun(lambda now: template)
+    controller.setup()
+    state = np.array(initial_state(site, "low-low")).reshape(-1, 1)
+    controller.x0 = state
+    controller.set_initial_guess()
+    controller.make_step(state)
+    began = time.perf_counter()
+    for _ in range(steps):
+        controller.make_step(state)
+    return (time.perf_counter() - began) / steps
+
+
+MEASURED = {
+    "tick": "tick of the whole graph / echo round trip of two processes",
+    "bare": "the same without the recorder",
+    "record": "tick with / without recorder",
+    "roof_tick": "tick of the whole graph, measured roof / the paper's",
+    "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
+    "p99": "the same, 99th percentile",
+    "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
+    "do_mpc": "do-mpc step / MPC step of `simulate`",
+    "study": "study of 30 runs / (one MPC run alone x 15 / cores)",
+}
+
+
+def main() -> None:
+    """Measure in rounds and print the table of doc/performance.md."""
+    rows: dict[str, list[float]] = {key: [] for key in MEASURED}
+    with own_domain() as domain:
+        for number in range(ROUNDS):
+            trip = measure_echo(domain)
+            recorded = measure_graph(domain)
+            bare = measure_graph(domain, "--no-record")
+            roof_tick = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
+            yardstick = (trip + measure_echo(domain)) / 2
+            (step, mpc), peer = measure_simulated(), measure_do_mpc()
+            _, ahead = measure_simulated("--controller", "lookahead", "--forecast", "ensemble")
+            rows["tick"].append(recorded / yardstick)
+            rows["bare"].append(bare / yardstick)
+            rows["record"].append(recorded / bare)
+            rows["roof_tick"].append(roof_tick / recorded)
+            rows["mean"].append(ahead["mean_s"] / mpc["mean_s"])
+            rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
+            rows["plan"].append(ahead["max_s"] / mpc["mean_s"])
+            rows["do_mpc"].append(peer / step)
+            rows["study"].append(measure_study())
+            print(
+                f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
+                f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
+                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
+                file=sys.stderr, flush=True,
+            )
+    print(head(["measured beside each other", "median", "rounds"]))
+    for key, name in MEASURED.items():
+        values = ", ".join(f"{value:.2f}" for value in rows[key])
+        print(row([name, f"{statistics.median(rows[key]):.2f}", values]))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "role", nargs="?", choices=("caller", "answerer"), help="what it starts itself: an echo"
+    )
+    role = parser.parse_args().role
+    if role:
+        echo(role)
+    else:
+        main()

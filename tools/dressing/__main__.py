@@ -1,0 +1,108 @@
+"""What dressing is worth where it was not fitted.
+
+``python tools/dressing ARCHIVE ... --weather GAUGE``
+
+The months of the records are parted by their rain into a wetter and a drier half. Archives are
+dressed by what fell in one half and judged in the other, then the other way round. Last come all
+archives as one ensemble, and the whole, where each issue is dressed without the days around it.
+``ARCHIVE@96`` is an archive to 96 h. Prints a table in Markdown: of each sum the bias, and the fair
+CRPS (mm), as issued, dressed, and of climatology.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+
+import paths  # noqa: F401
+
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.dressing import learn
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import HOUR, Archive
+from greenroof_ros.model.site import read_site
+from greenroof_ros.verification.dressed import worth
+from greenroof_ros.weather.reading import find_files, read_weather
+from greenroof_ros.weather.series import Weather
+
+
+def halves(weather: Weather, archives: list[Archive]) -> tuple[Weather, Weather]:
+    """Return the records of the drier and of the wetter months, by their totals.
+
+    Hours before the first issue that all archives have, and of the other months, are missing.
+    """
+    rain = weather.precipitation
+    times = [weather.rain_from + hour * HOUR for hour in range(len(rain))]
+    begin = max(archive.issues[0].issued for archive in archives)
+    month = np.array([time.year * 12 + time.month if time >= begin else 0 for time in times])
+    months = sorted(set(month[month > 0]), key=lambda one: np.nansum(rain[month == one]))
+    drier = np.isin(month, months[: (len(months) + 1) // 2])
+    return (
+        replace(weather, values={"precipitation": np.where(drier, rain, np.nan)}),
+        replace(weather, values={"precipitation": np.where(drier | (month == 0), np.nan, rain)}),
+    )
+
+
+def together(archives: list[Archive]) -> Archive:
+    """Return the issues that all have at one time, as one ensemble of what is as long in all."""
+    by_time = [{issue.issued: issue for issue in archive.issues} for archive in archives]
+    issues = []
+    for issue in archives[0].issues:
+        alike = [times[issue.issued] for times in by_time if issue.issued in times]
+        if len(alike) == len(archives):
+            hours = min(one.hours for one in alike)
+            issues.append(replace(issue, rain=np.vstack([one.rain[:, :hours] for one in alike])))
+    return replace(archives[0], source=Path("all as one ensemble"), issues=tuple(issues))
+
+
+def archive(text: str) -> Archive:
+    """Read an archive, to so many hours where the text says so."""
+    path, _, hours = text.partition("@")
+    found = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
+    length = int(hours or 10_000)
+    cut = tuple(replace(issue, rain=issue.rain[:, :length]) for issue in found.issues)
+    return replace(found, source=Path(Path(path).stem), issues=cut)
+
+
+def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
+    """Yield the rows of the table."""
+    drier, wetter = halves(weather, archives)
+    rain = np.where(np.isnan(drier.precipitation), wetter.precipitation, drier.precipitation)
+    both = replace(weather, values={"precipitation": rain})
+    if len(archives) > 1:
+        archives = [*archives, together(archives)]
+    for fit, judge, words in (
+        (drier, wetter, "dry, wet"), (wetter, drier, "wet, dry"), (both, both, "all, all"),
+    ):
+        for one in archives:
+            for row in worth(one, learn(one, fit, 120), judge, lambda _: None):
+                values = [*(f"{each:.2f}" for each in row.bias), *(f"{x:.2f}" for x in row.crps)]
+                cells = [words, str(one.source), f"{row.hours} h", str(row.n), f"{row.fell:.1f}"]
+                yield f"| {' | '.join([*cells, *values])} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("archives", nargs="+", type=archive)
+    parser.add_argument("--weather", nargs="+", required=True)
+    arguments = parser.parse_args()
+    site = read_site(shared_directory() / "config" / "site.yaml")
+    weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
+    heads = ["fit, judged", "forecasts", "sum", "n", "fell mm"]
+    for what in ("bias", "CRPS"):
+        heads += [f"{what} issued", "dressed", "climate"]
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+    for line in lines(arguments.archives, weather):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""The campaign of seeded faults, ``make faults``: each case is a parameter of pytest.
+
+More than a thousand: each node and program killed, ended and stopped; every topic and every Modbus
+exchange off, stuck, garbage, wrong, slow, delayed and intermittent; sensors, drives, weather,
+intruders. A rig (a live site, a pump node alone, hardware in the loop, a simulation) serves for the
+cases of a group of pytest-xdist, until one ends or breaks it. Results are lines of JSON; what is
+there is not done again, but a case that is asked for alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from faults import readers, service, simulated
+from faults.cases import Case, all_cases
+from faults.live import Outcome, run_case
+from faults.rig import RIGS, BrokenError, Rig
+from faults.table import read_results
+from graphs import Process, environment, own_domain
+
+# Of all that is random; and where the results are, and what the rigs leave.
+SEED = int(os.environ.get("FAULTS_SEED", "1"))
+RESULTS = Path(os.environ.get("FAULTS_RESULTS", "runs/faults")).resolve()
+# So many cases share a rig: what it gathers ends with it.
+_SHARE = 40
+
+os.environ |= environment(0)
+DONE = read_results(RESULTS)
+
+
+def in_order(cases: list[Case]) -> list[Case]:
+    """Return the cases as they are done.
+
+    A node that is killed again soon waits longer for its next start, so they are mixed. What stops
+    nothing begins when the pump has run for a while, so the next can follow at once; what ends a
+    rig comes last, so that the others share one.
+    """
+    random.Random(SEED).shuffle(cases)
+    return sorted(cases, key=lambda case: (
+        case.rig, case.expected.recovery == "ends", case.expected.stops is not False
+    ))
+
+
+class Bench:
+    """Does one case after the other; those of a rig follow each other."""
+
+    def __init__(self) -> None:
+        RESULTS.mkdir(parents=True, exist_ok=True)
+        self._place = Path(tempfile.mkdtemp(prefix="rigs-", dir=RESULTS))
+        self._stack = ExitStack()
+        self._rig: Rig | None = None
+        self._of, self._served = "", 0
+        self._read: dict[Case, Outcome] = {}
+        self._last: dict[str, Any] = {}
+        self._failed = False
+        self._ended_badly: list[str] = []
+
+    def do(self, case: Case) -> Outcome:
+        """Do a case, and write down what came of it."""
+        if case.rig != self._of or self._served == _SHARE:
+            self.end_rig()
+        self._of, self._served = case.rig, self._served + 1
+        began, rng = time.monotonic(), random.Random(f"{SEED} {case.id}")
+        place = self._place / str(sum(1 for _ in self._place.iterdir()))
+        outcome = Outcome()
+        if case.rig == "simulated":
+            with own_domain() as domain:
+                outcome = simulated.run_case(case, place, domain, rng)
+        elif case.rig == "readers":
+            if case not in self._read:
+                block = [one for one in all_cases()
+                         if (one.rig, one.number) == (case.rig, case.number)]
+                self._read |= dict(readers.run_cases(block, place, SEED))
+            outcome = self._read[case]
+        elif case.rig == "service":
+            service.run_case(case, place, outcome)
+        else:
+            self._do_to_a_rig(case, place, rng, outcome)
+        self._last = {
+            "id": case.id, "way": case.way, "fault": case.fault, "target": case.target,
+            "seed": SEED, **vars(outcome), "wall_s": round(time.monotonic() - began, 1),
+        }
+        self._write()
+        return outcome
+
+    def _do_to_a_rig(
+        self, case: Case, place: Path, rng: random.Random, outcome: Outcome
+    ) -> None:
+        try:
+            if self._rig is None:
+                domain = self._stack.enter_context(own_domain())
+                kind, _, drive = case.rig.partition(":")
+                self._rig = self._stack.enter_context(RIGS[kind](place, domain, drive))
+            run_case(self._rig, case, rng, outcome)
+        except BrokenError as error:
+            outcome.fail(f"rig: {error}")
+        except Exception as error:  # whatever it is, the next case needs a new rig
+            outcome.fail(f"{type(error).__name__}: {error}")
+        ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
+        if outcome.wrong or ends:
+            outcome.fail(self._close())
+
+    def _close(self) -> str:
+        """End the rig, and return what is wrong with how it ended."""
+        wrong = []
+        try:
+            self._stack.close()
+        except Exception as error:
+            wrong.append(f"{type(error).__name__}: {error}")
+        wrong += [] if self._rig is None else self._rig.ended_badly
+        self._rig, self._served = None, 0
+        return "; ".join(f"at the end of the rig: {one}" for one in wrong)
+
+    def _write(self) -> None:
+        self._failed |= bool(self._last["wrong"])
+        with (RESULTS / "results.jsonl").open("a") as stream:
+            stream.write(json.dumps(self._last) + "\n")
+
+    def end_rig(self) -> None:
+        """End the rig; what is wrong with that stands beside its last case."""
+        wrong = self._close()
+        if wrong:
+            self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
+            self._write()
+            self._ended_badly.append(f"{self._last['id']}: {wrong}")
+
+    def end(self) -> None:
+        """End what is left; fail where a rig ended badly after its last case."""
+        self.end_rig()
+        Process.end_all()
+        if not self._failed:
+            shutil.rmtree(self._place, ignore_errors=True)
+        assert not self._ended_badly, self._ended_badly
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.end()
+
+
+@pytest.mark.parametrize("case", [
+    # Simulations and foreign readers keep the processors busy: they are one group.
+    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(
+        case.rig if ":" in case.rig else "busy"))
+    for case in in_order(all_cases())
+])
+def test_case(bench: Bench, case: Case, request: pytest.FixtureRequest) -> None:
+    done = DONE.get(case.id)
+    if done is not None and not done["wrong"] and len(request.session.items) > 1:
+        pytest.skip("done before")
+    wrong = bench.do(case).wrong
+    if wrong:
+        pytest.fail(wrong, pytrace=False)

@@ -1,0 +1,7 @@
+"""The campaign's processes inherit what those of the tests do."""
+
+from __future__ import annotations
+
+from inherited import no_state_of_the_user, pytest_configure
+
+__all__ = ["no_state_of_the_user", "pytest_configure"]

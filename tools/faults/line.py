@@ -1,0 +1,106 @@
+"""The line of a level sensor on Modbus, and the cable to a broker: both can go bad."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.server import Device, Server, StandingFault
+
+
+class Line:
+    """Listens at a port, and asks the sensor at another, in a thread of its own.
+
+    Before the sensor stands a server of the simulators'.
+    """
+
+    def __init__(self, port: int, behind: int) -> None:
+        self._behind = ModbusLine(
+            Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
+        )
+        self._fault = StandingFault()
+        self._level: dict[int, int] = {}
+        device = Device(lambda: self._level, hears=self._ask)
+        self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
+        self._thread.start()
+
+    def inject(self, fault: str) -> None:
+        """Let a fault stand, with its default; connections that there are meet it, too."""
+        self._fault.parameter = faults.DRIVE_FAULTS[fault].default
+        self._fault.name = fault
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join(3)
+
+    async def _serve(self) -> None:
+        while not self._ended.is_set():
+            await self._server.be_open(self._fault.name != "refused")
+            await asyncio.sleep(0.02)
+        self._server.close()
+        self._behind.close()
+
+    def _ask(self, register: int) -> bool:
+        """Read the level; where there is no answer, none is given."""
+        try:
+            if not self._behind.connected:
+                self._behind.connect()
+            self._level = {register: self._behind.read(register, 1, inputs=True)[0]}
+        except DriveError:
+            self._behind.close()
+            return False
+        return True
+
+
+class Cable:
+    """A TCP connection to a port, for each at its own; while it is cut nothing goes either way.
+
+    As on a network that is gone: connections stay open, and new ones are answered by nobody. What
+    was sent meanwhile comes when it is whole again.
+
+    Attributes:
+        port: its own, on loopback.
+        cut: whether it is.
+    """
+
+    def __init__(self, behind: int) -> None:
+        self.cut = self._ended = False
+        self._behind = behind
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        self._ended = True
+        self._server.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # it was closed
+            while True:
+                near = self._server.accept()[0]
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._behind), 1)
+                except OSError:
+                    near.close()
+                    continue
+                for ends in ((near, far), (far, near)):
+                    threading.Thread(target=self._hand_on, args=ends, daemon=True).start()
+
+    def _hand_on(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError), one, other:
+            one.settimeout(None)
+            while data := one.recv(4096):
+                self._wait_until_whole()
+                other.sendall(data)
+            self._wait_until_whole()
+
+    def _wait_until_whole(self) -> None:
+        while self.cut and not self._ended:
+            time.sleep(0.02)

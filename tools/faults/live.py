@@ -1,0 +1,275 @@
+"""A case of a rig with a drive: the fault, the time until the pump stands, and what comes after."""
+
+from __future__ import annotations
+
+import random
+import re
+import subprocess
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from faults.bounds import RAMP_S, bounds
+from faults.cases import Case
+from faults.inject import begin
+from faults.rig import BrokenError, Rig, SiteRig, left, wait
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
+
+# How much longer than the bound is waited, for a figure of how bad it was (s).
+_LONGER_S = 10.0
+# What a node that was killed needs until the pump runs again: back-off, start, recovery (s).
+_RECOVERY_S = 75.0
+# Within which bringup ends once the pump stands (s).
+_END_S = 25.0
+_LEAST_SPEED = 0.05
+_STEADY_S = 6.0
+# Within which no alarm of what is over is shown any more; a gauge or a forecast file that is good
+# again counts only after a while (s).
+_OVER_S = 15.0
+# How far below the suction level the cistern may be pumped: five seconds at full flow (m).
+_DRY_M = 0.002
+# What a recorder may lose (s): what came since its last flush, and a flush that was under way.
+_LOST_S = FLUSH_S + 1.0
+
+
+@dataclass
+class Outcome:
+    """What came of a case.
+
+    Attributes:
+        to_safe: time from the fault to a pump that stands, or to the alarm where it cannot be
+            stopped (s); None where it had to run on.
+        bound: of that (s).
+        alarm: what was said of the cause.
+        lost: seconds that a bag lacks, ticks in a simulation; None where nothing was to lose.
+        recovery: how it went on.
+        wrong: what was not as it should be; empty for nothing.
+    """
+
+    to_safe: float | None = None
+    bound: float | None = None
+    alarm: str = ""
+    lost: float | None = None
+    recovery: str = ""
+    wrong: str = ""
+
+    def fail(self, what: str) -> None:
+        self.wrong = "; ".join(filter(None, (self.wrong, what)))
+
+
+def run_case(
+    rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float = 0.0
+) -> None:
+    """Do a case to a rig, and note what came of it.
+
+    Args:
+        rig: to which.
+        case: which.
+        rng: for all that is random.
+        outcome: where it is noted.
+        hold: how long the fault stays once it was said (s).
+
+    Raises:
+        BrokenError: the rig did not come to run before it.
+    """
+    # What the case before left may show once more: a level that came just before its sensor died
+    # becomes too old after its limit. A limit of the pump's use counts from the start on.
+    if case.expected.stops is not False and case.fault != "stuck for ever":
+        rig.until_guarded()
+    rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
+    rig.others.clear()
+    if case.target == "recorder" and isinstance(rig, SiteRig):
+        _until_it_records(rig.state / "bag", rng)
+    time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
+    if not rig.runs():
+        rig.until_running()
+    outcome.bound = bounds(rig.site)[case.expected.bound]
+    _fault(rig, case, rng, outcome, hold)
+    if rig.truth.greatest > 1.001:
+        outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
+    if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
+        outcome.fail("the pump ran dry")
+
+
+def _until_it_records(bag: Path, rng: random.Random) -> None:
+    """Wait until a recorder that a case before has ended writes again, and for a random time."""
+
+    def written() -> tuple[Path | None, int]:
+        file = newest_file(bag)
+        return file, 0 if file is None else file.stat().st_size
+
+    before = written()
+    wait(lambda: written() != before, 60, "a recorder that writes")
+    time.sleep(rng.uniform(0.0, FLUSH_S))
+
+
+def newest_file(bag: Path) -> Path | None:
+    """Return the file of a live bag that is being written."""
+    return (bag_files(bag) or [None])[-1]
+
+
+def last_message(file: Path) -> float:
+    """Return when the last whole message of a file came (s since 1970); it need not be closed."""
+    last = 0
+    with suppress(McapError, EOFError), file.open("rb") as stream:  # where it was cut
+        for record in StreamReader(stream, emit_chunks=True).records:
+            found = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+            last = max([last, *(one.log_time for one in found if isinstance(one, Message))])
+    return last / 1e9
+
+
+def _fault(
+    rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float
+) -> None:
+    expected = case.expected
+    printed, began = len(rig.main.stderr()), time.monotonic()
+    recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
+    clock = time.time()
+    with ExitStack() as undo:
+        begin(rig, case, rng, undo)
+        slow = ("dry", "power cycle, then kill", "unstoppable")
+        if case.fault in slow or case.fault.startswith("second"):
+            began = time.monotonic()  # it took its time to become so
+        if expected.stops:
+            _until_it_stands(rig, case, began, outcome)
+        else:
+            time.sleep(max(0.0, began + expected.watch - time.monotonic()))
+        _alarm(rig, case, began, printed, outcome)
+        if case.fault == "unstoppable":
+            outcome.to_safe = time.monotonic() - began
+        time.sleep(hold)
+        if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+            outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
+    _recover(rig, case, outcome)
+    if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
+        outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
+        if outcome.lost > _LOST_S:
+            outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
+
+
+def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> None:
+    assert outcome.bound is not None
+    until = began + outcome.bound + _LONGER_S
+    stood = None
+    while stood is None and time.monotonic() < until:
+        time.sleep(0.02)
+        stood = rig.truth.stood_at(began)
+    if stood is None:
+        outcome.fail(
+            f"the pump had not stopped {until - began:.1f} s after the fault (bound "
+            f"{outcome.bound:.1f} s), at {rig.truth.speed:.2f} of its speed; "
+            f"{_said(rig, began)}"
+        )
+        return
+    outcome.to_safe = stood - began
+    if outcome.to_safe > outcome.bound:
+        outcome.fail(
+            f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s; "
+            f"{_said(rig, began)}"
+        )
+
+
+def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -> None:
+    if not case.expected.alarm:
+        return
+    assert outcome.bound is not None
+    until = max(began + outcome.bound, time.monotonic() + 2.0)
+    if case.expected.recovery == "ends":
+        until += _END_S  # bringup says why when the nodes have ended
+    while not outcome.alarm and time.monotonic() < until:
+        outcome.alarm = rig.said(case.expected.alarm, began, printed)[:300]
+        time.sleep(0.05)
+    if not outcome.alarm:
+        outcome.fail(
+            f"nothing said /{case.expected.alarm}/; said was {_said(rig, began)}, "
+            f"{rig.main.stderr()[printed:][-400:]!r}"
+        )
+    not_shown = rig.watcher.not_shown(case.expected.alarm, began)
+    if not_shown:
+        outcome.fail(f"no alarm with advice came of: {not_shown}")
+
+
+def _said(rig: Rig, began: float) -> list[str]:
+    """Return what was said since a time, with how long after it (s)."""
+    said = [(at - began, who, text) for at, who, text in rig.watcher.said if at >= began]
+    return [f"{after:.2f} {who} {text}" for after, who, text in said[:30]]
+
+
+def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that it goes on as specified."""
+    expected = case.expected.recovery
+    if expected == "ends":
+        _ends(rig, case, outcome)
+        return
+    if expected == "stays":
+        since = time.monotonic()
+        time.sleep(5.0)
+        if rig.truth.turned(since, time.monotonic()) > _LEAST_SPEED:
+            outcome.fail("the pump ran again")
+        outcome.recovery = "stayed off"
+        return
+    began = time.monotonic()
+    patience = _RECOVERY_S if expected == "heals" else 12.0
+    while time.monotonic() < began + patience:
+        if rig.runs():
+            outcome.recovery = f"ran again after {time.monotonic() - began:.1f} s"
+            _over(rig, case, outcome)
+            if expected == "latches":
+                outcome.fail("the fault did not latch: the pump ran again by itself")
+            return
+        if rig.watcher.state == "fault" and expected != "heals":
+            time.sleep(RAMP_S + 1.0)  # it may have latched while the pump turned
+            break
+        time.sleep(0.05)
+    if expected == "heals":
+        outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('/pump/state')}")
+    if rig.watcher.state != "fault" and expected == "latches":
+        outcome.fail(f"no latched fault: {rig.watcher.last.get('/pump/state')}")
+    turned = rig.truth.turned(time.monotonic() - 0.5, time.monotonic())
+    if turned > _LEAST_SPEED:
+        outcome.fail(f"the pump turns at {turned:.2f} while its fault is latched")
+    answer = rig.watcher.reset()
+    try:
+        rig.until_running(30)
+        outcome.recovery = f"ran again after ~/reset ({answer[:80]})"
+    except BrokenError as error:
+        outcome.fail(f"did not run after ~/reset ({answer}): {error}")
+
+
+def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that no alarm of what is over stands."""
+    until = time.monotonic() + _OVER_S
+    if case.fault == "full disk":
+        until += RETRY_S + FLUSH_S  # so long the recorder waits before it tries again
+    while case.expected.alarm and (stands := rig.watcher.stands(case.expected.alarm)):
+        if time.monotonic() > until:
+            outcome.fail(f"an alarm stands although it is over: {stands}")
+            return
+        time.sleep(0.05)
+
+
+def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that bringup ends by name, and everything with it."""
+    pids = set(rig.pids().values()) | rig.started
+    try:
+        code = rig.main.process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        outcome.fail(f"bringup did not end within {_END_S:.0f} s")
+        return
+    # A live site ends with 1 where it had incidents, which may be those of the cases before.
+    said = re.search(r"^incident \d", rig.main.stderr(), re.MULTILINE) is not None
+    asked = int(said) if isinstance(rig, SiteRig) else 130
+    expected = {"kill": -9, "term": asked}.get(
+        case.fault if case.target == "bringup" else "", 1)
+    if case.fault in ("kill both", "power cycle, then kill"):
+        expected = -9
+    if code != expected:
+        outcome.fail(f"bringup ended with exit code {code}, not {expected}")
+    if still := left(pids):
+        outcome.fail(f"{len(still)} processes were left after 12 s")
+    outcome.recovery = f"ended with exit code {code}"

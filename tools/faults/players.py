@@ -1,0 +1,180 @@
+"""Controller, sensors and weather played by the campaign, each as good or bad as a case asks."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from faults.truth import Truth
+from faults.watcher import Watcher
+
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site
+
+Value = float | Sequence[float]
+PERIOD_S = 1.0
+# PX4's *intermittent*: on for 2 s, off for 7 s.
+ON_S, OFF_S = 2.0, 7.0
+# Where the nodes publish between which the campaign stands.
+TRUE = "/true"
+HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
+# Too large, which a command may be: it is taken as 1.
+HUGE = (101.0, 1e9, 1.7976931348623157e308)
+# What is wrong but looks right, by topic: how far off, or a value of its own.
+_WRONG: dict[str, Callable[[float], float]] = {
+    "/cistern/level": lambda level: level + 0.3,
+    "/roof/level": lambda level: level + 0.1,
+    "/weather/frost": lambda frost: 1.0,
+    "/pump/command": lambda command: -0.5,
+    "/weather/precipitation": lambda rain: 1e-6,
+    "/weather/evapotranspiration": lambda loss: 1e-5,
+    "/forecast/precipitation": lambda rain: 1e-4,
+    "/forecast/evapotranspiration": lambda loss: 1e-3,
+    "/pump/flow": lambda flow: 0.5 * flow,
+    "/pump/meter": lambda flow: 0.0,
+    "/gauge/precipitation": lambda rain: 1e-6,
+    "/gauge/temperature": lambda degrees: -5.0,
+}
+# How late a delayed topic is (s), and how much slower a slow one.
+_DELAY_S, _SLOW = 2.0, 4.0
+
+
+class _Played:
+    """Topics that the campaign publishes, each in one of the ways of PX4's list.
+
+    Attributes:
+        topics: what is published.
+    """
+
+    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
+        self.topics = set(topics)
+        self._watcher = watcher
+        self._mode = dict.fromkeys(topics, "ok")
+        self._began = time.monotonic()
+        self._last: dict[str, Value] = {}
+        self._random = random.Random(0)
+
+    def set(self, topic: str, mode: str, rng: random.Random) -> None:
+        """Publish a topic in a way from now on."""
+        self._random = random.Random(rng.random())
+        self._began = time.monotonic()
+        self._mode[topic] = mode
+
+    def _later(self, seconds: float, topic: str, value: Value) -> None:
+        threading.Timer(seconds, self._watcher.publish, (topic, value)).start()
+
+    def _changed(self, topic: str, value: Value) -> Value | None:
+        """Return what becomes of a value; None where it does not come, or not now."""
+        mode, since = self._mode[topic], time.monotonic() - self._began
+        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
+            return None
+        if mode == "delayed":
+            self._later(_DELAY_S, topic, value)
+            return None
+        if mode == "garbage":
+            return _garbage(topic, value, self._random)
+        if mode == "wrong":
+            return _wrong(topic, value)
+        if mode != "stuck":
+            self._last[topic] = value
+        return self._last[topic]
+
+
+class Players(_Played):
+    """Publishes each topic once a second; levels follow from what the drive really does."""
+
+    def __init__(
+        self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
+    ) -> None:
+        super().__init__(watcher, topics)
+        self.cistern, self.roof = 2.9, 0.01
+        self._truth, self._site = truth, site
+        good: dict[str, Callable[[], Value]] = {
+            "/cistern/level": lambda: self.cistern,
+            "/roof/level": lambda: self.roof,
+            "/weather/frost": lambda: 0.0,
+            "/pump/command": lambda: 1.0,
+            "/pump/flow": self._flow,
+            "/pump/meter": self._flow,
+            "/forecast/precipitation": lambda: [0.0] * site.M,
+            "/forecast/evapotranspiration": lambda: [1e-7] * site.M,
+            "/gauge/precipitation": lambda: 0.0,
+            "/gauge/temperature": lambda: 15.0,
+        }
+        self._values = {topic: good[topic] for topic in topics}
+        self._next: dict[str, float] = dict.fromkeys(self._values, 0.0)
+        self._ended = False
+        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended = True
+        self._thread.join(3)
+
+    def _flow(self) -> float:
+        return flow_at(self._site, self._truth.speed, self.cistern)
+
+    def _play(self) -> None:
+        at = time.monotonic()
+        while not self._ended:
+            time.sleep(0.02)
+            before, at = at, time.monotonic()
+            pumped = self._flow() * (at - before)
+            self.cistern -= pumped / self._site.a1
+            self.roof += pumped / self._site.a2
+            for topic, value in self._values.items():
+                if at >= self._next[topic]:
+                    slow = _SLOW if self._mode[topic] == "slow" else 1.0
+                    self._next[topic] = max(at, self._next[topic] + slow * PERIOD_S)
+                    said = self._changed(topic, value())
+                    if said is not None:
+                        self._watcher.publish(topic, said)
+
+    def burst(self, topic: str, count: int, rng: random.Random) -> None:
+        """Publish so many hostile values as fast as it goes, then in fits and starts."""
+        sample = self._values[topic]()
+        self._random = random.Random(rng.random())
+        for number in range(count):
+            self._watcher.publish(topic, _garbage(topic, sample, self._random))
+            if number % 500 == 499:
+                time.sleep(rng.uniform(0.0, 0.05))
+
+
+class Relay(_Played):
+    """Stands between nodes in lockstep: what one says of a tick, the others hear from here.
+
+    A node publishes under /true, and each message comes on as a case asks; one that does not holds
+    the tick up. A node in lockstep publishes next when it is answered: slow is as late as delayed,
+    for longer.
+    """
+
+    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
+        super().__init__(watcher, topics)
+        for topic in topics:
+            watcher.relay(f"{TRUE}{topic}", topic, partial(self._changed, topic))
+
+    def _changed(self, topic: str, value: Value) -> Value | None:
+        if self._mode[topic] != "slow":
+            return super()._changed(topic, value)
+        self._later(_SLOW * PERIOD_S, topic, value)
+        return None
+
+
+def _wrong(topic: str, value: Value) -> Value:
+    change = _WRONG[topic]
+    return change(value) if isinstance(value, float) else [change(one) for one in value]
+
+
+def _garbage(topic: str, value: Value, rng: random.Random) -> Value:
+    hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
+    if topic == "/gauge/temperature":
+        hostile = tuple(one for one in hostile if not -90 <= one <= 60)
+    if isinstance(value, float):
+        return rng.choice(hostile)
+    # A controller that needs no forecast takes one of another length, but none that cannot be.
+    count = rng.choice((len(value), len(value) - 3, 1))
+    return [rng.choice(hostile) for _ in range(count)]

@@ -1,0 +1,600 @@
+"""What the cases are done to: a live site, a pump node alone, or a simulation with a drive."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import random
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from datetime import datetime, timedelta, timezone
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import yaml
+from brokers import Mosquitto, Talker
+from disks import small_disk
+from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
+from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED
+from faults.line import Cable, Line
+from faults.players import TRUE, Players, Relay
+from faults.truth import AT_REST, Truth
+from faults.watcher import Watcher
+from graphs import Process, alive, free_ports
+from places import CONFIG, guarding
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.drives.modbus_line import parse_address
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.pumping.limits import settings_for
+from greenroof_ros.simulators.control_profiles import AbbDrives
+
+START_S = 60.0
+# What the simulated drive needs from power-up until it answers (s).
+BOOT_S = 2.0
+# What the campaign sets other than its default, so that a pump that was stopped runs again soon.
+# None of these is in a bound.
+SHORTENED = {"recovery_time": 1.0}
+PUMP_SHORTENED = {
+    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+    "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
+}
+# The paper's site, but for a roof that takes an hour to fill: ten times its target.
+_TARGET = 0.45
+_CISTERN_M3, _ROOF_M3 = 73.0, 0.5
+CONTROLLER = "onoff"
+_CISTERN_TOPIC = "cistern/sensor/level/state"
+_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", '"2.5"', "{", "[2.5]", "[" * 30_000)
+
+
+class BrokenError(Exception):
+    """The rig cannot be used any more."""
+
+
+def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
+    """Wait for a condition.
+
+    Raises:
+        BrokenError: it does not come.
+    """
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            raise BrokenError(f"{what} within {seconds:g} s")
+        time.sleep(0.02)
+
+
+def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
+    """Return the processes that have not ended within a time (s)."""
+    until = time.monotonic() + seconds
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return [pid for pid in pids if alive(pid)]
+
+
+def site_file(directory: Path, **changes: float) -> Path:
+    """Write the campaign's site file."""
+    text = (CONFIG / "site.yaml").read_text()
+    values = {"z_veg": _TARGET, "starts_per_hour": 3600.0, **changes}
+    for name, value in values.items():
+        text, count = re.subn(rf"(?m)^{name}: \S+", f"{name}: {value!r}", text)
+        assert count == 1, name
+    path = directory / "site.yaml"
+    path.write_text(text)
+    return path
+
+
+def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
+    """Put a dry forecast of two days in place, as one should: whole, by renaming."""
+    issued = issued or datetime.now(timezone.utc).replace(minute=0, second=0, microsecond=0)
+    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"]
+    for hour in range(48):
+        at = issued + timedelta(hours=hour)
+        lines.append(f"{issued.isoformat()},{at.isoformat()},0.0,2.0,15.0")
+    draft = path.with_suffix(".new")
+    draft.write_text("\n".join(lines) + "\n" if text is None else text)
+    draft.replace(path)
+
+
+def _has_shared_memory(pid: int) -> bool:
+    """Whether a process shares memory with others, which a stopped one of them could hold."""
+    try:
+        return "/dev/shm/fastrtps" in Path(f"/proc/{pid}/maps").read_text()
+    except OSError:
+        return False  # it has ended
+
+
+class Simulator:
+    """A simulated drive or site as a program, that can be started again where it was."""
+
+    def __init__(self, domain: int, directory: Path, module: str, *options: str) -> None:
+        self._start = (domain, directory, module, options)
+        self.start()
+
+    def start(self, *more: str) -> None:
+        """Start it, or start it again; ``powered_at`` is when (s, `time.monotonic`)."""
+        domain, directory, module, options = self._start
+        self.process = Process(domain, module, *options, *more, cwd=directory)
+        wait(
+            lambda: self.process.stdout().startswith("ready:")
+            or self.process.process.poll() is not None, START_S, f"no {module}",
+        )
+        self.ready = self.process.stdout().partition("\n")[0]
+        if not self.ready.startswith("ready:"):
+            raise BrokenError(f"{module}: {self.process.stderr()}")
+        self.powered_at = time.monotonic()
+
+    def end(self) -> None:
+        popen = self.process.process
+        if popen.poll() is None:
+            popen.send_signal(signal.SIGCONT)
+            popen.terminate()
+            popen.wait(10)
+
+
+class Rig:
+    """A pump on a simulated drive, and all that has to do with it.
+
+    Attributes:
+        watcher: the campaign's node in the graph.
+        truth: what the drive really does.
+        others: nodes of others that a case has started.
+        lines: to the level sensors, where they can go bad; by tank.
+    """
+
+    pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
+    nodes: tuple[str, ...] = ("pump", CONTROLLER, "weather")
+    as_shipped = False
+    serial = False
+
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        """Start the drive.
+
+        Args:
+            directory: for what all of it leaves.
+            domain: of the graph.
+            drive: make of the drive.
+            special: what is other than usual, by attribute.
+        """
+        vars(self).update(special)
+        self.directory, self.domain, self.drive_name = directory, domain, drive
+        directory.mkdir(parents=True, exist_ok=True)
+        self.site_file = site_file(directory)
+        self.site: Site = read_site(self.site_file)
+        self.parameters = directory / "nodes.yaml"
+        self.parameters.write_text(yaml.safe_dump({
+            f"/**/{node}": {"ros__parameters": dict(
+                self.pump_parameters if node == "pump" else SHORTENED
+            )} for node in self.nodes
+        }))
+        self.lines: dict[str, Line] = {}
+        # The wait after power-up, where a drive guards nothing, would come with each connection.
+        self.drive_file = drive if self.as_shipped else guarding(drive, directory)
+        (bench,) = free_ports(1)
+        self.drive = Simulator(
+            domain, directory, "drive_simulator", "--drive", self.drive_file, "--ramp", "1",
+            "--boot", f"{BOOT_S:g}", *self._place(), "--workbench", str(bench),
+            "--site", str(self.site_file),
+        )
+        self.drive_at = self.drive.ready.split()[2].rstrip(",")
+        self._bench = f"tcp://127.0.0.1:{bench}"
+        self.site_simulator: Simulator | None = None
+        self.main: Process
+        self.started: set[int] = set()
+        self.ended_badly: list[str] = []
+        self.others: list[Process] = []
+        self.players: Players | Relay | None = None
+
+    def _place(self) -> tuple[str, ...]:
+        """Return the options that say where the drive is."""
+        return ("--serial", "pty") if self.serial else ("--port", str(*free_ports(1)))
+
+    def _watch(self, site_bench: str | None = None) -> None:
+        site = None if site_bench is None else parse_address(site_bench)
+        self.truth = Truth(parse_address(self._bench), site)
+        self.watcher = Watcher(self.domain)
+
+    def pids(self) -> dict[str, int]:
+        """Return the process of each node, by the node's name, and of ``bringup``."""
+        found = {"bringup": self.main.process.pid}
+        with suppress(OSError):  # it has ended
+            found |= {
+                name.removeprefix("live_"): pid for name, pid in self.main.nodes().items()
+            }
+        self.started.update(found.values())
+        return found
+
+    def runs(self) -> bool:
+        """Whether the pump runs, truly and by its node."""
+        return self.truth.runs() and self.watcher.state in ("running", "starting")
+
+    def until_guarded(self) -> None:
+        """Wait until the drive's own timeout counts, which it may not at once after power-up.
+
+        The node's own wait for that is off, but in cases about it.
+        """
+        if self.as_shipped or self.drive_name != "abb_acs880":
+            return
+        until = self.drive.powered_at + BOOT_S + AbbDrives.UNGUARDED_S
+        time.sleep(max(0.0, until - time.monotonic()))
+
+    def until_running(self, seconds: float = START_S, steady_s: float = 0.0) -> None:
+        """Wait until the pump runs, and has for so long without a break.
+
+        Raises:
+            BrokenError: it does not.
+        """
+        until = time.monotonic() + seconds
+        while not self.runs() or self.truth.steady_for() < steady_s:
+            if self.main.process.poll() is not None:
+                raise BrokenError(f"bringup ended: {self.main.stderr()[-600:]}")
+            if time.monotonic() > until:
+                said = {who: text for who, text in self.watcher.last.items()
+                        if not text.startswith("OK")}
+                raise BrokenError(
+                    f"the pump did not run within {seconds:.0f} s (speed {self.truth.speed:.2f}): "
+                    f"{said}; {self.main.stderr()[-300:]}"
+                )
+            time.sleep(0.02)
+
+    def said(self, pattern: str, since: float, printed: int) -> str:
+        """Return what was said of a cause, on a topic, or by bringup beyond what it had printed."""
+        found = self.watcher.find(pattern, since)
+        if not found:
+            text = self.main.stderr()[printed:]
+            line = next((one for one in text.splitlines() if re.search(pattern, one)), "")
+            found = f"bringup: {line}" if line else ""
+        for other in self.others[-1:] if not found else ():
+            line = next((o for o in other.stderr().splitlines() if re.search(pattern, o)), "")
+            found = f"the other node: {line}" if line else ""
+        return found
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.ended_badly = self._end_main()
+        if isinstance(self.players, Players):
+            self.players.close()
+        self.watcher.close()
+        self.truth.close()
+        self.drive.end()
+        if self.site_simulator is not None:
+            self.site_simulator.end()
+        for line in self.lines.values():
+            line.close()
+
+    def _end_main(self) -> list[str]:
+        """End what is under test, and return what is wrong with how it ended."""
+        wrong = []
+        pids = set(self.pids().values()) | self.started
+        if any(map(_has_shared_memory, pids)):
+            wrong.append("a process has shared memory")
+        main = self.main.process
+        if main.poll() is None:
+            main.send_signal(signal.SIGCONT)
+            main.terminate()
+            try:
+                code = main.wait(25)
+                # A run with incidents that it got over ends with 1, and says so last.
+                over = code == 1 and "\ndone, with " in self.main.stderr()
+                if code not in (0, 130) and not over:
+                    wrong.append(f"exit code {code} after SIGTERM")
+            except subprocess.TimeoutExpired:
+                wrong.append("still there 25 s after SIGTERM")
+                main.kill()
+                main.wait()
+        for pid in left(pids):
+            wrong.append(f"process {pid} is left")
+            os.kill(pid, signal.SIGKILL)
+        until = time.monotonic() + 2 * RAMP_S
+        while self.truth.speed > AT_REST and time.monotonic() < until:
+            time.sleep(0.05)
+        if self.truth.speed > AT_REST and self.drive.process.process.poll() is None:
+            wrong.append(f"the pump runs on at {self.truth.speed:.2f}")
+        if "Traceback" in self.main.stderr():
+            wrong.append("a traceback in what was printed")
+        return wrong
+
+
+class SiteRig(Rig):
+    """A live site by bringup: sensors and drive simulated, each a program behind Modbus."""
+
+    cistern_m3 = _CISTERN_M3
+
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        super().__init__(directory, domain, drive, **special)
+        file, read = directory / "sensors.yaml", directory / "sensors-read.yaml"
+        for path, sensors in zip((file, read), self._sensors(), strict=True):
+            path.write_text(yaml.safe_dump(sensors))
+        (bench,) = free_ports(1)
+        self.csv = directory / "levels.csv"
+        self.site_simulator = Simulator(
+            domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
+            "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
+            "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
+            "--roof", str(_ROOF_M3), "--output", str(self.csv),
+        )
+        self.forecast = directory / "forecast.csv"
+        write_forecast(self.forecast)
+        self.state = directory / "state"
+        self._options = (
+            "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--sensors", str(read), "--forecast", str(self.forecast),
+            "--drive", self.drive_file, "--drive-at", self.drive_at,
+            "--state", str(self.state), "--restarts", "1000",
+            "--node-parameters", str(self.parameters),
+        )
+        self._watch(f"tcp://127.0.0.1:{bench}")
+        self.bring_up()
+
+    def _sensors(self) -> tuple[Any, Any]:
+        """Return the file of the simulated sensors, and that by which the nodes read them."""
+        sensors, by_line = (
+            yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
+        )
+        for tank in ("cistern", "roof"):
+            port, behind = free_ports(2)
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
+            self.lines[tank] = Line(port, behind)
+            by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
+        return sensors, by_line
+
+    def bring_up(self) -> None:
+        """Start bringup, at first or again."""
+        self.main = Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
+        wait(lambda: self.truth.samples, 10, "no speed of the drive")
+
+    def levels(self) -> tuple[float, float]:
+        """Return the true levels of cistern and roof (m)."""
+        # A simulator that was started again begins with the head of its table.
+        wait(lambda: self.csv.read_text().count("\n") > 1, 10, "no level of the site")
+        _, cistern, roof = self.csv.read_text().splitlines()[-1].split(",")[:3]
+        return float(cistern), float(roof)
+
+    def water(self) -> tuple[str, ...]:
+        """Return the options with which the site's simulator goes on with its water."""
+        cistern, roof = self.levels()
+        return ("--cistern", repr(cistern * self.site.a1), "--roof", repr(roof * self.site.a2))
+
+    @property
+    def dry_level(self) -> float:
+        """The level of the cistern at which the pump is stopped (m)."""
+        return self.site.suction_level + settings_for(self.site).level_offset
+
+
+class RelayRig(SiteRig):
+    """The same with a relay on MQTT, and a cable from the pump node to the broker."""
+
+    def _place(self) -> tuple[str, ...]:
+        self.broker = Mosquitto(self.directory)
+        self.cable = Cable(self.broker.port)
+        return ("--at", f"{self.broker.address}/roof", "--timeout", f"{DRIVE_TIMEOUT_S:g}")
+
+    def bring_up(self) -> None:
+        self._options = tuple(
+            option.replace(f":{self.broker.port}/", f":{self.cable.port}/")
+            for option in self._options
+        )
+        super().bring_up()
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.cable.close()
+        self.broker.kill()
+
+
+class GaugedRig(SiteRig):
+    """The same with a weather station, which the campaign plays."""
+
+    def bring_up(self) -> None:
+        self.players = Players(self.watcher, self.truth, self.site, GAUGES)
+        super().bring_up()
+
+
+class MqttRig(SiteRig):
+    """The same with sensors on MQTT.
+
+    Attributes:
+        broker: of the sensors, which keeps what is retained when it ends.
+        cable: between it and the nodes.
+    """
+
+    def _sensors(self) -> tuple[Any, Any]:
+        self.broker = Mosquitto(
+            self.directory, "allow_anonymous true", "persistence true",
+            f"persistence_location {self.directory}/", f"user {getpass.getuser()}",
+        )
+        self.cable = Cable(self.broker.port)
+        text = (CONFIG / "sensors_mqtt.yaml").read_text()
+        return tuple(
+            yaml.safe_load(text.replace(":1883/", f":{port}/"))
+            for port in (self.broker.port, self.cable.port)
+        )
+
+    def say_retained(self) -> None:
+        """Say the cistern's level once more, for the broker to keep."""
+        with Talker(self.broker) as talker:
+            talker.say(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
+
+    def say_nonsense(self, count: int, rng: random.Random) -> None:
+        """Say so many things that are no level, as somebody else who may write there."""
+        with Talker(self.broker) as talker:
+            for _ in range(count):
+                talker.say(_CISTERN_TOPIC, rng.choice(_NONSENSE))
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.cable.close()
+        self.broker.kill()
+
+
+class FullDiskRig(SiteRig):
+    """The same, its bag on a small disk that can be filled."""
+
+    def bring_up(self) -> None:
+        self._disk = ExitStack()
+        self._disk.enter_context(small_disk(self.state / "bag", "2m"))
+        super().bring_up()
+
+    def fill(self) -> None:
+        """Fill the disk to its last byte."""
+        with self._other().open("wb", buffering=0) as stream, suppress(OSError):
+            while True:
+                stream.write(bytes(4096))
+
+    def free(self) -> None:
+        """Make room again."""
+        self._other().unlink()
+
+    def _other(self) -> Path:
+        return self.state / "bag" / "other"
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self._disk.close()
+
+
+class PlayedRig(Rig):
+    """The same with levels and weather from nodes of somebody else's, whom the campaign plays."""
+
+    topics = PLAYED
+    nodes = ("pump", CONTROLLER)
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.players = Players(self.watcher, self.truth, self.site, self.topics)
+        self.main = Process(
+            domain, "bringup.live", "--controller", CONTROLLER,
+            "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
+            *self._pump(), "--state", str(directory / "state"),
+            "--restarts", "1000", "--node-parameters", str(self.parameters), cwd=directory,
+        )
+
+    def _pump(self) -> tuple[str, ...]:
+        return ("--drive", self.drive_file, "--drive-at", self.drive_at)
+
+
+class FlowRig(PlayedRig):
+    """The same, and what the pump node says of the flow is the campaign's, too."""
+
+    topics = (*PLAYED, "/pump/flow")
+    nodes = (CONTROLLER,)
+
+    def _pump(self) -> tuple[str, ...]:
+        self.pump = pump_node(self, "-r", "/pump/flow:=/true/flow")
+        return ("--pump", "external")
+
+    def __exit__(self, *failure: object) -> None:
+        self.pump.process.terminate()
+        self.pump.process.wait(45)
+        super().__exit__(*failure)
+
+
+def pump_node(
+    rig: Rig, *more: str, domain: int | None = None, live: bool = True
+) -> Process:
+    """Start a pump node at the drive of a rig, by itself."""
+    options = {
+        **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
+        "live": str(live).lower(), "site_file": rig.site_file, "drive": rig.drive_file,
+        "address": rig.drive_at, "autostart": "true",
+        "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
+    }
+    return Process(
+        rig.domain if domain is None else domain, "nodes.pump", "--ros-args",
+        *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")), *more,
+        cwd=rig.directory,
+    )
+
+
+class PumpRig(Rig):
+    """The pump node alone: no supervisor, and the campaign is controller, sensors and weather."""
+
+    topics: tuple[str, ...] = ("/pump/command", *LEVELS)
+
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        super().__init__(directory, domain, drive, **special)
+        self._watch()
+        self.players = Players(self.watcher, self.truth, self.site, self.topics)
+        self.main = pump_node(self)
+
+
+class LoopRig(Rig):
+    """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.main = Process(
+            domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
+            "--drive", self.drive_file, "--drive-at", self.drive_at,
+            "--output", str(directory / "run"), "--state", str(directory / "state"),
+            "--node-parameters", str(self.parameters), cwd=directory,
+        )
+
+
+class RelayedRig(Rig):
+    """The same with each node started by itself, and the campaign between them."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.players = Relay(self.watcher, RELAYED)
+        self.started.add(pump_node(self, live=False).process.pid)
+        site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
+        self._node("weather", site, ticks)
+        self._controller = self._node("controller", site, arguments=("--controller", CONTROLLER))
+        self.main = self._node(
+            "plant", site, ticks, "speed:=1.0", "pump:=external",
+            f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
+        )
+
+    def _node(self, name: str, *parameters: str, arguments: Sequence[str] = ()) -> Process:
+        """Start a node that publishes for the campaign."""
+        interface = read_topics()
+        ours = [topic for topic in RELAYED if name in interface[topic].publishers]
+        node = Process(
+            self.domain, f"nodes.{name}", *arguments, "--ros-args",
+            *(word for one in parameters for word in ("-p", one)),
+            *(word for topic in ours for word in ("-r", f"{topic}:={TRUE}{topic}")),
+            cwd=self.directory,
+        )
+        self.started.add(node.process.pid)
+        return node
+
+    def said(self, pattern: str, since: float, printed: int) -> str:
+        """Return the same, or what the controller printed: the first refusal on each topic."""
+        lines = self._controller.stderr().splitlines()
+        line = next((one for one in lines if re.search(pattern, one)), "")
+        return super().said(pattern, since, printed) or line
+
+
+RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
+    "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
+    "full disk": FullDiskRig, "played": PlayedRig, "flow": FlowRig, "pump": PumpRig,
+    "loop": LoopRig, "relayed": RelayedRig,
+    # With water for half a minute.
+    "dry": partial(SiteRig, cistern_m3=19.5),
+    # With a flow meter; on a serial line, two pseudo-terminals; with the drive file as shipped.
+    "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
+    "rtu": partial(PumpRig, serial=True),
+    "guarded": partial(PumpRig, as_shipped=True),
+    # With a pump that may run for a few seconds without a break or in a day, or by volume.
+    **{
+        limit: partial(PumpRig, pump_parameters={**PUMP_SHORTENED, limit: most})
+        for limit, most in {
+            "greatest_run": LIMIT_S, "greatest_run_per_day": LIMIT_S,
+            "greatest_volume_per_day":
+                LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
+        }.items()
+    },
+}

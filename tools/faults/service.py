@@ -1,0 +1,122 @@
+"""The case at a forecast service: six hours of one of its failures, as a live site meets it.
+
+Requests and answers are real; the time between two requests is not waited for. In each ten minutes
+the file of forecasts is read, and controller and pump control decide by it, in this process.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+from faults.cases import Case
+from faults.live import Outcome
+from places import CONFIG
+
+from greenroof_ros.controllers.decide import decide
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.service import Fetcher, Service, ServiceRequest
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.limits import settings_for
+from greenroof_ros.pumping.pump_control import Observation, PumpControl
+from greenroof_ros.simulators.forecast_service import NONE, ForecastService
+from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.series import FILL
+
+_HOURS = 6
+_EVERY_S = 1800.0
+# The weather node's: so old a forecast may be (s).
+_ISSUE_LIMIT_S = 7200.0
+# Backing off from a minute to half an hour, a failing service is asked 5 times in the first half
+# hour, and then twice an hour: far below the 600 a minute that it allows.
+_MOST_REQUESTS = 18
+_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
+
+
+def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
+    """Have a service fail for six hours, and look at what the site knows and does meanwhile."""
+    directory.mkdir(parents=True, exist_ok=True)
+    site = read_site(CONFIG / "site.yaml")
+    server = ForecastService(
+        site, read_weather([default_weather()], site, gaps=FILL), _START, 0
+    )
+    server.start()
+    try:
+        file = directory / "forecast.csv"
+        service = Service(site, ServiceRequest(url=f"{server.address}/v1/forecast"))
+        fetcher = Fetcher(service, file, None, _EVERY_S)
+        fetcher.fetch()
+        if fetcher.problem:
+            outcome.fail(f"the service without a fault: {fetcher.problem}")
+            return
+        good, began = file.read_bytes(), datetime.now(timezone.utc)
+        server.fault = case.target
+        waits = _requests(fetcher, outcome)
+        if file.read_bytes() != good:
+            outcome.fail("a bad answer changed the file of forecasts")
+        if case.target == "limit" and min(waits) < 120:
+            outcome.fail(f"asked again after {min(waits):g} s, where Retry-After says 120 s")
+        # Where a connection breaks, the HTTP library asks once more by itself.
+        if len(waits) > _MOST_REQUESTS or server.asked - 1 > 2 * len(waits):
+            outcome.fail(f"the service was asked {server.asked - 1} times in {_HOURS} h")
+        forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
+        forecast.file.look()
+        known = _stands_from(site, forecast, began, thermometer=False)
+        if not 3600 <= known <= _ISSUE_LIMIT_S:
+            outcome.fail(f"without a thermometer the pump stood from {known:g} s on")
+        if (stood := _stands_from(site, forecast, began, thermometer=True)) < math.inf:
+            outcome.fail(f"with a thermometer the pump stood from {stood:g} s on")
+        server.fault = NONE
+        if fetcher.fetch() != _EVERY_S or fetcher.problem:
+            outcome.fail(f"after the fault: {fetcher.problem}")
+        outcome.recovery = (
+            f"ran on; without a thermometer until the forecast was too old ({known / 60:g} min)"
+        )
+    finally:
+        server.close()
+
+
+def _requests(fetcher: Fetcher, outcome: Outcome) -> list[float]:
+    """Fetch for six hours, and return the waits; each must say why there was nothing."""
+    waits: list[float] = []
+    while sum(waits) < 3600 * _HOURS:
+        waits.append(fetcher.fetch())
+        outcome.alarm = outcome.alarm or fetcher.problem
+        if not fetcher.problem:
+            outcome.fail("a bad answer was used")
+    return waits
+
+
+def _stands_from(
+    site: Site, forecast: LiveForecast, began: datetime, *, thermometer: bool
+) -> float:
+    """Return from when on (s) a pump stands that is to run; infinite where it never does.
+
+    Each ten minutes a new pump control is asked for a quarter of a minute: its own limits do not
+    count. While there is a forecast the pump is commanded to run; then by `lookahead`, on a dry
+    roof. Without a thermometer the temperature is the forecast's.
+    """
+    choice = find_controller("lookahead")
+    values = {one.name: one.default for one in choice.parameters_on(site)}
+    for minutes in range(0, 60 * _HOURS, 10):
+        try:
+            outlook = forecast.at(began + timedelta(minutes=minutes))
+            command, frost = 1.0, outlook.temperature <= 0
+        except NoForecastError:
+            command = decide(choice.make(site, values), True, 1.5, 0.01, (), ())
+            frost = False if thermometer else None
+        control = PumpControl(site, settings_for(site), Ledger(None, time.time), 15.0)
+        seen = Observation(
+            command=command, cistern_level=1.5, roof_level=0.01, frost=frost, speed=0.0,
+            drive_ready=True,
+        )
+        for _ in range(15):
+            decision = control.step(1.0, seen, 0.0)
+        if decision.speed is None:
+            assert list(decision.interlocks) == ["frost_unknown"], decision.why
+            return 60.0 * minutes
+    return math.inf

@@ -1,0 +1,211 @@
+"""A case of the simulated way: the run ends by name, or not one byte of its bag changes."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from disks import small_disk
+from faults.bounds import SIMULATION_END_S
+from faults.cases import Case
+from faults.inject import intrude, refuse_second_graph, signal_process
+from faults.live import Outcome
+from faults.rig import left
+from faults.watcher import Watcher
+from graphs import Process, bag_file, environment, summary_of
+
+from greenroof_ros.recording.bag_reader import count_ticks
+from greenroof_ros.recording.bag_writer import recovered_bag
+
+# A run that is over before a fault shows would show nothing; the short one is compared whole.
+_LONG_H, _SHORT_H = "12", "1"
+# Simulated per wall time of the short one: slow enough that it lasts for what is done to it.
+_SHORT_SPEED = "400"
+# Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder, and the
+# one under way.
+_LOST_TICKS = 33
+
+
+def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Outcome:
+    """Bring a simulation up, do the case to it, and look at what it leaves."""
+    directory.mkdir(parents=True, exist_ok=True)
+    same = case.expected.recovery == "same"
+    options = ["--hours", _SHORT_H, "--speed", _SHORT_SPEED] if same else ["--hours", _LONG_H]
+    outcome = Outcome(bound=None if same else SIMULATION_END_S)
+    if case.fault == "full disk":
+        with small_disk(directory / "run", "300k"):
+            _fills_up(directory, domain, outcome)
+        return outcome
+    run = Process(
+        domain, "bringup", "--controller", "onoff", *options, "--output", "run", cwd=directory,
+    )
+    watcher = None
+    pids: list[int] = []
+    try:
+        if case.fault in ("intruder", "10000 hostile"):
+            watcher = Watcher(domain, "intruder")
+        run.wait_for_ticks()
+        time.sleep(rng.uniform(0.0, 1.0))
+        nodes = {name.removeprefix("live_"): pid for name, pid in run.nodes().items()}
+        pids = list(nodes.values())
+        began = time.monotonic()
+        _begin(case, run, domain, nodes, watcher, rng)
+        if same:
+            _same(run, directory, domain, outcome)
+        else:
+            _ends(case, run, directory, began, outcome)
+    except (AssertionError, OSError, KeyError, subprocess.TimeoutExpired) as error:
+        outcome.fail(f"{type(error).__name__}: {error}"[:600])
+    finally:
+        if watcher is not None:
+            watcher.close()
+        _clean_up(run, pids, outcome)
+    return outcome
+
+
+def _begin(
+    case: Case, run: Process, domain: int, nodes: dict[str, int], watcher: Watcher | None,
+    rng: random.Random,
+) -> None:
+    if watcher is not None:
+        intrude(watcher, case.target, case.fault, rng)
+    elif case.fault == "second graph":
+        refuse_second_graph(domain, run.cwd)
+    else:
+        pid = run.process.pid if case.target == "bringup" else nodes[case.target]
+        undo = ExitStack()
+        signal_process(pid, case.fault, rng, undo)
+        if case.target == "bringup" and case.fault == "stop long":
+            time.sleep(8.0)
+            undo.close()  # a node stays stopped to the end
+
+
+def _fills_up(directory: Path, domain: int, outcome: Outcome) -> None:
+    """See that a run whose disk fills up ends by name, and that its bag can be restored."""
+    run = Process(
+        domain, "bringup", "--controller", "onoff", "--hours", _LONG_H, "--output", "run/on",
+        cwd=directory,
+    )
+    try:
+        code = run.wait(60)
+    except AssertionError as error:
+        outcome.fail(str(error))
+        return
+    outcome.alarm = _error(run)
+    if code != 1 or "No space left on device" not in run.stderr() or "Traceback" in run.stderr():
+        outcome.fail(f"ended with exit code {code}: {run.stderr()[-400:]}")
+    _restore(outcome, directory / "run" / "on", "--output", str(directory / "rescued"))
+    outcome.recovery = f"ended with exit code {code}"
+
+
+def _same(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
+    code = run.wait(120)
+    if code != 0:
+        outcome.fail(f"the run ended with exit code {code}: {_error(run)}")
+        return
+    undisturbed = reference(directory.parent.parent, domain)
+    if digest(bag_file(directory / "run")) != digest(bag_file(undisturbed)):
+        outcome.fail("the bag differs from an undisturbed run's")
+    outcome.lost = 0
+    outcome.recovery = "ran to its end, every byte as undisturbed"
+
+
+def _error(run: Process) -> str:
+    """Return what bringup gives as the reason of its end."""
+    lines = run.stderr().splitlines()
+    return next((one for one in lines if "error:" in one or "SIGTERM" in one), "")[:300]
+
+
+def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outcome) -> None:
+    bringup = case.fault if case.target == "bringup" else ""
+    expected = {"kill": -signal.SIGKILL, "term": 130}.get(bringup, 1)
+    if case.expected.recovery == "either":
+        code = run.wait(120)
+        outcome.recovery = f"ended with exit code {code}"
+        return
+    code = run.wait(60)
+    outcome.to_safe = time.monotonic() - began
+    outcome.recovery = f"ended with exit code {code}"
+    if outcome.to_safe > SIMULATION_END_S:
+        outcome.fail(f"ended after {outcome.to_safe:.1f} s, bound {SIMULATION_END_S:.1f} s")
+    if code != expected:
+        outcome.fail(f"ended with exit code {code}, not {expected}: {run.stderr()[-400:]}")
+    said = run.stderr()
+    outcome.alarm = _error(run)
+    if not re.search(case.expected.alarm, said):
+        outcome.fail(f"nothing said {case.expected.alarm}: {said[-400:]}")
+    if "Traceback" in said:
+        outcome.fail("a traceback")
+    _count_lost(directory, domain_free=code != -signal.SIGKILL, outcome=outcome)
+
+
+def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
+    """Restore the bag of a run by the command for that."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.recover", str(run), *options], capture_output=True,
+        text=True, env=environment(0), timeout=60,
+    )
+    if done.returncode != 0:
+        outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
+    return done.returncode == 0
+
+
+def _count_lost(directory: Path, *, domain_free: bool, outcome: Outcome) -> None:
+    """Count the ticks that the plant had made and the bag, restored, has not."""
+    run = directory / "run"
+    bag = run / "bag"
+    ticks = count_ticks(bag)
+    if ticks is None:
+        if not _restore(outcome, run):
+            return
+        ticks = count_ticks(recovered_bag(bag)) or 0
+    last = summary_of(run).get("last_tick")
+    if domain_free and last is not None:
+        outcome.lost = max(0, last + 1 - ticks)
+        if outcome.lost > _LOST_TICKS:
+            outcome.fail(f"{outcome.lost} ticks are lost, of {last + 1}")
+
+
+def _clean_up(run: Process, pids: list[int], outcome: Outcome) -> None:
+    popen = run.process
+    if popen.poll() is None:
+        popen.send_signal(signal.SIGCONT)
+        popen.terminate()
+        try:
+            popen.wait(20)
+        except subprocess.TimeoutExpired:
+            outcome.fail("bringup did not end within 20 s of SIGTERM")
+            popen.kill()
+    for pid in left(pids):
+        outcome.fail("a node is left 12 s after the end")
+        os.kill(pid, signal.SIGKILL)
+
+
+def digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def reference(directory: Path, domain: int) -> Path:
+    """Return an undisturbed short run, made once in a directory."""
+    kept = directory / "undisturbed"
+    if not (kept / "run").is_dir():
+        place = Path(tempfile.mkdtemp(prefix="undisturbed-", dir=directory))
+        run = Process(
+            domain, "bringup", "--controller", "onoff", "--hours", _SHORT_H, "--output", "run",
+            cwd=place,
+        )
+        code = run.wait(120)
+        assert code == 0, run.stderr()
+        with contextlib.suppress(OSError):  # the other lane was faster
+            place.rename(kept)
+    return kept / "run"

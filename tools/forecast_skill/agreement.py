@@ -1,0 +1,99 @@
+"""How alike forecasts of the same hours are, and how much better their mean is than one of them.
+
+A poor man's ensemble is one forecast of each of several services (Ebert 2001, Monthly Weather
+Review 129, 2461-2480). What its mean gains depends on how alike its members are. So it says
+whether members of the package's own ensembles are more independent than services are.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from forecast_skill.figures import rows
+
+
+class Agreement(NamedTuple):
+    """How well forecasts of the same sums agree with what fell, and with each other.
+
+    Attributes:
+        alone: r of each with the records, shape (members,).
+        pairs: r of each two, in the order of ``itertools.combinations``.
+        mean: r of their mean with the records.
+    """
+
+    alone: np.ndarray
+    pairs: np.ndarray
+    mean: float
+
+    @property
+    def gain(self) -> float:
+        """By how much r of the mean is above one member's, as a ratio."""
+        return self.mean / float(self.alone.mean())
+
+
+def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
+    """Return the agreement of forecasts whose records themselves are not at hand.
+
+    The covariance of a mean with the records is the mean of its members' covariances with them,
+    so r of the mean is sum(r_i s_i) / sqrt(sum(C_ij)), s being standard deviations and C
+    covariances.
+
+    Args:
+        alone: r of each with the records, shape (members,).
+        covariance: of them (mm2), shape (members, members).
+    """
+    deviations = np.sqrt(np.diag(covariance))
+    likeness = covariance / np.outer(deviations, deviations)
+    return Agreement(
+        alone, likeness[np.triu_indices(len(alone), 1)],
+        float(alone @ deviations / math.sqrt(covariance.sum())),
+    )
+
+
+def of_services(day: int, hours: int) -> Agreement:
+    """Return the agreement of GEM, GFS and KNMI so many days ahead; of GEM and KNMI on the fifth.
+
+    Their r is over the hours that the gauge has, their covariances are over all. Of sums over 72
+    and 120 h there are covariances only, and what needs r is NaN.
+    """
+    found = {
+        (row["model"], row["other_model"]): float(row["covariance"])
+        for row in rows("services_covariance.csv")
+        if (int(row["day"]), int(row["sum_hours"])) == (day, hours)
+    }
+    names = sorted({name for name, _ in found})
+    covariance = np.array([
+        [found[min(one, other), max(one, other)] for other in names] for one in names
+    ])
+    alone = {
+        row["model"]: float(row["r"]) for row in rows("skill.csv")
+        if (int(row["days_ahead"]), int(row["sum_hours"])) == (day, hours)
+    }
+    return agreement(np.array([alone.get(name, math.nan) for name in names]), covariance)
+
+
+def of_members(forecasts: np.ndarray, observed: np.ndarray, hours: int, count: int) -> Agreement:
+    """Return the agreement of ensembles of so many members, the mean over all choices of them.
+
+    Args:
+        forecasts: of each hour (mm), shape (members, hours); NaN where there is none. Hours that
+            make no whole sum at the end do not count.
+        observed: the records of these hours (mm).
+        hours: that are summed.
+        count: how many members an ensemble has.
+    """
+    whole = len(observed) // hours * hours
+    sums = forecasts[:, :whole].reshape(len(forecasts), -1, hours).sum(axis=2)
+    seen = observed[:whole].reshape(-1, hours).sum(axis=1)
+    given = ~np.isnan(sums).any(axis=0)
+    sums, seen = sums[:, given], seen[given]
+    alone = np.array([np.corrcoef(member, seen)[0, 1] for member in sums])
+    means = [
+        np.corrcoef(sums[list(some)].mean(axis=0), seen)[0, 1]
+        for some in combinations(range(len(sums)), count)
+    ]
+    pairs = np.corrcoef(sums)[np.triu_indices(len(sums), 1)]
+    return Agreement(alone, pairs, float(np.mean(means)))

@@ -1,0 +1,248 @@
+"""The measured roofs: ``python tools/measured_roofs DIRECTORY``, which has the files of both.
+
+Each roof is fitted on one half of its warm seasons and judged on the other, both ways, beside SWMM
+as its authors calibrated it and a bucket of one parameter. Needs the extras [study] and [swmm].
+With ``--parts`` each roof is fitted again without one part of the model after the other instead, on
+its earlier half, to see what the part buys on the later one; and config/site_neubrandenburg.yaml is
+judged there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
+
+import altair as alt
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+
+import paths  # noqa: F401
+from measured_roofs.others import bucket, swmm
+from measured_roofs.roofs import ROOFS, STEP_S, read_roof, warm
+
+from greenroof_ros.calibration import simulation
+from greenroof_ros.calibration.fit import fit, measured_roof
+from greenroof_ros.calibration.record import comparable, halve, storms
+from greenroof_ros.calibration.scores import score
+from greenroof_ros.calibration.simulation import least_reading
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import read_site
+from greenroof_ros.model.soil import MeasuredSoil
+from greenroof_ros.report.drawing import COLOURS, Figure, Panel
+
+OURS, SWMM, BUCKET = MODELS = "fitted roof", "SWMM", "bucket"
+LEAST_MM = 5.0
+
+
+def start_site(roof):
+    """Return the site that the fit begins with: typical values, the roof's own size and place."""
+    site = read_site(shared_directory() / "config" / "site.yaml")
+    return measured_roof(replace(
+        site, a2=roof.area, z_soil=roof.soil, latitude=roof.latitude, longitude=roof.longitude,
+        utc_offset=1.0,
+    ))
+
+
+def scored(record, runoff, steps):
+    """Return the scores of a runoff in some steps."""
+    return score(
+        "runoff", "", runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+    )
+
+
+class Answer(NamedTuple):
+    """What a roof makes of a storm."""
+
+    peak: float
+    """greatest runoff of a quarter of an hour (mm/h)"""
+    delay: float
+    """from when half of the rain has fallen to that peak (min)"""
+    volume: float
+    """mm"""
+
+
+def answer(storm, record, runoff):
+    """Return what a runoff (mm in each step) is in a storm."""
+    within = runoff[storm.first:storm.end]
+    fallen = np.cumsum(np.nan_to_num(record.rain[storm.first:storm.end]))
+    half = int(np.searchsorted(fallen, fallen[-1] / 2))
+    quarters = np.convolve(within, np.ones(3), "valid")
+    peak = int(np.argmax(quarters))
+    delay = (peak + 1 - half) * STEP_S / 60 if quarters[peak] > 0 else np.nan
+    return Answer(float(quarters[peak]) * 4, delay, float(within.sum()))
+
+
+def judge(roof, directory, scratch):
+    """Return rows of scores, measured and simulated answers to storms, and notes."""
+    site = start_site(roof)
+    record = read_roof(roof, directory, site, scratch)
+    theirs = swmm(roof, directory, record, scratch)
+    counted = comparable(record) & warm(record) & ~np.isnan(theirs)
+    halves = tuple(halve(record, counted).values())
+    least = least_reading(record)
+    missing = np.isnan(record.runoff) & warm(record)
+    broken = sum(missing[storm.first:storm.end].any() for storm in storms(record))
+    rows, answers = [], []
+    notes = [
+        f"{roof.name}: the meter's greatest value is {np.nanmax(record.runoff):.3f} mm. The "
+        f"{broken} storms with a step without one are left out for every model."
+    ]
+    for half, fitted_on, judged_on in (("earlier", 0, 1), ("later", 1, 0)):
+        fitted = fit(site, record, halves[fitted_on])
+        simple = bucket(record, halves[fitted_on])
+        models = {
+            OURS: fitted.simulated.runoff, SWMM: np.where(theirs < least, 0.0, theirs),
+            BUCKET: np.where(simple < least, 0.0, simple),
+        }
+        notes += [
+            f"{roof.name}, fitted on the {half} half: {one.name} = {one.value:.4g}"
+            + (f" ({one.low:.4g} to {one.high:.4g})" if one.told else "")
+            + (f"; {one.words}" if one.words else "")
+            for one in fitted.parameters
+        ]
+        steps = halves[judged_on]
+        rows += [(roof.name, model, scored(record, runoff, steps))
+                 for model, runoff in models.items()]
+        for storm in storms(record):
+            if storm.rain >= LEAST_MM and steps[storm.first:storm.end].all():
+                measured = answer(storm, record, record.runoff)
+                answers += [(roof.name, model, measured, answer(storm, record, runoff))
+                            for model, runoff in models.items()]
+    return rows, answers, notes
+
+
+class NoLayer(MeasuredSoil):
+    """What percolates leaves the roof at once."""
+
+    def layer_outflow(self, layer, inflow, seconds):
+        """Return the outflow (m3/s)."""
+        return inflow
+
+
+class NoStress(MeasuredSoil):
+    """Plants take as much from a dry soil."""
+
+    def water_stress(self, x2):
+        """Return the share that evaporates."""
+        return 1.0
+
+
+class NoPercolation(MeasuredSoil):
+    """Nothing percolates below field capacity."""
+
+    def mean_percolation(self, x2, arriving, seconds):
+        """Return what leaves the substrate (m3/s)."""
+        return max(0.0, x2 - self._capacity) / seconds
+
+
+PARTS = {
+    "all of it": MeasuredSoil, "without the drainage layer": NoLayer,
+    "without water stress": NoStress, "without percolation below field capacity": NoPercolation,
+}
+
+
+def parts(roof, directory, scratch):
+    """Yield a row of what each part of the model buys."""
+    site = start_site(roof)
+    record = read_roof(roof, directory, site, scratch)
+    earlier, later = halve(record, comparable(record) & warm(record)).values()
+    for part, soil in PARTS.items():
+        with patch.object(simulation, "MeasuredSoil", soil):
+            runoff = fit(site, record, earlier).simulated.runoff
+        yield part_row(roof, part, record, runoff, later)
+    shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
+    if shipped.exists():
+        site = read_site(shipped)
+        # Half full at first, as the meter would show it.
+        runoff = simulation.simulate(site, record, 0.5, least_reading(record)).runoff
+        yield part_row(roof, shipped.name, record, runoff, later)
+
+
+def part_row(roof, model, record, runoff, steps):
+    """Return a row of the scores of a runoff."""
+    return _row(roof.name, model, [scored(record, runoff, steps)])
+
+
+def _row(roof, model, scores):
+    """Return a row of means of scores, as Markdown."""
+    nse = " | ".join(f"{np.mean([one.nse[time] for one in scores]):.2f}" for time in scores[0].nse)
+    volume = 1 + np.mean([one.volume_error for one in scores])
+    return f"| {roof} | {model} | {nse} | {volume:.2f} |"
+
+
+def table(rows, notes):
+    """Return the means of both halves as a table of Markdown, and the notes below it."""
+    lines = ["| roof | model | NSE 5 min | NSE 1 h | NSE 1 day | volume |", "|---" * 6 + "|"]
+    for roof in ROOFS:
+        for model in MODELS:
+            lines.append(_row(roof.name, model, [
+                scores for *of, scores in rows if of == [roof.name, model]
+            ]))
+    return "\n".join([*lines, "", *(f"- {note}" for note in notes)]) + "\n"
+
+
+def figure(answers):
+    """Return the scatter of the storms: peak, delay and volume of each model over the measured."""
+    panels, data = [], {}
+    for what, title in (("peak", "peak (mm/h)"), ("delay", "delay (min)"),
+                        ("volume", "volume (mm)")):
+        points = [
+            {"roof": roof, "model": model, "m": getattr(measured, what),
+             "s": getattr(simulated, what)}
+            for roof, model, measured, simulated in answers
+        ]
+        data[what] = [point for point in points if np.isfinite([point["m"], point["s"]]).all()]
+        ends = [point[axis] for point in data[what] for axis in ("m", "s")]
+        low, high = min(0.0, *ends), max(ends)
+        scale = alt.Scale(domain=[low, high])
+        line = alt.Chart(alt.InlineData([{"v": low}, {"v": high}])).mark_line(
+            color="#888888", strokeWidth=1).encode(x="v:Q", y="v:Q")
+        marks = alt.Chart(alt.NamedData(what)).mark_point(filled=True, size=35, opacity=0.7).encode(
+            x=alt.X("m:Q", title=f"measured {title}", scale=scale),
+            y=alt.Y("s:Q", title=f"simulated {title}", scale=scale),
+            color=alt.Color("model:N", title=None, scale=alt.Scale(
+                domain=list(MODELS), range=list(COLOURS[:len(MODELS)]))),
+            shape=alt.Shape("roof:N", title=None),
+        )
+        panels.append(Panel(alt.layer(line, marks), title, height=320))
+    return Figure("storms", "Storm by storm, on the half that was not fitted", "", tuple(panels), 3,
+                  data)
+
+
+def main():
+    """Compare, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("directory", type=Path, help="with the files of both roofs")
+    parser.add_argument("--output", type=Path, help="directory for tables and figure")
+    parser.add_argument(
+        "--parts", action="store_true", help="what each part of the model buys, and nothing else"
+    )
+    arguments = parser.parse_args()
+    if arguments.parts:
+        with tempfile.TemporaryDirectory() as scratch:
+            for roof in ROOFS:
+                for row in parts(roof, arguments.directory, Path(scratch)):
+                    print(row, flush=True)
+        return
+    rows, answers, notes = [], [], []
+    with tempfile.TemporaryDirectory() as scratch:
+        for roof in ROOFS:
+            of_roof = judge(roof, arguments.directory, Path(scratch))
+            for every, one in zip((rows, answers, notes), of_roof, strict=True):
+                every.extend(one)
+    text = table(rows, notes)
+    print(text)
+    if arguments.output:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        (arguments.output / "measured_roofs.md").write_text(text, encoding="utf-8")
+        figure(answers).save(arguments.output)
+
+
+if __name__ == "__main__":
+    main()

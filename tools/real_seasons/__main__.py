@@ -1,0 +1,117 @@
+"""What forecasts as they were issued are worth: ``python tools/real_seasons ARCHIVES -o DIR``.
+
+ARCHIVES is a directory with the previous runs of three services and the gauge's record beside them,
+2024-02-20 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs
+on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
+of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a
+file in DIR; the same command goes on where it was. Prints tables in Markdown, and draws trust over
+time.
+
+- **dressed**: by the same record, without the days around each issue.
+- **by the other half**: the period's blocks of four weeks are parted by their rain into a wetter
+  and a drier half. Each is dressed by what fell in the other, and judged by itself. No storm is on
+  both sides, since no issue within the length of a member and five days of another dresses it.
+- **the hour as forecast**: of the present hour only what falls in this minute is known.
+
+Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
+the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues of 35 days
+later, and at the end those of the first weeks: as wet, and without skill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+
+import paths  # noqa: F401
+from real_seasons.inputs import AUTUMN, ROOFS, SEASON, YEAR, Inputs, Period
+from real_seasons.runs import (
+    CROSSED,
+    DRESSED,
+    NO_RAIN,
+    ONOFF_NAME,
+    PERFECT,
+    SOURCES,
+    Case,
+    write,
+)
+from real_seasons.tables import (
+    Results,
+    by_halves,
+    of_owner,
+    of_period,
+    present_hour,
+    resolution,
+)
+from real_seasons.trust_figure import draw
+
+PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
+
+
+def cases(roof: str, period: Period) -> Iterator[Case]:
+    """Yield the runs of a period on a roof, in the order of their worth."""
+    if period is AUTUMN:
+        yield Case(roof, period, "three")
+        yield Case(roof, period, "placebo")
+        yield Case(roof, period, "three", hour=False)
+        return
+    yield Case(roof, period, ONOFF_NAME)
+    yield Case(roof, period, NO_RAIN, trusts=False)
+    if roof == "measured, target 39 mm":
+        yield Case(roof, period, "three", DRESSED)
+        return
+    for source in SOURCES:
+        yield Case(roof, period, source)
+        if period is YEAR:
+            yield Case(roof, period, source, CROSSED)
+        if source == SOURCES[0]:
+            yield Case(roof, period, PERFECT, trusts=False)
+    for source in SOURCES:
+        yield Case(roof, period, source, DRESSED)
+    if period is SEASON:
+        yield Case(roof, period, "placebo", trusts=False)
+        yield Case(roof, period, "placebo", DRESSED, trusts=False)
+
+
+def main() -> None:
+    """Make the runs, and print and draw what they found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("archives", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--periods", nargs="+", choices=list(PERIODS), default=list(PERIODS))
+    parser.add_argument("--roofs", nargs="+", choices=list(ROOFS), default=list(ROOFS))
+    parser.add_argument("--tables", action="store_true", help="of what is there; run nothing")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        inputs = Inputs(arguments.archives, Path(scratch))
+        for roof, name in itertools.product(arguments.roofs, arguments.periods):
+            period = PERIODS[name]
+            found: Results = {}
+            for case in cases(roof, period):
+                file = case.file(arguments.output)
+                if not file.exists():
+                    if arguments.tables:
+                        continue
+                    write(case, inputs, file)
+                    print(file, file=sys.stderr, flush=True)
+                found[case] = json.loads(file.read_text(encoding="utf-8"))
+            print(f"\n## {roof}, {period.words}")
+            for lines in (
+                of_period(found), by_halves(found, inputs.wet_weeks(period)),
+                present_hour(found), of_owner(found),
+            ):
+                print("", *lines, sep="\n", flush=True)
+            if period is not AUTUMN:
+                print("", *resolution(inputs, roof, period), sep="\n", flush=True)
+            draw(found, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
+
+
+if __name__ == "__main__":
+    main()

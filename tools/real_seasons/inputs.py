@@ -1,0 +1,223 @@
+"""What the real seasons are made of: sites, the gauge's record, and forecasts as issued."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from dressing.__main__ import together
+from numpy.typing import NDArray
+
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
+from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.formats.records import HOUR, SERVICE_DELAY_H, Archive
+from greenroof_ros.model.site import Site, edited, read_site
+from greenroof_ros.weather.reading import read_weather
+
+Array = NDArray[np.float64]
+
+SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
+
+
+@dataclass(frozen=True)
+class Roof:
+    """A site, and how far controllers look on it."""
+
+    file: str
+    hours: int
+    """of a dressed forecast"""
+    target: float
+    """m"""
+
+
+# The paper's target, as in all earlier results, and the site file's.
+ROOFS = {
+    "measured": Roof("site_catchment.yaml", 48, 0.0457),
+    "measured, target 39 mm": Roof("site_catchment.yaml", 48, 0.039),
+    "paper": Roof("site.yaml", 120, 0.0457),
+}
+MAINS = {"mains_level": 0.85, "mains_flow": 5e-4}
+TICK_S = 60.0
+PLACEBO_DAYS = 35
+BLOCK_WEEKS = 4
+WEEK_H = 7 * 24
+
+
+@dataclass(frozen=True)
+class Period:
+    """When runs begin, and their length."""
+
+    words: str
+    start: datetime
+    hours: float
+
+    @property
+    def weeks(self) -> int:
+        """How many; the last may be short."""
+        return math.ceil(self.hours / WEEK_H)
+
+    def blocks(self) -> NDArray[np.intp]:
+        """Return in which block of weeks each week is; a short block at the end joins the last."""
+        last = max(1, round(self.weeks / BLOCK_WEEKS)) - 1
+        return np.minimum(np.arange(self.weeks) // BLOCK_WEEKS, last)
+
+
+# As far as the archives go, and a season that begins with a dry roof.
+YEAR = Period("20 February to 31 December", datetime(2024, 2, 20, 12, tzinfo=timezone.utc), 7548.0)
+SEASON = Period("May to October", datetime(2024, 5, 1, tzinfo=timezone.utc), 4416.0)
+AUTUMN = Period("September and October", datetime(2024, 9, 1, tzinfo=timezone.utc), 1464.0)
+
+
+class Inputs:
+    """Everything that a run needs, read once."""
+
+    def __init__(self, archives: Path, scratch: Path) -> None:
+        """Take the directory of the archives, and one for the files that a run reads."""
+        self._archives, self._scratch = archives, scratch
+        self._sites = {roof: self._write_site(roof) for roof in ROOFS}
+        gauge = scratch / "gauge.csv"
+        site = read_site(self.site_file("measured"))
+        gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
+        self.record = read_weather([gauge], site, rain_only=True)
+        """of the rain as the gauge has it; missing hours are NaN"""
+        self.weather = {
+            roof: read_weather([gauge], read_site(self.site_file(roof)), "assumed", "fill")
+            for roof in ROOFS
+        }
+        """of a run on each roof; missing hours are dry"""
+
+    def site_file(self, roof: str) -> Path:
+        """Return the file of a roof's site, in ticks of a minute and with mains."""
+        return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
+
+    def _write_site(self, roof: str) -> Site:
+        file = shared_directory() / "config" / ROOFS[roof].file
+        mains = {} if read_site(file).mains_level is not None else MAINS
+        values = {"tau": TICK_S, "M": 1, "z_veg": ROOFS[roof].target, **mains}
+        self.site_file(roof).write_text(edited(file, values), encoding="utf-8")
+        return read_site(self.site_file(roof))
+
+    @cached_property
+    def issued(self) -> Mapping[str, Archive]:
+        """The archives by name, each known hours after its nominal time, as a service's."""
+        site = self._sites["measured"]
+        services = {
+            short: replace(
+                read_archive(self._archives / f"{name}_previous_runs.csv", site),
+                delay=SERVICE_DELAY_H,
+            )
+            for short, name in SERVICES.items()
+        }
+        services["GFS"] = _shortened(services["GFS"], 96)
+        gem = services["GEM"]
+        return {
+            "three": together(list(services.values())),
+            "placebo": _shifted(gem),
+            **services,
+            "no rain": replace(
+                gem, issues=tuple(replace(issue, rain=0 * issue.rain) for issue in gem.issues)
+            ),
+        }
+
+    def dressed(self, roof: str, source: str) -> Archive:
+        """Return an archive dressed by the record without the days around each issue."""
+        archive = self.issued[source]
+        return dress(archive, learn(archive, self.record, ROOFS[roof].hours))
+
+    def crossed(self, roof: str, source: str, period: Period) -> Archive:
+        """Return an archive, each half of a period dressed by the other half.
+
+        What is issued outside of the period is dressed by the wetter half.
+        """
+        archive, by = self.issued[source], self.by_half(roof, source, period)
+        issues = tuple(
+            dress_issue(issue, by[not self.is_wet(period, issue.issued)])
+            for issue in archive.issues
+        )
+        return replace(archive, issues=issues)
+
+    def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
+        """Return what fell after the issues of the drier half of a period, and of the wetter."""
+        rain = self.record.precipitation
+        half = [
+            self.is_wet(period, self.record.rain_from + hour * HOUR) for hour in range(len(rain))
+        ]
+        return {
+            wet: learn(
+                self.issued[source],
+                replace(self.record, values={
+                    "precipitation": np.where([one is wet for one in half], rain, np.nan),
+                }),
+                ROOFS[roof].hours,
+            )
+            for wet in (False, True)
+        }
+
+    def measured(self, time: datetime, hours: int) -> float:
+        """Return what fell from a time on (mm); NaN where an hour of it is missing."""
+        begin = (time - self.record.rain_from) // HOUR
+        rain = self.record.precipitation[max(0, begin) : begin + hours]
+        return float(rain.sum()) if len(rain) == hours else math.nan
+
+    def is_wet(self, period: Period, time: datetime) -> bool | None:
+        """Whether a time is in the wetter half of a period; None where it is in neither."""
+        week = (time - period.start) // timedelta(hours=WEEK_H)
+        return bool(self.wet_weeks(period)[week]) if 0 <= week < period.weeks else None
+
+    def wet_weeks(self, period: Period) -> NDArray[np.bool_]:
+        """Return which weeks are in the wetter half of a period's blocks."""
+        if period not in self._wet:
+            begin = (period.start - self.record.rain_from) // HOUR
+            rain = self.record.precipitation[begin : begin + round(period.hours)]
+            block = np.repeat(period.blocks(), WEEK_H)[: len(rain)]
+            totals = [np.nansum(rain[block == one]) for one in range(block[-1] + 1)]
+            wettest = np.argsort(totals)[-(len(totals) // 2) :]
+            self._wet[period] = np.isin(period.blocks(), wettest)
+        return self._wet[period]
+
+    @cached_property
+    def _wet(self) -> dict[Period, NDArray[np.bool_]]:
+        return {}
+
+
+def _half_sine(hour: int) -> float:
+    """Return the share of a day's mean that evaporates in an hour of UTC; the sun is up from 5."""
+    return math.pi * max(0.0, math.sin(math.pi * (hour + 0.5 - 5) / 12))
+
+
+def _gauge(file: Path, site: Site) -> str:
+    """Return the gauge's record with the evapotranspiration that is assumed (mm/day)."""
+    monthly = site.monthly_evapotranspiration
+    assert monthly is not None
+    lines = ["time,precipitation [mm/h],assumed evapotranspiration [mm/day]"]
+    with file.open(encoding="utf-8") as stream:
+        for time, rain in list(csv.reader(stream))[1:]:
+            begins = datetime.fromisoformat(time).replace(tzinfo=timezone.utc)
+            dries = monthly[begins.month - 1] * _half_sine(begins.hour)
+            lines.append(f"{begins.isoformat()},{rain},{dries:.4f}")
+    return "\n".join([*lines, ""])
+
+
+def _shortened(archive: Archive, hours: int) -> Archive:
+    """Return an archive to so many hours."""
+    return replace(archive, issues=tuple(
+        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
+    ))
+
+
+def _shifted(archive: Archive) -> Archive:
+    """Return each issue with what was forecast weeks later."""
+    issues: Sequence = archive.issues
+    count = PLACEBO_DAYS * round(timedelta(days=1) / (issues[1].issued - issues[0].issued))
+    moved = [*issues[count:], *issues[:count]]
+    return replace(archive, issues=tuple(
+        replace(issue, rain=other.rain) for issue, other in zip(issues, moved, strict=True)
+    ))
