@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adversaries.forecasts import TOGETHER, told
+from adversaries import TOGETHER, told
 from numpy.typing import NDArray
 from paper import (
     PAPER_SITE,
