@@ -44,7 +44,7 @@ class LiveSite:
             is none, or the weather is somebody else's.
         fetch_model: weather model that is fetched; empty for the service's choice.
         fetch_url: of the server that it is fetched from; empty for Open-Meteo's.
-        fetch_every: from one forecast to the next (min).
+        fetch_every: from one forecast to the next (min); None for the weather node's default.
         dressed: file of what fell after past forecasts, which is added to; None for none.
         drive: of the pump; None where it is somebody else's.
         bag_limit: size of the bag beyond which the oldest of it is removed (MB); None for no bag.
@@ -100,7 +100,7 @@ class LiveSite:
         self.forecast = _forecast(arguments)
         self.fetch_model: str = arguments.fetch_model
         self.fetch_url: str = arguments.fetch_url
-        self.fetch_every: float = arguments.fetch_every or 30.0
+        self.fetch_every: float | None = arguments.fetch_every
         self.dressed = _readable(arguments.dressed, "--dressed") if arguments.dressed else None
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
@@ -121,7 +121,7 @@ class LiveSite:
             "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
             "fetch_model": self.fetch_model,
             "fetch_url": self.fetch_url,
-            "fetch_every": self.fetch_every,
+            **({} if self.fetch_every is None else {"fetch_every": self.fetch_every}),
         }
 
     def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:

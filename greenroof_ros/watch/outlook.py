@@ -15,8 +15,8 @@ AHEAD_S = 12 * 3600.0
 
 # Fewer members than these have no tenth: their range is from the least to the greatest.
 _TENTHS = 10
-# Levels that are as near to each other count as one (m).
-_ALIKE_M = 0.0005
+ALIKE_M = 0.0005
+"""Levels that are as near to each other count as one (m)."""
 # Less is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
@@ -130,7 +130,7 @@ class Plan(_Steps):
         ahead = np.flatnonzero((self.ends > now) & (self.begins < now + AHEAD_S))
         if not len(ahead):
             return now, 0.0
-        highest = ahead[(self.fill_to[ahead] > self.fill_to[ahead].max() - _ALIKE_M).argmax()]
+        highest = ahead[(self.fill_to[ahead] > self.fill_to[ahead].max() - ALIKE_M).argmax()]
         return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
     def pumped(self, now: float) -> Pumped | None:

@@ -14,7 +14,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.outlook import Amount, Plan
+from greenroof_ros.watch.outlook import ALIKE_M, Amount, Plan
 from greenroof_ros.watch.store import Store
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
@@ -25,8 +25,6 @@ SOON_S = 600.0
 # an older one has missed such a run (s).
 _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
-# A later level counts where it is higher by more than this (m).
-_HIGHER_M = 0.0005
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _GAUGE = "/gauge/precipitation"
@@ -312,7 +310,7 @@ def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
     if plan is None or now is None:
         return said
     begin, later = plan.without_rain(now)
-    if begin <= now or later <= (level or 0.0) + _HIGHER_M:
+    if begin <= now or later <= (level or 0.0) + ALIKE_M:
         return said
     then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
     return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
