@@ -90,8 +90,8 @@ QUANTITIES = (
 
 # The names of all figures begin with these; their numbers follow.
 _KINDS = (
-    "pump-curve", "pump-smoothing", "weather", *(one.name for one in QUANTITIES), "trajectories",
-    "water-balance", "forecast-errors", "seasons", "season-comparisons", "sizing",
+    *(quantity.name for quantity in QUANTITIES), "pump-curve", "pump-smoothing", "weather",
+    "trajectories", "water-balance", "forecast-errors", "seasons", "season-comparisons", "sizing",
 )
 
 
@@ -501,7 +501,7 @@ def by_year(report: Report) -> Figure:
 def comparison_figure(report: Report) -> Figure:
     """Return the deviations relative to on/off with their intervals, a panel for each place."""
     cases = report.of(SEASONS)
-    names = [controller_name(each) for each in report.controllers]
+    names = list(map(controller_name, report.controllers))
     colour = alt.Color("controller:N", title=None, scale=cycled(COLOURS, names))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}

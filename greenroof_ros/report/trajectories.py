@@ -42,7 +42,8 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         ("roof", "green roof", "green roof, x2 (m³)"),
     ):
         curves = {row["run"]: report.drawn[row["run"]].curves[quantity] for row in rows}
-        domain, references = _axis(site, quantity, [v for one in curves.values() for _, v in one])
+        values = [value for curve in curves.values() for _, value in curve]
+        domain, references = _axis(site, quantity, values)
         scale, ticks = alt.Scale(domain=domain, nice=False), alt.Axis()
         if quantity == "command":
             # Of 1e-3 and of 1 both must be seen.
@@ -163,7 +164,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     top = 1.05 * max(row["v"] for row in rain) or 1.0
     evaporation: Rows = [
         {"method": method, "t": origin + time * 1000, "v": short(value / area * 8.64e7)}
-        for method, one in runs.items() for time, value in one.curves["evapotranspiration"]
+        for method, run in runs.items() for time, value in run.curves["evapotranspiration"]
     ]
     utc = alt.Scale(type="utc")
     x = alt.X(
