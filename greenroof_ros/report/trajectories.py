@@ -64,9 +64,8 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 x=time,
                 y=alt.Y("v:Q", title=axis, scale=scale, axis=ticks),
                 tooltip=pointed(
-                    alt.Tooltip("setting:N", title=named),
-                    alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"),
-                    alt.Tooltip("v:Q", title=axis, format=".6~g"),
+                    ("setting:N", named),
+                    alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"), ("v:Q", axis),
                 ),
             )
             panels.append(series_panel(

@@ -508,16 +508,15 @@ class _Grid:
         self._keys(state, ("name",), (*areas, *(f"{key}_level" for key in areas)))
         volumes = []
         for key, area in areas.items():
-            if (key in state) == (f"{key}_level" in state):
+            given = [name for name in (key, f"{key}_level") if name in state]
+            if len(given) != 1:
                 raise self._refuse(
                     self._mapping, "initial", f"a state has no {key}, or two of one"
                 )
-            volumes.append(
-                number(self._path, state, key) if key in state
-                else number(self._path, state, f"{key}_level") * area
-            )
-            if not volumes[-1] >= 0:
+            volume = number(self._path, state, given[0]) * (1.0 if key in state else area)
+            if not volume >= 0:
                 raise self._refuse(self._mapping, "initial", "volumes must not be negative")
+            volumes.append(volume)
         return volumes[0], volumes[1]
 
     def _bound_block(self, site: Site) -> float | None:

@@ -36,7 +36,7 @@ def trajectory(samples: int, dt: float = 1.0, **values: object) -> Trajectory:
 
 def found_in(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return what is found in a bag."""
-    return measured(Run(row={"run": "bag"}, site=site), Recorded(happened))
+    return measured(Run(site=site, row={"run": "bag"}), Recorded(happened))
 
 
 def test_samples_of_a_real_site() -> None:

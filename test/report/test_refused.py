@@ -81,7 +81,16 @@ WRONG: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         ("no finished run; 1 failed or did not run",),
     ),
     "row-cut": (
-        study(lambda text: text[: text.index("\n") + 60]), ("results.csv, line 2", "cells")
+        study(lambda text: text[: text.index("\n") + 60]),
+        ("results.csv, line 2", "ends within a line", "copy it again"),
+    ),
+    "row-too-long": (study(lambda text: text[:-1] + ",1\n"), ("results.csv", "more fields")),
+    "after-an-error-of-two-lines": (
+        study(
+            lambda text: text.replace(",done,,", ',done,"a\nb",')
+            + text.splitlines()[1].replace(",done,", ",lost,") + "\n"
+        ),
+        ("results.csv, line 4", "status = 'lost'"),
     ),
     "status-unknown": (
         study(lambda text: text.replace(",done,", ",lost,")),
