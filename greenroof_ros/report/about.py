@@ -281,7 +281,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
     nodes = defaultdict(YamlMapping, _nodes(file))
     plant, weather = nodes["plant"], nodes["weather"]
     controller = nodes["recorder"].get("controller")
-    given = nodes[controller]
+    given = nodes[str(controller)]
     volumes = {f"{name}_m3": plant.get(f"initial_{name}_volume") for name in ("cistern", "roof")}
     return {
         "controller": controller,

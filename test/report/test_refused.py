@@ -28,8 +28,8 @@ def study(change: Callable[[str], str] = lambda text: text + "\n") -> Callable[[
     """A study whose table is changed."""
 
     def make(at: Path) -> None:
-        one = simulate("onoff", "0.5", "low-low", "0.01")
-        write_study(at / "in", [(one.row, one.trajectory)])
+        example = simulate("onoff", "0.5", "low-low", "0.01")
+        write_study(at / "in", [(example.row, example.trajectory)])
         file = at / "in" / "results.csv"
         text = file.read_text()
         assert change(text) != text

@@ -55,10 +55,10 @@ def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
     columns[:, :3] = [-0.0, np.nan, np.inf]
     written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     (tmp_path / "file").write_bytes(written.to_parquet())
-    found = read_parquet(tmp_path / "file")
-    assert found.start.isoformat() == START.isoformat()
+    again = read_parquet(tmp_path / "file")
+    assert again.start.isoformat() == START.isoformat()
     for name in NAMES:
-        bits = (getattr(one, name).view(np.int64) for one in (found, written))
+        bits = (getattr(whole, name).view(np.int64) for whole in (again, written))
         np.testing.assert_array_equal(*bits)
 
 
@@ -85,8 +85,8 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) -> None:
     """Read from the bag alone, under a namespace or not, with the paper's site; two are refused."""
-    one = simulate("mpc", "0.00001", "low-low")
-    plain = messages_of(one.trajectory)
+    example = simulate("mpc", "0.00001", "low-low")
+    plain = messages_of(example.trajectory)
     spaced = {f"/site1{topic}": messages for topic, messages in plain.items()}
     for name, messages in (
         ("plain", plain), ("spaced", spaced), ("both", {**plain, **spaced}),
@@ -98,11 +98,12 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) ->
         trajectory, notes = loaded(tmp_path / run.name)
         for name in NAMES:
             np.testing.assert_allclose(
-                getattr(trajectory, name), getattr(one.trajectory, name), rtol=1e-15, err_msg=name
+                getattr(trajectory, name), getattr(example.trajectory, name), rtol=1e-15,
+                err_msg=name,
             )
         assert trajectory.start == START and notes == ()
         for name in (TOTAL, "pumped_m3"):
-            assert row[name] == pytest.approx(one.row[name], rel=1e-12)
+            assert row[name] == pytest.approx(example.row[name], rel=1e-12)
         assert (row["controller"], row["from"]) == ("unknown", "as recorded")
         assert any("the paper's, config/site.yaml" in note.text for note in run.notes)
     with pytest.raises(ConfigurationError, match=r"of one graph, but holds .* /, /site1"):
@@ -214,9 +215,9 @@ def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
 # --- run directories -----------------------------------------------------------------------------
 
 
-def own_run(directory: Path, one: Simulated, **known: Any) -> Path:
+def own_run(directory: Path, example: Simulated, **known: Any) -> Path:
     """Write what bringup leaves of on/off, with its weather."""
-    ended_run(directory, one=one, parameters={"fraction": 2.0}, **known)
+    ended_run(directory, example=example, parameters={"fraction": 2.0}, **known)
     (directory / "configuration" / "weather").mkdir()
     shutil.copy(
         CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather"
@@ -229,17 +230,17 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
 
     No bound belongs to it, since its first reading is not what was on the roof.
     """
-    one = simulate("onoff", "2", "low-low", "0.05")
-    path = own_run(tmp_path / "run", one)
+    example = simulate("onoff", "2", "low-low", "0.05")
+    path = own_run(tmp_path / "run", example)
     (row,) = report_of(path).single
     assert row["bound_m3"] == pytest.approx(
         clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.05")).bound_m3, rel=1e-9
     )
-    assert row["ratio"] == pytest.approx(one.row[TOTAL] / row["bound_m3"], rel=1e-9)
-    results = {name: one.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
-    off = dataclasses.replace(one.trajectory, roof=one.trajectory.roof + 0.5)
+    assert row["ratio"] == pytest.approx(example.row[TOTAL] / row["bound_m3"], rel=1e-9)
+    results = {name: example.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
+    off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
     path = own_run(
-        tmp_path / "noisy", one._replace(trajectory=off), status="done", **results,
+        tmp_path / "noisy", example._replace(trajectory=off), status="done", **results,
         sensor_pump_errors={"roof_offset": 0.005},
     )
     report = report_of(path)
@@ -249,9 +250,9 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true one"
     assert sensor in page_of(report)
     # Nor where the rain in the bag is not that in the file.
-    rain = one.trajectory.precipitation + 1e-7
-    wet = dataclasses.replace(one.trajectory, precipitation=rain)
-    report = report_of(own_run(tmp_path / "wet", one._replace(trajectory=wet)))
+    rain = example.trajectory.precipitation + 1e-7
+    wet = dataclasses.replace(example.trajectory, precipitation=rain)
+    report = report_of(own_run(tmp_path / "wet", example._replace(trajectory=wet)))
     assert report.single[0]["bound_m3"] is None
     assert "over the least possible" not in page_of(report)
 
