@@ -208,7 +208,7 @@ def _of_seasons(report: Report) -> list[str]:
     cases = report.of(SEASONS)
     if report.sizing:
         return [first, *_of_sizes(cases)]
-    best = list(report.least.values())
+    best, apart = list(report.least.values()), report.apart(SEASONS)
     compared = [
         row for row in report.over_onoff if row["case"] == report.least[row["place"]]["case"]
     ]
@@ -216,7 +216,8 @@ def _of_seasons(report: Report) -> list[str]:
         first,
         "The least mean deviation of a season was "
         + _and(
-            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']})"
+            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']}"
+            + (f", {heading(row, apart, apart)})" if apart else ")")
             for row in best[:_MOST_NAMED]
         ) + ".",
         *(
