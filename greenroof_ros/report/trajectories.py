@@ -141,6 +141,11 @@ def _reference_layers(
     return layers
 
 
+def _clock(hours: float) -> str:
+    """Return how the axis of a run of so many hours names times: six of them must differ."""
+    return "%H:%M:%S" if hours < 0.2 else "%H:%M" if hours <= 36 else "%d %b"
+
+
 def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     """Return rain and evapotranspiration over time (paper: Fig. 4).
 
@@ -168,7 +173,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     utc = alt.Scale(type="utc")
     x = alt.X(
         "t:T", scale=utc, title=f"local time (UTC{start.isoformat()[-6:]})",
-        axis=alt.Axis(tickCount=6, format="%H:%M" if rows[0]["hours"] <= 36 else "%d %b"),
+        axis=alt.Axis(tickCount=6, format=_clock(rows[0]["hours"])),
     )
     when = alt.Tooltip(
         "t:T", title="from", timeUnit="utcyearmonthdatehoursminutes", format="%Y-%m-%d %H:%M"

@@ -519,9 +519,12 @@ def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
 
 
 def test_incidents_of_a_live_site(tmp_path: Path) -> None:
-    """From its summary, in local standard time; its site is the one it ran with."""
+    """From its summary, in local standard time; its site is the one it ran with.
+
+    What no sensor can have said is left out, and did not act as 0 as in a simulation.
+    """
     path = tmp_path / "live"
-    small_bag(path / "bag")
+    small_bag(path / "bag", pump_command=[0.1] * 100 + [math.nan] + [0.1] * 99)
     (path / "configuration" / "site").mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", path / "configuration" / "site" / "my_site.yaml")
     lost = {**LOSS, "number": 300, "began_tick": None, "ended_tick": None}
@@ -532,6 +535,7 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
         "sensors": "sensors.yaml", "forecast": "/var/forecast.csv", "drive": "drive.yaml",
         "drive_at": "/dev/ttyUSB0", "versions": {},
     }))
+    assert set(loaded(path)[0].command.tolist()) == {0.1}
     text = page_of(path)
     assert "done, with 300 incidents." in text and "damaged or foreign" not in text
     assert "A run of on/off (fraction 1): my_site.yaml" in text

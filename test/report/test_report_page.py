@@ -357,7 +357,7 @@ def test_widths(browser: Any, tmp_path: Path) -> None:
         assert max(page.evaluate("clipped()")) <= 1
         assert first_number(page) <= 500 - 16
         box = page.locator(".scroll").nth(1)
-        assert box.evaluate("(element) => element.scrollWidth > one.clientWidth")
+        assert box.evaluate("(element) => element.scrollWidth > element.clientWidth")
         box.evaluate("(element) => { element.scrollLeft = 300 }")
         left = box.evaluate("(element) => element.getBoundingClientRect().left")
         first = box.locator("tbody th").first.evaluate(
@@ -413,6 +413,12 @@ def test_runs(browser: Any, tmp_path: Path) -> None:
     ended_run(tmp_path / names[0])
     ended_run(tmp_path / names[1], parameter_changes=[change])
     ended_run(tmp_path / names[2], "failed", last_tick=72, reason="node weather ended (SIGKILL)")
+    with opened(browser, reported(tmp_path, "broken"), 1400) as page:
+        labels = page.evaluate(
+            "scene('weather-1-panel-1').filter(([mark]) => mark.role === 'axis-label')"
+            ".flatMap(([mark]) => mark.items.map((label) => label.text))"
+        )
+        assert len(set(labels)) == len(labels), labels  # of 72 s
     with opened(browser, reported(tmp_path, names[0]), 1400, unfold=False) as page:
         short(page, 2700)
         unfold_all(page)
