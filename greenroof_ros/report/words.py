@@ -53,7 +53,7 @@ def sentences(report: Report) -> list[str]:
 
 
 def windows(report: Report) -> list[str]:
-    """Name all windows of weather in which something ran."""
+    """Name all sets of conditions in which something ran."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
         named = {**row, "forecast": f"{row['forecast']} skill {row['skill']}"}
@@ -105,7 +105,7 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
     if initials:
         many = len(initials) > _MOST_NAMED
         of += f", from {f'{len(initials)} initial states' if many else _and(initials)}"
-    place = where[0] if len(where) == 1 else f"{len(where)} windows of weather"
+    place = where[0] if len(where) == 1 else f"{len(where)} sets of conditions"
     return f"{len(report.runs)} runs of {of}: {place}."
 
 

@@ -520,7 +520,7 @@ def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Re
         "A run of MPC (weight 0.001): ": page_of(ended_run(tmp_path / "run")),
         "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":
         page_of(study),
-        "600 runs of MPC and on/off (2 settings), from low-low and high-low: 4 windows of weather.":
+        "600 runs of MPC and on/off (2 settings), from low-low and high-low: 4 sets of conditions.":
         page_of(seeds),
     }
     for first, text in pages.items():
