@@ -74,8 +74,10 @@ _SCHEMA: dict[str, Any] = {
 }
 # More than any controller has settings: a rank is a controller's place times this, and a setting's.
 _SETTINGS = 10_000
-# What follows a site's size: areas, the cistern's depth, and the volumes in them.
-_BY_SIZE = {"a1", "a2", "z_o", "x2_star", "initial_cistern", "initial_roof", "initial_layer"}
+# What follows a site's size: areas, the cistern's depth, and volumes in them.
+_BY_SIZE = {
+    "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
+}
 
 
 @dataclass(frozen=True)

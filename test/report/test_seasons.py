@@ -309,8 +309,10 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         assert small["outflow_m3"] > large["outflow_m3"] >= 0
         for row in (small, large):
             assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
-        # Sites that differ in something else are not compared by their size.
+        # A roof of half the area is another size, too; what differs in something else is none.
         site = directory / "out" / "configuration" / small["site"]
+        site.write_text(edited(site, {"a2": 34.4}))
+        assert len(figures_of(report_of(directory / "out"))["sizing"].panels) == 2 * 2
         site.write_text(edited(site, {"pump_efficiency": 0.7}))
         assert report.sizing and not report_of(directory / "out").sizing
         return
