@@ -26,13 +26,13 @@ def make_parser() -> argparse.ArgumentParser:
         "exit codes: 0 done, 1 the pump node did not do so, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
+    choice = parser.add_mutually_exclusive_group(required=True)
+    choice.add_argument(
         "--until", metavar="TIME",
         help="a time to come (ISO 8601), of this machine's clock unless it says its offset from "
         "UTC: 2026-12-24T08:00-05:00",
     )
-    what.add_argument("--end", action="store_true", help="end the pause now")
+    choice.add_argument("--end", action="store_true", help="end the pause now")
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
         help="of the graph, as bringup was given it (default: none)",

@@ -433,7 +433,7 @@ def _write_configuration(
             (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
         else:
             shutil.copyfile(file, directory / name / file.name)
-    write_parameters(directory, {one.name: one.parameters for one in site.nodes(state, place)})
+    write_parameters(directory, {node.name: node.parameters for node in site.nodes(state, place)})
     return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own)]
 
 

@@ -139,7 +139,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         (directory / "log").mkdir()
         supervisor = Supervisor(
             directory / "log", [parameters, *own], arguments.namespace, stop_drive,
-            lambda node, what: say(f"{node}: {what}"),
+            lambda node, problem: say(f"{node}: {problem}"),
         )
         # The pump's permit is given from here: a terminal that hangs must not keep it back.
         progress = RunProgress(run.steps, run.site.tau, LINES)

@@ -171,7 +171,7 @@ class Kept:
         except (OSError, ValueError) as error:
             raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
         if not isinstance(content, dict) or not all(
-            isinstance(each, float) and math.isfinite(each) for each in content.values()
+            isinstance(value, float) and math.isfinite(value) for value in content.values()
         ):
             raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
         return content

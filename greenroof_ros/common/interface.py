@@ -99,7 +99,7 @@ def _topic(
     """Return a topic by its entry in the interface."""
     low, high = range
     given: dict[str, Any] = {
-        key: tuple(each) if isinstance(each, list) else each for key, each in entry.items()
+        key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
     }
     return Topic(
         name=name, qos=qos,
@@ -185,12 +185,12 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
         name.removesuffix(first)
         for name in names
         if name.endswith(first)
-        and all(name.removesuffix(first) + other in names for other in needed)
+        and all(name.removesuffix(first) + topic in names for topic in needed)
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
             "must be of one graph, but holds the topics of namespaces "
-            + ", ".join(each or "/" for each in sorted(namespaces)),
+            + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )
     return namespaces[0] if namespaces else ""

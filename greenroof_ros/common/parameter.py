@@ -107,8 +107,8 @@ def entry(
         default: of a key that may be left away.
         factory: makes it, where it is a mapping.
     """
-    told = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
-    made: Any = field(default=default, default_factory=factory, metadata=told)
+    metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
+    made: Any = field(default=default, default_factory=factory, metadata=metadata)
     return made
 
 
@@ -128,10 +128,11 @@ def keys(kind: Any) -> list[Key]:
     hints = get_type_hints(kind)
     return [
         Key(
-            one.name, hints[one.name], one.metadata["entry"],
-            one.default is not MISSING or one.default_factory is not MISSING, one.default,
+            attribute.name, hints[attribute.name], attribute.metadata["entry"],
+            attribute.default is not MISSING or attribute.default_factory is not MISSING,
+            attribute.default,
         )
-        for one in fields(kind) if "entry" in one.metadata
+        for attribute in fields(kind) if "entry" in attribute.metadata
     ]
 
 
@@ -236,9 +237,9 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
             return None
         if isinstance(value, str) and str in inner and value in entry.among:
             return value
-        kinds = [each for each in inner if each not in (types.NoneType, str)] or [str]
+        kinds = [member for member in inner if member not in (types.NoneType, str)] or [str]
         if isinstance(value, YamlMapping):
-            kinds = [*(each for each in kinds[1:] if each.fits(value)), *kinds]
+            kinds = [*(member for member in kinds[1:] if member.fits(value)), *kinds]
         return _value(kinds[0], value, entry, parts)
     if is_dataclass(kind):
         return _record(kind, value, parts)
@@ -246,13 +247,13 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
         if not isinstance(value, list):
             raise _Wrong(parts, "must be a list", value)
         return tuple(
-            _value(inner[0], each, entry, (*parts, str(number)))
-            for number, each in enumerate(value, start=1)
+            _value(inner[0], item, entry, (*parts, str(number)))
+            for number, item in enumerate(value, start=1)
         )
     if origin is dict:
         return {
-            _key(inner[0], key, entry, (*parts, key)): _value(inner[1], each, entry, (*parts, key))
-            for key, each in _mapping(value, parts).items()
+            _key(inner[0], key, entry, (*parts, key)): _value(inner[1], item, entry, (*parts, key))
+            for key, item in _mapping(value, parts).items()
         }
     return _scalar(kind, value, entry, parts)
 

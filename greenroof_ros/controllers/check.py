@@ -51,10 +51,10 @@ class _Trial:
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
-    def inputs(self, each: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
+    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
         """Yield levels and forecasts; of so many one."""
         points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
-        for cistern, roof, rain, evaporated in islice(points, 0, None, each):
+        for cistern, roof, rain, evaporated in islice(points, 0, None, stride):
             yield (
                 cistern * self.site.z_o, roof * self.site.z_veg, self.forecast(rain),
                 [evaporated] * self.steps,
@@ -64,9 +64,9 @@ class _Trial:
         """Make one with its defaults, but for these parameters."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
-    def ask(self, controller: Controller, each: int = 1) -> list[float]:
+    def ask(self, controller: Controller, stride: int = 1) -> list[float]:
         """Ask for a command at all levels and forecasts, or at one of so many."""
-        return [_asked(controller, *inputs) for inputs in self.inputs(each)]
+        return [_asked(controller, *inputs) for inputs in self.inputs(stride)]
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
@@ -87,14 +87,14 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
     """
     _ = choice.kind
     findings = []
-    for what, check in _CHECKS.items():
+    for name, check in _CHECKS.items():
         problem = ""
         try:
             check(_Trial(choice, site))
         except Exception as error:  # whatever a user's class raises
             known = isinstance(error, _ProblemError)
             problem = str(error) if known else f"raises {type(error).__name__}: {error}"
-        findings.append(Finding(what, problem))
+        findings.append(Finding(name, problem))
     return findings
 
 
@@ -133,15 +133,15 @@ def _whole_range(trial: _Trial) -> None:
             continue  # another one needs another forecast
         for value in (parameter.low, parameter.high):
             try:
-                trial.ask(trial.made(**{parameter.name: value}), each=7)
+                trial.ask(trial.made(**{parameter.name: value}), stride=7)
             except _ProblemError as error:
                 raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
 def _deterministic(trial: _Trial) -> None:
-    for one, other in zip(trial.ask(trial.made()), trial.ask(trial.made()), strict=True):
-        if one != other:
-            raise _ProblemError(f"two controllers command {one!r} and {other!r} on equal inputs")
+    for first, second in zip(trial.ask(trial.made()), trial.ask(trial.made()), strict=True):
+        if first != second:
+            raise _ProblemError(f"two controllers command {first!r} and {second!r} on equal inputs")
 
 
 def _inputs_kept(trial: _Trial) -> None:
@@ -156,7 +156,7 @@ def _inputs_kept(trial: _Trial) -> None:
 def _skip(trial: _Trial) -> None:
     controller = trial.made()
     controller.skip()
-    for inputs in trial.inputs(each=5):
+    for inputs in trial.inputs(stride=5):
         _asked(controller, *inputs)
         controller.skip()
         controller.skip()
@@ -192,7 +192,7 @@ def _may_change(trial: _Trial) -> None:
             raise _ProblemError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            trial.ask(controller, each=11)
+            trial.ask(controller, stride=11)
 
 
 def _outputs(trial: _Trial) -> None:
@@ -212,16 +212,16 @@ def _outputs(trial: _Trial) -> None:
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
         if not right:
-            what = f"{topic.name}: there is no {expected} in the attribute {attribute}"
-            raise _ProblemError(what)
+            problem = f"{topic.name}: there is no {expected} in the attribute {attribute}"
+            raise _ProblemError(problem)
 
 
 def _statistics(trial: _Trial) -> None:
     controller = trial.made()
     _asked(controller, *next(trial.inputs()))
-    found = controller.statistics()
+    statistics = controller.statistics()
     figures = TickTimes().statistics(0, 0)
-    if found is not None and found.keys() != figures.keys():
+    if statistics is not None and statistics.keys() != figures.keys():
         raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")
 
 

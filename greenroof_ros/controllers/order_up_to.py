@@ -310,11 +310,11 @@ class OrderUpTo:
         soil, most, asked = self._soil, flow * seconds, evapotranspiration * seconds
         filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
         alone = soil.after(filled, rain * self._site.a2 * seconds, asked, seconds)
-        held = np.minimum(filled, soil.after(filled, most, asked, seconds))
-        held = np.where(level >= filled, np.maximum(alone, held), alone)
+        ended = np.minimum(filled, soil.after(filled, most, asked, seconds))
+        ended = np.where(level >= filled, np.maximum(alone, ended), alone)
         took = self._content(filled) - self._content(roof)
-        took += self._content(held) - self._content(alone)
-        return held, np.minimum(took, most)
+        took += self._content(ended) - self._content(alone)
+        return ended, np.minimum(took, most)
 
     def _content(self, x2: Any) -> Any:
         """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""
@@ -354,8 +354,8 @@ class OrderUpTo:
         # Held.
         alone = alone[..., dry]
         if strong:
-            held = seconds * (self._target - roof) + value[..., dry]
-            held = np.where(alone < roof, held, free[..., dry])
+            holding = seconds * (self._target - roof) + value[..., dry]
+            holding = np.where(alone < roof, holding, free[..., dry])
         else:
             kept = np.maximum(alone, np.minimum(roof, reach))
             if scarce:
@@ -364,7 +364,7 @@ class OrderUpTo:
                 took = np.maximum(took, 0.0)
                 kept = np.where(took > 0, soil.filled_by(first + took), alone)
                 stored = cistern.after(there[..., dry] - took, rain, seconds) + first + took
-            held = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
+            holding = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
@@ -373,7 +373,7 @@ class OrderUpTo:
         levels = np.empty((len(groups), len(self._water), len(roof)))
         result = free
         for index, members in enumerate(groups):
-            ours = held[members]
+            ours = holding[members]
             best = _lowest_from_here_up(self._over(ours))
             filled = level = roof[best]
             if strong:
@@ -386,10 +386,10 @@ class OrderUpTo:
                 contents = self._content(filled)
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
-            others = free[members][..., dry]
-            fills = self._over(costs) < self._over(others)
+            waiting = free[members][..., dry]
+            fills = self._over(costs) < self._over(waiting)
             levels[index] = np.where(fills, level, -1.0)
-            result[members, :, dry] = np.where(fills, costs, others)
+            result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
 
     def _over(self, values: Array) -> Array:

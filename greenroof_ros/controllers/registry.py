@@ -78,16 +78,16 @@ class ControllerChoice:
             name for name in ("parameters", "command", "skip", "statistics")
             if not hasattr(kind, name)
         ]
-        if lacking or not all(isinstance(one, Parameter) for one in kind.parameters):
+        if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
             raise ConfigurationError(
                 f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
                 "see doc/tutorials/your-controller.md",
                 key="controller", value=self.reference,
             )
-        taken = _OF_EVERY_NODE.intersection(one.name for one in kind.parameters)
-        if taken:
+        clash = _OF_EVERY_NODE.intersection(parameter.name for parameter in kind.parameters)
+        if clash:
             raise ConfigurationError(
-                f"has a parameter {taken.pop()}, which its node has already; rename it",
+                f"has a parameter {clash.pop()}, which its node has already; rename it",
                 key="controller", value=self.reference,
             )
         return cast(ControllerClass, kind)
@@ -147,8 +147,9 @@ class ControllerChoice:
         if not soil_of(site).measured:
             return list(self.kind.parameters)
         return [
-            one if one.measured is None else replace(one, default=one.measured)
-            for one in self.kind.parameters
+            parameter if parameter.measured is None
+            else replace(parameter, default=parameter.measured)
+            for parameter in self.kind.parameters
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
@@ -159,7 +160,7 @@ class ControllerChoice:
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():
             return self.read_parameters(file, site)
-        return {one.name: one.default for one in self.parameters_on(site)}
+        return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
         """Read its parameters from a ROS 2 parameter file; those that are not there are default.
@@ -179,7 +180,7 @@ class ControllerChoice:
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
-        values = {one.name: one.default for one in self.parameters_on(site)}
+        values = {parameter.name: parameter.default for parameter in self.parameters_on(site)}
         for key, line in given.lines.items():
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue

@@ -122,7 +122,7 @@ class Trust:
         self.losses += days * np.abs(self.roofs - self._target) / self._target
         best, followed = int(self.losses.argmin()), self._followed
         more = self.losses[followed] - self.losses[best]
-        apart = max(abs(each[best] - each[followed]) for each in (self.roofs, wanted))
+        apart = max(abs(volumes[best] - volumes[followed]) for volumes in (self.roofs, wanted))
         if more > _LESS and apart < _ALIKE * self._target:
             self._followed = best
         self._seconds = self._rain = self._evaporated = 0.0

@@ -332,8 +332,8 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
         below = part
     elif isinstance(part, tuple):
         below = dict(enumerate(part, start=1))
-    for name, each in below.items():
-        yield from _parts(each, f"{key}.{name}".removeprefix("."))
+    for name, child in below.items():
+        yield from _parts(child, f"{key}.{name}".removeprefix("."))
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
@@ -363,18 +363,18 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
         for key, why in _register_mistakes(register, drive.numbering.offset):
             yield f"registers.{name}.{key}", why
     for key, name, like in _references(drive):
-        found = registers.get(name)
-        if found is None and key == "registers":
+        target = registers.get(name)
+        if target is None and key == "registers":
             yield key, f"{name} is missing: every drive needs it"
-        elif found is None:
+        elif target is None:
             yield key, f"must be one of registers: {', '.join(registers)}"
-        elif like == _BITS and not found.type.startswith("uint"):
+        elif like == _BITS and not target.type.startswith("uint"):
             yield key, "must be a register of the type uint16 or uint32"
-        elif like == _WORD and found.width != 1:
+        elif like == _WORD and target.width != 1:
             yield key, "must be a register of 16 bits"
-        elif like in UNITS and found.unit != like:
+        elif like in UNITS and target.unit != like:
             yield (
-                f"registers.{name}.unit" if found.unit else f"registers.{name}",
+                f"registers.{name}.unit" if target.unit else f"registers.{name}",
                 f"must have the unit {like}" if like else "must be a plain word, without a unit",
             )
     for name, register in registers.items():

@@ -415,7 +415,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _connect(self) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         self._pause_until(self._connect_at)
-        if not self._only.taken:
+        if not self._only.locked:
             self._take()
             return
         self._drive = drive = self._placed.connection(self._timeout_s)

@@ -208,9 +208,9 @@ class RelayLine:
             if self.connected else f"the connection was closed: {self._closed_by}"
         ))
 
-    def error(self, kind: str, what: str) -> DriveError:
+    def error(self, kind: str, problem: str) -> DriveError:
         """Return what went wrong, with where."""
-        return DriveError(kind, f"{self.where}: {what}")
+        return DriveError(kind, f"{self.where}: {problem}")
 
     def _next(self, until: float) -> tuple[str, bytes] | None:
         """Return the next message; None where none comes until a time, or the connection ends."""
@@ -232,8 +232,8 @@ class RelayLine:
 
     def _on_connect(self) -> None:
         if not self._closed_by:  # the client connects again by itself
-            topics = {self._filled(each.answer) for each in self._file.questions.values()}
-            self._client.subscribe([(each, 0) for each in sorted(topics)])
+            topics = {self._filled(question.answer) for question in self._file.questions.values()}
+            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
             with self._changed:
                 self._connected = True
                 self._changed.notify()
@@ -298,13 +298,15 @@ class Relay:
             DriveError: it cannot be read.
         """
         answers = {
-            each.question: self.line.ask(each.question)
-            for each in (self.file.timer, *self.file.must)
+            setting.question: self.line.ask(setting.question)
+            for setting in (self.file.timer, *self.file.must)
         }
         self._timer_s = None  # what was read before holds until there are answers
-        for each in self.file.must:
-            if (said := _text(self._value(each, answers))) != each.value:
-                return None, f"{each.meaning}: {each.path} is {said}, and must be {each.value}"
+        for setting in self.file.must:
+            if (said := _text(self._value(setting, answers))) != setting.value:
+                return None, (
+                    f"{setting.meaning}: {setting.path} is {said}, and must be {setting.value}"
+                )
         timer = self.file.timer
         raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):

@@ -114,7 +114,7 @@ class Incident:
     code: str = ""
 
     @property
-    def what(self) -> str:
+    def subject(self) -> str:
         """What was lost: a node, or a part of one."""
         return self.node if self.part == PROCESS else f"{self.node}: {self.part}"
 
@@ -143,15 +143,15 @@ def read_incidents(directory: Path) -> list[Incident]:
     path = directory / INCIDENTS
     if not path.exists():
         return []
-    found: dict[int, Incident] = {}
+    incidents: dict[int, Incident] = {}
     *lines, _cut = path.read_text(encoding="utf-8").split("\n")
     for index, line in enumerate(lines, start=1):
         try:
             incident = Incident(**json.loads(line))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}, line {index}: is no incident ({error})") from error
-        found[incident.number] = incident
-    return sorted(found.values(), key=lambda incident: incident.number)
+        incidents[incident.number] = incident
+    return sorted(incidents.values(), key=lambda incident: incident.number)
 
 
 class IncidentLog:
@@ -272,7 +272,7 @@ class IncidentLog:
         at = "" if tick is None else f" at tick {tick}"
         self._say(
             f"incident {incident.number} is over{at}, after {incident.seconds:.1f} s: "
-            f"{incident.what}"
+            f"{incident.subject}"
         )
 
     def _keep(self, incident: Incident) -> None:

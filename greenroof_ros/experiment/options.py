@@ -114,13 +114,13 @@ def _add_parameters(
     group: argparse._ArgumentGroup, parameters: Iterable[Parameter], prefix: str = ""
 ) -> None:
     """Add an option for each parameter; its argument has a name that begins with the prefix."""
-    for one in parameters:
-        low, high = one.low, one.high
-        unit = "" if one.unit in ("", "1") else f"{one.unit}, "
+    for parameter in parameters:
+        low, high = parameter.low, parameter.high
+        unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
         group.add_argument(
-            _option(one.name), dest=f"{prefix}{one.name}", metavar="X",
-            type=within(int(low), int(high), int) if one.whole else within(low, high),
-            help=f"{one.meaning} ({unit}default: {one.default:g})",
+            _option(parameter.name), dest=f"{prefix}{parameter.name}", metavar="X",
+            type=within(int(low), int(high), int) if parameter.whole else within(low, high),
+            help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
 
 
@@ -278,7 +278,9 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         controller, parameters = controller_from_arguments(arguments, site)
         choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
         given = {name: getattr(arguments, name) for name in PARAMETERS}
-        errors = SensorPumpErrors(**{key: one for key, one in given.items() if one is not None})
+        errors = SensorPumpErrors(
+            **{key: value for key, value in given.items() if value is not None}
+        )
     else:
         controller = find_controller("onoff")
         parameters, choice = controller.defaults(site), ForecastChoice()

@@ -56,8 +56,8 @@ def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
         metrics.step(command, rain, asked, moved)
         plant.step(rain, moved)
     metrics.observe(site, plant.x1, plant.x2, plant.layer)
-    found = metrics.results()
-    return CarriedOut(found["total_deviation_m3"], found["pumped_m3"])
+    results = metrics.results()
+    return CarriedOut(results["total_deviation_m3"], results["pumped_m3"])
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:

@@ -56,13 +56,13 @@ def roof_range(
         # Nothing is pumped where the roof is above its target even at the least.
         tick = low, high, fell, asked, most if low <= target else 0.0
         if isinstance(soil, PaperSoil):
-            found = _of_paper(site, soil, *tick)
+            after = _of_paper(site, soil, *tick)
         else:
-            found = _of_measured(site, soil, *tick)
-        low, high = found[:2]
-        ticks.extend(found)
-    lows, highs, *others = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
-    return RoofRange(np.append(x2, lows), np.append(x2, highs), *others)
+            after = _of_measured(site, soil, *tick)
+        low, high = after[:2]
+        ticks.extend(after)
+    lows, highs, *columns = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
+    return RoofRange(np.append(x2, lows), np.append(x2, highs), *columns)
 
 
 def _of_paper(
@@ -122,8 +122,8 @@ def _of_measured(
         slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
     reached = {}
     for line in (0.0, slope):
-        found = _ends(site, soil, low, high, rain, asked, line)
-        reached[line] = min(found), max(found)
+        ends_of_line = _ends(site, soil, low, high, rain, asked, line)
+        reached[line] = min(ends_of_line), max(ends_of_line)
         if most > 0:
             end = max(low, min(high, site.a2 * site.z_veg))
             pumped_to = _ends(site, soil, low, end, rain + most / site.tau, asked, line)
@@ -156,12 +156,12 @@ def _ends(
     """
     dry, most = site.wilting_volume, site.available_volume
     onset = dry + site.stress_onset * most
-    found = [low, high]
-    found += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
+    volumes = [low, high]
+    volumes += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
     if arriving > 0:
         # d/dx2 of x2 - tau (S^2 arriving + K_s asked) - line x2 is 0, of the two pieces.
         for slope in (1.0 - line, 1.0 - line - site.tau * asked / (site.stress_onset * most)):
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
-                found.append(vertex)
-    return [left_after_tick(soil, site.tau, x2, arriving, asked) - line * x2 for x2 in found]
+                volumes.append(vertex)
+    return [left_after_tick(soil, site.tau, x2, arriving, asked) - line * x2 for x2 in volumes]

@@ -45,13 +45,13 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
     """Return a table of lines that are a word, a number, and what it is."""
-    found = Table(title=title, title_justify="left", show_header=False)
-    found.add_column(style="bold")
-    found.add_column(justify="right")
-    found.add_column()
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    table.add_column()
     for line in lines:
-        found.add_row(*line)
-    return found
+        table.add_row(*line)
+    return table
 
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:

@@ -102,7 +102,7 @@ class Publishers:
 
     def names(self) -> list[str]:
         """Return what to call the publishers' nodes; where all have gone, what they were called."""
-        self._names = sorted({call_node(one.node_name) for one in self._known()}) or self._names
+        self._names = sorted({call_node(info.node_name) for info in self._known()}) or self._names
         return self._names
 
     def problem(self, now: float) -> str:
@@ -153,8 +153,8 @@ class Publishers:
         if not unheard:
             return ""
         wanted = replace(self.required, lease_s=self.topic.qos.lease_s)
-        names = sorted({call_node(one.node_name) for one in unheard})
-        why = dict.fromkeys(word for one in unheard for word in lacks(one.qos_profile, wanted))
+        names = sorted({call_node(info.node_name) for info in unheard})
+        why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, wanted))
         return (
             f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
             f"and must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
@@ -164,7 +164,7 @@ class Publishers:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
 
     def _unheard(self) -> list[Any]:
-        return [one for one in self._known() if lacks(one.qos_profile, self.required)]
+        return [info for info in self._known() if lacks(info.qos_profile, self.required)]
 
 
 def call_node(name: str) -> str:
@@ -309,8 +309,8 @@ class Inputs:
     def absent(self) -> dict[str, list[str]]:
         """Return the topics that nobody is heard on, by the role of who should publish them."""
         return self.by_role([
-            name for name, one in self.by_name.items()
-            if not one.optional and not one.publishers.heard
+            name for name, entry in self.by_name.items()
+            if not entry.optional and not entry.publishers.heard
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
@@ -320,7 +320,7 @@ class Inputs:
         else is here.
         """
         here = {self._role} | {
-            one.topic.publishers[0] for name, one in self.by_name.items() if name not in names
+            entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names
         }
         roles: dict[str, list[str]] = {}
         for name in names:
@@ -351,11 +351,11 @@ class Inputs:
         Args:
             role: of the interface.
         """
-        found = [
-            node for one in self.by_name.values() if role in one.topic.publishers
-            for node in one.publishers.names()
+        nodes = [
+            node for entry in self.by_name.values() if role in entry.topic.publishers
+            for node in entry.publishers.names()
         ]
-        return found[0] if found else self.names.get(role, role)
+        return nodes[0] if nodes else self.names.get(role, role)
 
 
 def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
@@ -370,6 +370,6 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
         for topic in topics
         for role in roles
         if topic.per_tick and role in topic.subscribers
-        and any(other in roles and other != role for other in topic.publishers)
+        and any(publisher in roles and publisher != role for publisher in topic.publishers)
     }
     return set(roles) - waiting or set(roles)

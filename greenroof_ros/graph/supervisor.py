@@ -67,7 +67,7 @@ _WINDOW_S = 600.0
 _LIVE_LEASE_S = "3"
 # Nodes without which the pump may run: what else needs a gauge says so itself.
 _NOT_REQUIRED = {
-    RECORDER, *(one.node for section, one in QUANTITIES.items() if section not in TANKS)
+    RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
 # A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
@@ -490,9 +490,9 @@ class LiveSupervisor(Supervisor):
         for name, kept in self._kept.items():
             if kept.starts_again is None:
                 kept.was_ready |= self._is_ready(name)
-                what = self.ended(name) or self._killed(name, now)
-                if what:
-                    self._failed(name, what, now)
+                failure = self.ended(name) or self._killed(name, now)
+                if failure:
+                    self._failed(name, failure, now)
             elif now >= kept.starts_again and not (name == PUMP and self._stopping is not None):
                 self._start(name, now)
         if self._stopping is not None and self._stopping.done():
@@ -539,7 +539,7 @@ class LiveSupervisor(Supervisor):
             return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
         return ""
 
-    def _failed(self, name: str, what: str, now: float) -> None:
+    def _failed(self, name: str, failure: str, now: float) -> None:
         """Tell that a node failed, and when it starts again.
 
         Raises:
@@ -551,17 +551,17 @@ class LiveSupervisor(Supervisor):
         too_often = len(kept.restarts) >= self._restarts
         if name not in _NOT_REQUIRED:
             if not kept.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
-                raise NodeFailed(f"node {name} {what}", self.quoted(name), code)
+                raise NodeFailed(f"node {name} {failure}", self.quoted(name), code)
             if too_often:
                 raise NodeFailed(
-                    f"node {name} {what}; it was restarted {len(kept.restarts)} times in the last "
-                    f"{_WINDOW_S / 60:g} minutes, and is given up",
+                    f"node {name} {failure}; it was restarted {len(kept.restarts)} times in the "
+                    f"last {_WINDOW_S / 60:g} minutes, and is given up",
                     self.quoted(name), EXIT_FAILED,
                 )
         wait = _WINDOW_S if too_often else min(2.0 ** len(kept.restarts), _LONGEST_WAIT_S)
         kept.restarts.append(now)
         kept.starts_again = now + wait
-        self._on_failure(name, f"{what}; starts again in {wait:g} s{_unrecorded(name)}")
+        self._on_failure(name, f"{failure}; starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 

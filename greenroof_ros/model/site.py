@@ -368,10 +368,10 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
         if volume in given and volume not in values:
             ratio = math.prod(new.get(name, 1.0) / given.get(name, 1.0) for name in factors)
             new[volume] = given[volume] * ratio
-    other = {key: repr(value) for key, value in new.items() if value != given.get(key)}
-    if not other and _EXTENDS not in read_yaml(path):
+    changed = {key: repr(value) for key, value in new.items() if value != given.get(key)}
+    if not changed and _EXTENDS not in read_yaml(path):
         return read_text(path)
-    return _with(_whole(path), other)
+    return _with(_whole(path), changed)
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
@@ -473,15 +473,15 @@ def read_site(path: Path) -> Site:
             if not key.optional and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
             continue
-        one, value, whole = key.entry, given[name][2], key.kind is int
-        what = f"from {one.low:g} to {one.high:g}"
+        entry, value, whole = key.entry, given[name][2], key.kind is int
+        limits = f"from {entry.low:g} to {entry.high:g}"
         if name == _CLIMATE:
             if not isinstance(value, list) or len(value) != 12 or not all(
-                type(month) in (int, float) and one.low <= month <= one.high for month in value
+                type(month) in (int, float) and entry.low <= month <= entry.high for month in value
             ):
                 raise refuse(
-                    name, f"must be twelve numbers in brackets, January to December, each {what} "
-                    f"{one.unit}",
+                    name, f"must be twelve numbers in brackets, January to December, each {limits} "
+                    f"{entry.unit}",
                 )
             values[name] = tuple(map(float, value))
             continue
@@ -490,10 +490,10 @@ def read_site(path: Path) -> Site:
             continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
-        if not one.low <= value <= one.high or (whole and value % 1):
-            unit = "" if one.unit == "1" else f"{one.unit}, "
-            what = f"a whole number {what}" if whole else what
-            raise refuse(name, f"must be {what} ({unit}{one.meaning})")
+        if not entry.low <= value <= entry.high or (whole and value % 1):
+            unit = "" if entry.unit == "1" else f"{entry.unit}, "
+            limits = f"a whole number {limits}" if whole else limits
+            raise refuse(name, f"must be {limits} ({unit}{entry.meaning})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
@@ -520,7 +520,7 @@ def _quiet_value(
                 "tzdata), such as America/Toronto",
             ) from None
     try:
-        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
             raise ValueError("they are no list of texts")
         QuietHours(value, timezone.utc)
     except ValueError as error:
@@ -585,7 +585,7 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
     for name, factors in _FOLLOW_FROM.items():
         product = _product(name, values)
         if not math.isclose(values[name], product, rel_tol=_ROUNDING):
-            formula = " ".join(one for one in factors if values[one] is not None)
+            formula = " ".join(factor for factor in factors if values[factor] is not None)
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out and it is computed"
             )

@@ -348,17 +348,17 @@ class MeasuredSoil:
     ) -> Values:
         """Solve dS/dt = (1 - S^2) i, and then the decay below the onset of stress."""
         wilting, available, drying = self._wilting, self._available, self._drying
-        held = x2
+        water = x2
         if np.any(arriving):
             first = np.minimum(arriving, np.maximum(wilting - x2, 0.0))
             share = np.minimum(np.maximum((x2 - wilting) / available, 0.0), 1.0)
             gained = np.tanh((arriving - first) / available)
             wet = (share + gained) / (1 + share * gained)
-            held = np.minimum(x2, wilting) + first + available * wet
-        easy = np.minimum(np.maximum(held - (wilting + drying), 0.0), asked)
-        held = held - easy
+            water = np.minimum(x2, wilting) + first + available * wet
+        easy = np.minimum(np.maximum(water - (wilting + drying), 0.0), asked)
+        water = water - easy
         lost = np.expm1((easy - asked) / drying)
-        return np.asarray(held + np.maximum(held - wilting, 0.0) * lost)
+        return np.asarray(water + np.maximum(water - wilting, 0.0) * lost)
 
     def water_to_fill(self, x2: Any) -> Any:
         """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
@@ -419,7 +419,7 @@ class MeasuredSoil:
         samples = np.nan_to_num(x2), rain * self._a2 + pump, asked, durations
         evaporated, drained, layers = array("d"), array("d"), array("d")
         for volume, comes, wanted, seconds in zip(
-            *(array("d", one) for one in samples), strict=True
+            *(array("d", column) for column in samples), strict=True
         ):
             percolated = self.drained(volume, comes, seconds)
             left = volume / seconds + comes - percolated

@@ -259,7 +259,8 @@ class ControllerNode(LinkedNode):
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
-            one.problem for one in (self._rain, self._evapotranspiration) if not one.good
+            forecast.problem for forecast in (self._rain, self._evapotranspiration)
+            if not forecast.good
         )
 
     def _say_forecast(self) -> None:
@@ -314,8 +315,13 @@ class ControllerNode(LinkedNode):
         return {"solver": self._controller.statistics()}
 
     def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
-        may_change = {one.name for one in self._choice.kind.parameters if one.may_change}
-        for name, value in ((one.name, one.value) for one in given if one.name in may_change):
+        may_change = {
+            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
+        }
+        for name, value in (
+            (parameter.name, parameter.value) for parameter in given
+            if parameter.name in may_change
+        ):
             before, self._values[name] = self._values[name], value
             setattr(self._controller, name, value)
             self._parameter_change_count += 1

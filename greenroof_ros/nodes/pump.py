@@ -196,17 +196,17 @@ class _Drive:
         snapshot = self.snapshot
         status = snapshot.status
         self._renew()
-        what = f"the drive does not stand at the end: {status}"
+        problem = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
             # A thread that still talks to it has not read that it stands.
-            what = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
+            problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
         elif status.stands:
             return f"let go of the drive: {status}"
         known = "off" if snapshot.timeout_known else "not known"
         rest = f"nothing but its own panel stops it now: its communication timeout is {known}"
         if snapshot.timeout_s is not None:
             rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
-        raise OSError(f"{what}; {rest}")
+        raise OSError(f"{problem}; {rest}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
         """Return why it is not run in lockstep before the plant has said at what speed; or empty.
@@ -288,7 +288,7 @@ class PumpNode(Lifecycle, LinkedNode):
                 f"must be more than tau of the site, {site.tau:g} s: a command comes once in that "
                 "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
             )
-        given = {one.name: values[one.name] for one in pump_parameters(site)}
+        given = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.placed.file.least_speed)
         self._settings = PumpSettings(**given)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
@@ -368,9 +368,9 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
         try:
-            for one in given:
-                if one.name == PAUSE_UNTIL.name:
-                    self._pause(one.value)
+            for parameter in given:
+                if parameter.name == PAUSE_UNTIL.name:
+                    self._pause(parameter.value)
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -519,7 +519,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _on_dose_request(
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
-        given = {one.name: one.value.double_value for one in request.parameters}
+        given = {parameter.name: parameter.value.double_value for parameter in request.parameters}
         self._step(boot_time())  # what speaks against it may have come just now
         if given.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
@@ -723,9 +723,9 @@ class PumpNode(Lifecycle, LinkedNode):
             self._diagnose_dose()
         diagnose("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
-        bad = [one for one in (self._cistern, self._roof) if not one.good]
+        bad = [level for level in (self._cistern, self._roof) if not level.good]
         self.say(
-            "levels", "; ".join(one.problem for one in bad), "both levels are good",
+            "levels", "; ".join(level.problem for level in bad), "both levels are good",
             bad[0].verdict.code if bad else "",
         )
         blind = (
@@ -757,7 +757,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
             "flow": {"flow": flow},
             "command": {"command": self._command.value if self._command.good else None},
-            "levels": {name: one.value if one.good else None for name, one in inputs.items()},
+            "levels": {name: level.value if level.good else None for name, level in inputs.items()},
             "delivery": {"blind_for_s": decision.blind_for},
             "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
         }

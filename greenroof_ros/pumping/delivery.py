@@ -283,8 +283,8 @@ def _lost_from_cistern(over: _Sums) -> str:
         "is measured" if over.roof > fell / 2
         else "a leak, or somebody else takes water"
     )
-    taken = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
+    by_outlet = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
     return (
         f"delivery: the cistern fell by {fell:.2f} m3 in {over.elapsed / 60:.1f} min, but only "
-        f"{over.most_pumped:.2f} m3 were pumped{taken}: perhaps {cause}"
+        f"{over.most_pumped:.2f} m3 were pumped{by_outlet}: perhaps {cause}"
     )

@@ -160,7 +160,9 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
 
 def settings_for(site: Site, **given: float) -> PumpSettings:
     """Return settings for a site: those given, and the default of every other."""
-    return PumpSettings(**{one.name: one.default for one in pump_parameters(site)} | given)
+    return PumpSettings(**{
+        parameter.name: parameter.default for parameter in pump_parameters(site)
+    } | given)
 
 
 class Limits:

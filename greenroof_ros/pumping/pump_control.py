@@ -459,24 +459,24 @@ class PumpControl:
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
             if self._asked is not None and not beyond and not failed_start:
                 self._failed_starts = 0
-        found = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
+        reasons = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
         if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
             off = self._asked is None
             asked = "it was ordered to stop" if off else f"{self._asked:.2f} is asked for"
-            found["runs_on" if off else "speed_not_followed"] = (
+            reasons["runs_on" if off else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._follow_error_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         if self._failed_starts >= _FAILED_STARTS:
-            found["speed_not_followed"] = (
+            reasons["speed_not_followed"] = (
                 f"it was started {self._failed_starts} times, and each time {failed_start}"
             )
-        found["turns_backwards"] = backwards
+        reasons["turns_backwards"] = backwards
         if seen.drive_fault:
             code = "runs_on" if seen.runs_on else "drive_fault"
-            found[code] = f"the drive reports: {seen.drive_fault}"
-        latched = evaluate(found)
+            reasons[code] = f"the drive reports: {seen.drive_fault}"
+        latched = evaluate(reasons)
         # The first fault is kept, but what the page may clear hides nothing that it may not.
         worst = next((code for code in latched if not INTERLOCKS[code].on_page), "")
         kept = INTERLOCKS.get(self._ledger.record.fault_code)
@@ -487,15 +487,15 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst], worst)
         record = self._ledger.record
-        found |= {
+        reasons |= {
             "operator_stop": record.operator_stop, "record_unknown": record.unknown,
             "page_stop": PAGE_STOPPED if record.page_stop else "", "paused": self._paused(),
         }
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
-            found[record.fault_code if known else "fault_unknown"] = record.fault
-        return found
+            reasons[record.fault_code if known else "fault_unknown"] = record.fault
+        return reasons
 
     def _follow(
         self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[str]

@@ -68,7 +68,7 @@ class Trajectory:
 
 # Attribute: column of the file.
 _COLUMNS: dict[str, str] = {
-    one.name: one.metadata["column"] for one in fields(Trajectory) if one.metadata
+    column.name: column.metadata["column"] for column in fields(Trajectory) if column.metadata
 }
 
 

@@ -249,14 +249,14 @@ class PseudoLine:
     def join(self) -> None:
         """Hand on, in the running loop, what is sent at either end."""
         loop = asyncio.get_running_loop()
-        for one, other in (self._masters, self._masters[::-1]):
-            loop.add_reader(one, self._hand_on, one, other)
+        for source, target in (self._masters, self._masters[::-1]):
+            loop.add_reader(source, self._hand_on, source, target)
 
     @staticmethod
-    def _hand_on(one: int, other: int) -> None:
-        data = os.read(one, 4096)
+    def _hand_on(source: int, target: int) -> None:
+        data = os.read(source, 4096)
         with contextlib.suppress(BlockingIOError):  # nobody reads there: as on a line, it is lost
-            os.write(other, data)
+            os.write(target, data)
 
 
 class Bench(ABC):
@@ -351,7 +351,7 @@ class Bench(ABC):
 
     def _write(self, address: int, values: list[int]) -> ExcCodes | None:
         wanted = range(address, address + len(values))
-        if any(each == faults.SPEED or each not in self.registers for each in wanted):
+        if any(register == faults.SPEED or register not in self.registers for register in wanted):
             return ExcCodes.ILLEGAL_ADDRESS
         for register, value in zip(wanted, values, strict=True):
             if register != faults.FAULT:

@@ -166,20 +166,20 @@ class SimulatedDrive(ABC):
     def _write_timeouts(self) -> set[str]:
         """Set the timeouts of all interfaces; return the names of their registers."""
         names = set()
-        for each in (*self._file.timeout.known.values(), self.timeout):
+        for timeout in (*self._file.timeout.known.values(), self.timeout):
             when, action = self.DELIVERED
-            if each is self.timeout and self.settings.timeout_s is not None:
-                register = self._registers[each.register]
+            if timeout is self.timeout and self.settings.timeout_s is not None:
+                register = self._registers[timeout.register]
                 seconds = min(self.settings.timeout_s, register.high)
                 when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)
-            self.put(each.register, when)
-            names.add(each.register)
-            if each.action is not None:
-                names.add(each.action.register)
-                self.put(each.action.register, action)
-            if each.mode is not None:
-                names.add(each.mode.register)
-                self.put(each.mode.register, min(each.mode.stops))
+            self.put(timeout.register, when)
+            names.add(timeout.register)
+            if timeout.action is not None:
+                names.add(timeout.action.register)
+                self.put(timeout.action.register, action)
+            if timeout.mode is not None:
+                names.add(timeout.mode.register)
+                self.put(timeout.mode.register, min(timeout.mode.stops))
         return names
 
     # --- what differs between the makes -----------------------------------------------------------
