@@ -160,7 +160,7 @@ class PumpRig:
         return flow
 
     def tick_until(
-        self, command: float, condition: Callable[[], Any], seconds: float, what: str
+        self, command: float, condition: Callable[[], Any], seconds: float, event: str
     ) -> float:
         """Publish ticks until a condition holds, and return how long that took (s)."""
         began = time.monotonic()
@@ -169,7 +169,7 @@ class PumpRig:
             self.tick(command)
             return condition()
 
-        wait_for(ticked, seconds, f"{what} ({self.states[-3:]})")
+        wait_for(ticked, seconds, f"{event} ({self.states[-3:]})")
         return time.monotonic() - began
 
     def until_said(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
@@ -191,7 +191,7 @@ class PumpRig:
         )
 
     def play(
-        self, values: dict[str, float], until: Callable[[], Any], what: str, seconds: float = 60
+        self, values: dict[str, float], until: Callable[[], Any], event: str, seconds: float = 60
     ) -> None:
         """Publish values, as the peers of a live graph do, until a condition holds."""
 
@@ -201,7 +201,7 @@ class PumpRig:
             self.observer.until(lambda: True, 1, "")
             return until()
 
-        wait_for(played, seconds, f"{what} ({self.states[-3:]})")
+        wait_for(played, seconds, f"{event} ({self.states[-3:]})")
 
     def run(self, command: float = 0.5) -> None:
         """Command until the pump runs."""

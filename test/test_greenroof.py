@@ -128,4 +128,4 @@ def test_the_shell_completes_it(tmp_path: Path, typed: str, completed: set[str])
         ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
         env={**os.environ, "PYTHONPATH": str(CHECKOUT), "PATH": f"{tmp_path}:{os.environ['PATH']}"},
     )
-    assert {each.strip() for each in done.stdout.split()} == completed, done.stderr
+    assert {word.strip() for word in done.stdout.split()} == completed, done.stderr

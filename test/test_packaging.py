@@ -303,12 +303,12 @@ def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, doma
             stdout=output, stderr=subprocess.STDOUT,
         )
     try:
-        found = wait_for(
+        address = wait_for(
             lambda: page.poll() is not None or re.search(r"http://\S+", said.read_text()),
             60, "an address",
         )
         assert page.poll() is None, said.read_text()
-        with urllib.request.urlopen(found[0], timeout=60) as answer:
+        with urllib.request.urlopen(address[0], timeout=60) as answer:
             assert answer.status == 200
             assert "<title>Green roof</title>" in answer.read().decode()
     finally:
@@ -450,8 +450,8 @@ def test_colcon_build_lays_everything(workspace, tmp_path):
 
 def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace, tmp_path):
     executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
-    found = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
-    assert sorted(found) == SCRIPTS
+    names = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
+    assert sorted(names) == SCRIPTS
     for command in ("simulate", "greenroof simulate"):
         assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
 

@@ -226,7 +226,7 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
-    assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
+    assert {file.name for file in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(
@@ -259,10 +259,10 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
             "the pump",
         )
         assert wire.connections == 0
-        told = "bringup told the drive to stop, which said then: speed 0.0%"
-        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(told)
+        message = "bringup told the drive to stop, which said then: speed 0.0%"
+        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
         driver.release()
-        assert stop(1)[0] and stop(1)[1].startswith(told)
+        assert stop(1)[0] and stop(1)[1].startswith(message)
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
@@ -298,7 +298,7 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
 def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     """As all else, by the thread: the interpreter would wait for who reads standard error."""
     kept: list[tuple[str, ...]] = []
-    record: Any = SimpleNamespace(write=lambda *what: kept.append(what), wait=lambda: None)
+    record: Any = SimpleNamespace(write=lambda *line: kept.append(line), wait=lambda: None)
     supervisor: Any = SimpleNamespace(may_run="")
     with pytest.raises(ValueError, match="a mistake") as caught:
         raise ValueError("a mistake")

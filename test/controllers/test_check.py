@@ -92,7 +92,7 @@ def test_broken_controllers(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "broken", raising=False)
     findings = check_controller(find_controller("broken:Proportional"), PAPER_SITE)
-    assert problem in {one.check: one.problem for one in findings}[rule]
+    assert problem in {finding.check: finding.problem for finding in findings}[rule]
 
 
 def test_the_command(tmp_path: Path) -> None:

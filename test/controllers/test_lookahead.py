@@ -79,7 +79,7 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
         alone = min(max(roof + tiny.rain[member][hour] - tiny.evaporated[hour], 0), MOST)
         return straight(roof, alone), alone, water
 
-    def held(hour: int, member: int, roof: int, water: int) -> tuple[float, int, int]:
+    def holding(hour: int, member: int, roof: int, water: int) -> tuple[float, int, int]:
         _, alone, _ = ended(hour, member, roof, water)
         goal = min(roof, roof + tiny.pumps[hour] - tiny.evaporated[hour])
         after = max(alone, min(goal, alone + water))
@@ -96,13 +96,14 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
     @cache
     def decided(hour: int, group: int, roof: int, water: int) -> int | None:
         """Return the level to fill to, None to leave it."""
-        members = [one for one, label in enumerate(groups[hour]) if label == group]
-        best, least = None, worst_mean([cost(hour, one, roof, water, None) for one in members])
+        members = [member for member, label in enumerate(groups[hour]) if label == group]
+        best = None
+        least = worst_mean([cost(hour, member, roof, water, None) for member in members])
         for level in range(roof, TARGET + 1):
             reached = roof + tiny.pumps[hour] - tiny.evaporated[hour]
             if level > roof and (level > reached or level - roof > water):
                 break
-            costs = worst_mean([cost(hour, one, roof, water, level) for one in members])
+            costs = worst_mean([cost(hour, member, roof, water, level) for member in members])
             if costs < least - 1e-9:
                 best, least = level, costs
         return best
@@ -112,7 +113,7 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
             here, after, left = ended(hour, member, roof, water)
         else:
             filled = level - roof
-            here, after, left = held(hour, member, level, water - filled)
+            here, after, left = holding(hour, member, level, water - filled)
             if filled:
                 here += filled * filled / (2 * tiny.pumps[hour])
         return here + value(hour + 1, member, after, left)
@@ -147,8 +148,8 @@ def tiny_problems(
 
 def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
     """Return how far the recursion's cost is from that of trying all (units)."""
-    found = tiny.solved(np.array(groups).T).cost
-    return abs(found - exhaustive(tiny, groups)) / UNIT
+    cost = tiny.solved(np.array(groups).T).cost
+    return abs(cost - exhaustive(tiny, groups)) / UNIT
 
 
 @settings(max_examples=30)

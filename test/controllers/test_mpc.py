@@ -106,7 +106,7 @@ def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
     run = walk(weight, *RUNS[weight])
     assert (run.u[-1] == 0) == (weight == 1e-5)
     G, r = programs(run)
-    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
+    U = np.array([solution(*program, weight) for program in zip(G, r, strict=True)])
     np.testing.assert_allclose(run.u, U[:, 0], rtol=0, atol=1e-8)
     assert run.u.min() >= 0
     # J of Eq. (11) counts the depth now, too.

@@ -29,8 +29,8 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
     assert list(content) == [f"/**/{name}"]
     given = content[f"/**/{name}"]["ros__parameters"]
     defaults = {
-        one.name: one.default for one in find_controller(name).kind.parameters
-        if one.measured is None
+        parameter.name: parameter.default for parameter in find_controller(name).kind.parameters
+        if parameter.measured is None
     }
     assert list(given.items()) == list(defaults.items())
     assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]

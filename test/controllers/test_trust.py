@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adversaries import TOGETHER, told
+from adversaries import TOGETHER, with_forecasts
 from numpy.typing import NDArray
 from paper import (
     PAPER_SITE,
@@ -144,7 +144,7 @@ def test_an_adversary_costs_at_most_the_budget(
     """On/off and its share, the budget, and at most what is lost until the pumps may start."""
     plain = deviation_of(a_week(tmp_path, "--controller", "onoff", "--fraction", "0.05"))
     run = a_week(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
-    false = told(run, kind, 48)
+    false = with_forecasts(run, kind, 48)
 
     def reached(budget: float) -> float:
         given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}

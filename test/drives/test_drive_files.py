@@ -122,10 +122,10 @@ def test_addresses(text: str, address: Address, interface: str, asked: int) -> N
     assert str(address) == text and address.interface == interface
     assert address.device_id is not None or parse_address(text) == address
     read = read_drive_file(SHIPPED[0])
-    two = replace(
+    numbered = replace(
         read, serial=replace(read.serial, device_id=17), tcp=replace(read.tcp, device_id=3)
     )
-    assert two.line(address, 1.0).where == f"{text}, device {asked}"
+    assert numbered.line(address, 1.0).where == f"{text}, device {asked}"
 
 
 @pytest.mark.parametrize(

@@ -108,9 +108,9 @@ class Bench:
     def until_half(self) -> None:
         wait(lambda: self.drive.values[4] == 10000)
 
-    def until_said(self, what: Callable[[DriveStatus], object]) -> None:
+    def until_said(self, condition: Callable[[DriveStatus], object]) -> None:
         """Wait until the drive says something."""
-        wait(lambda: self.now.status and what(self.now.status))
+        wait(lambda: self.now.status and condition(self.now.status))
 
     def written_in(self, rounds: int) -> list[tuple[int, int]]:
         """Return what is written in so many rounds, of two words at least, from now on."""
@@ -148,7 +148,7 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
     time.sleep(5 * PERIOD)
     assert RUN not in bench.drive.written
     assert bench.drive.written.count(OFF) > 3  # which keeps the drive's own timeout fed
-    assert sum("0316b7" in each for each in bench.wire.frames) == 1  # 58.16 is not read each time
+    assert sum("0316b7" in frame for frame in bench.wire.frames) == 1  # 58.16 is not read each time
 
 
 def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
@@ -680,8 +680,8 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     assert bench.wire.connections == 0
     assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
     (lock,) = (
-        found for directory in ("/run/lock", "/tmp")
-        for found in Path(directory).glob(f"greenroof_ros-127.0.0.1-{port}-1.lock")
+        file for directory in ("/run/lock", "/tmp")
+        for file in Path(directory).glob(f"greenroof_ros-127.0.0.1-{port}-1.lock")
     )
     assert lock.stat().st_mode & 0o777 == 0o666
     first.release()
@@ -692,28 +692,28 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
 
 def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
-    one, two = (
+    first, second = (
         DriveLock(PlacedDrive(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
         for name in ("ttyUSB0,1", "by-id,2")
     )
-    one.take()
+    first.take()
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
-        two.take()
-    one.release()
-    two.take()
-    two.release()
+        second.take()
+    first.release()
+    second.take()
+    second.release()
 
 
 # --- what must not happen -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("what", ["connect", "close"])
+@pytest.mark.parametrize("method", ["connect", "close"])
 def test_whatever_fails_the_next_step_begins_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, what: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     """No file descriptor is left, for instance."""
     bench.run()
-    does, errors, problems = getattr(ModbusLine, what), [OSError("torn out")], set[str]()
+    does, errors, problems = getattr(ModbusLine, method), [OSError("torn out")], set[str]()
 
     def fail_once(self: ModbusLine) -> None:
         problems.add(bench.now.problem)
@@ -721,12 +721,12 @@ def test_whatever_fails_the_next_step_begins_again(
             raise errors.pop()
         does(self)
 
-    monkeypatch.setattr(ModbusLine, what, fail_once)
+    monkeypatch.setattr(ModbusLine, method, fail_once)
     bench.drive.values[4] = 0
     bench.wire.drop()
     wait(lambda: not errors and bench.now.connected)
     bench.until_half()
-    if what == "connect":  # that one is seen at the next attempt
+    if method == "connect":  # that one is seen at the next attempt
         assert "talking to the drive failed: OSError('torn out')" in problems
 
 
@@ -754,12 +754,12 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     monkeypatch.setattr(exchange, "LEAVE_S", 2.0)
     monkeypatch.setattr(exchange, "STILL_S", 1.0)
     second = acs880()
-    with closing(Wire(second)) as other, ThreadPoolExecutor() as pool:
+    with closing(Wire(second)) as second_wire, ThreadPoolExecutor() as pool:
         falls_for(bench.drive, seconds)
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(other.at)))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(second_wire.at)))
         bench.exchange.close()
         left = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
@@ -812,8 +812,8 @@ def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() 
     leave = exchange.LEAVE_S
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
-    (line,) = (one for one in service.splitlines() if one.startswith("TimeoutStopSec="))
-    others = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
+    (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
+    rest = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
     assert float(line.partition("=")[2]) > max(
         PUMP_ENDING_S + KILLING_S + leave, 2 * leave
-    ) + others
+    ) + rest

@@ -47,14 +47,14 @@ def heard(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
 
 def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | str | None]:
     """Return what comes of each message: the value, or what is said instead."""
-    found: list[float | str | None] = []
+    results: list[float | str | None] = []
     for message in messages:
         before = reader.snapshot
         talker.say(TOPIC, message)
         until(lambda before=before: reader.snapshot is not before, 20)
         now = reader.snapshot
-        found.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
-    return found
+        results.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
+    return results
 
 
 def begin(reader: MqttReader, talker: Talker, message: str) -> None:
@@ -114,8 +114,8 @@ def test_what_a_message_says(
 ) -> None:
     with heard(shared, **changed) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
-        (found,) = after(reader, talker, message)
-        assert found == (expected if isinstance(expected, str) else pytest.approx(expected))
+        (result,) = after(reader, talker, message)
+        assert result == (expected if isinstance(expected, str) else pytest.approx(expected))
         assert (reader.snapshot.value is None) == isinstance(expected, str)
 
 
@@ -123,8 +123,8 @@ def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
     """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
     with heard(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "7")
-        found = after(reader, talker, "1", "5", "2", "7", "4", "3")
-    assert found == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
+        results = after(reader, talker, "1", "5", "2", "7", "4", "3")
+    assert results == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
 
 
 # --- old messages ---------------------------------------------------------------------------------
@@ -258,9 +258,9 @@ def test_login_and_encryption(tmp_path: Path) -> None:
                 address=f"mqtts://127.0.0.1:{broker.port}/{TOPIC}", scale=1.0, low=0.0, high=6.0,
                 median=1, max_age=30.0, **files,
             )
-            found = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
-            found.start()
-            return found
+            reader = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
+            reader.start()
+            return reader
 
         let_in = reader(login=str(login), authority=str(certificate))
         refused = reader(login=str(wrong), authority=str(certificate))
@@ -288,21 +288,21 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
             time.sleep(pause)
             nonlocal at
             before, at = at, time.monotonic()
-            (found,) = after(reader, talker, total)
-            assert isinstance(found, float)
-            return found, at - before
+            (value,) = after(reader, talker, total)
+            assert isinstance(value, float)
+            return value, at - before
 
         at = time.monotonic()
         assert after(reader, talker, "17.4") == [None]  # the first of two
         assert reader.snapshot.problem == ""
-        found, passed = rate("17.8", 0.5)
-        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        value, passed = rate("17.8", 0.5)
+        assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert rate("17.8", 0.1)[0] == 0.0
         at = time.monotonic()
         assert after(reader, talker, "0.2") == [None]  # it has started again
         assert reader.snapshot.problem == ""
-        found, passed = rate("0.6", 0.5)
-        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        value, passed = rate("0.6", 0.5)
+        assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert "which is not from 0 to 0.01 m" in str(after(reader, talker, "900")[0])
         # What was refused is nothing to count from.
         assert after(reader, talker, "901") == [None]

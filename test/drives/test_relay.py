@@ -38,9 +38,9 @@ SLACK_S = 1.0
 
 
 def placed(make: str, address: str) -> PlacedRelay:
-    found = place_drive(find_drive_file(make), address, "at")
-    assert isinstance(found, PlacedRelay)
-    return found
+    drive = place_drive(find_drive_file(make), address, "at")
+    assert isinstance(drive, PlacedRelay)
+    return drive
 
 
 class Wiretap:
@@ -457,8 +457,8 @@ def test_wrong_files_are_refused_by_line_key_and_value(
 )
 def test_pulse_times_as_tasmota_documents_them(raw: float, seconds: float | None) -> None:
     timer = read_relay_file(CONFIG / "drives" / "tasmota.yaml").timer
-    found = timer.seconds(raw)
-    assert found == pytest.approx(seconds) if seconds is not None else found is None
+    result = timer.seconds(raw)
+    assert result == pytest.approx(seconds) if seconds is not None else result is None
 
 
 def test_addresses_and_logins(tmp_path: Path) -> None:

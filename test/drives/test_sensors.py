@@ -42,19 +42,20 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         rest = bytes([request[6], request[7], len(data)]) + data
         return [(0.0, request[:4] + len(rest).to_bytes(2, "big") + rest)]
 
-    found: list[float | str] = []
+    results: list[float | str] = []
     with closing(Wire(answer)) as wire, closing(
         ModbusReader(sensor(wire.at, **changed), "m", timeout_s=0.3)
     ) as client:
         before = client.snapshot
         client.start()
-        while len(found) < len(readings):
+        while len(results) < len(readings):
             now = client.snapshot
             if now is not before:
-                found.append(now.problem.removeprefix(f"{wire.at}, device 1: ") or now.value or 0.0)
+                problem = now.problem.removeprefix(f"{wire.at}, device 1: ")
+                results.append(problem or now.value or 0.0)
             before = now
             time.sleep(0.001)
-    return found
+    return results
 
 
 # --- readings -------------------------------------------------------------------------------------
@@ -77,8 +78,8 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
 def test_scale_offset_type_and_word_order(
     data: str, changed: dict[str, object], level: float | str
 ) -> None:
-    (found,) = levels([data], **changed)
-    assert found == (level if isinstance(level, str) else pytest.approx(level))
+    (result,) = levels([data], **changed)
+    assert result == (level if isinstance(level, str) else pytest.approx(level))
 
 
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:

@@ -42,7 +42,7 @@ def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> An
         try:
             return talk(name, wire.gateway if gateway else wire.at, task, timeout_s=3.0)
         finally:
-            assert wire.frames == [each.hex() for each in requests]
+            assert wire.frames == [request.hex() for request in requests]
 
 
 def against(answer: Callable[[bytes], Answer], task: Task, timeout_s: float = 0.3) -> Any:
@@ -349,7 +349,7 @@ def test_start_on_a_serial_line() -> None:
 
     with closing(SerialWire(over_line)) as wire:
         talk("abb_acs880", wire.line, run)
-        assert wire.seen == [each[6:] + crc(each[6:]) for each in requests]
+        assert wire.seen == [request[6:] + crc(request[6:]) for request in requests]
 
 
 def test_a_frame_with_a_wrong_check_is_no_answer() -> None:

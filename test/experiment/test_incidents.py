@@ -96,14 +96,14 @@ def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyP
     lost = {**says("roof_sensor", sensor="ERROR"), **says("pump", levels="ERROR")}
     for _ in range(40):
         log.look(lost)
-    assert [one.part for one in log.incidents] == ["sensor"]
+    assert [incident.part for incident in log.incidents] == ["sensor"]
     alone = {**says("roof_sensor", sensor="OK"), **says("pump", levels="ERROR")}
     looks = 0
     while log.count == 1:
         log.look(alone)
         looks += 1
     assert looks > 25
-    assert [one.part for one in log.incidents] == ["sensor", "levels"]
+    assert [incident.part for incident in log.incidents] == ["sensor", "levels"]
 
 
 def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,12 +115,12 @@ def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch
         log.look({
             **says("mpc", "no_forecast", forecast="WARN"), **says("weather", forecast="ERROR")
         })
-    assert [one.node for one in log.incidents] == ["weather"]
+    assert [incident.node for incident in log.incidents] == ["weather"]
     log.look({**says("mpc", forecast="OK"), **says("weather", forecast="OK")})
     assert not log.lasting
     for _ in range(40):
         log.look(says("mpc", "no_forecast", forecast="WARN"))
-    assert [one.node for one in log.incidents] == ["weather", "mpc"]
+    assert [incident.node for incident in log.incidents] == ["weather", "mpc"]
 
 
 def test_what_has_not_come_yet_is_not_lost() -> None:
@@ -149,7 +149,7 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
     line = json.dumps(asdict(Incident(1, "pump", "drive", "gone", "2026-11-23T20:55:01+00:00")))
     path = tmp_path / INCIDENTS
     path.write_text(f"{line}\n{line[:40]}")
-    assert [one.number for one in read_incidents(tmp_path)] == [1]
+    assert [incident.number for incident in read_incidents(tmp_path)] == [1]
     for broken in ("nonsense", '{"number": 1}', "[]"):
         path.write_text(f"{line}\n{broken}\n{line}\n")
         with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is no incident"):
@@ -185,7 +185,7 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     second.look(says("pump", drive="OK"))
     second.look(says("pump", drive="ERROR"))
     assert DISK.wait(60)
-    found = read_incidents(tmp_path)
-    assert [one.number for one in found] == [1, 2, 3]
-    assert [one.ended is None for one in found] == [False, False, True]
+    incidents = read_incidents(tmp_path)
+    assert [incident.number for incident in incidents] == [1, 2, 3]
+    assert [incident.ended is None for incident in incidents] == [False, False, True]
     assert second.count == 1

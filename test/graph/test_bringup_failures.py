@@ -81,8 +81,8 @@ def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
         os.kill(nodes[how], signal.SIGKILL)
         code, status, reason = 1, "failed", f"node {NODES[how]} ended (SIGKILL)"
     else:
-        for each in ignored:
-            process.process.send_signal(each)
+        for signal_number in ignored:
+            process.process.send_signal(signal_number)
         process.wait_for_ticks(size=30_000)
         number = signal.SIGTERM if ignored else signal.SIGINT
         process.process.send_signal(number)

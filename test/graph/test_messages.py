@@ -95,9 +95,10 @@ def test_members_travel_in_the_layout() -> None:
     values = np.arange(6.0).reshape(2, 3)
     written = encoder(NUMBERS, ENSEMBLE)(values)
     message = deserialize_message(written, Float64MultiArray)
-    assert [(one.label, one.size, one.stride) for one in message.layout.dim] == [
-        ("member", 2, 6), ("step", 3, 3)
+    labels = [
+        (dimension.label, dimension.size, dimension.stride) for dimension in message.layout.dim
     ]
+    assert labels == [("member", 2, 6), ("step", 3, 3)]
     assert list(message.data) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     again = decoder(NUMBERS)(written)
     assert again.shape == (2, 3)
@@ -115,7 +116,7 @@ def test_plans_travel_with_their_own_labels() -> None:
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
     message = deserialize_message(encode(np.ones((2, 3))), Float64MultiArray)
-    assert [one.label for one in message.layout.dim] == ["step", "quantity"]
+    assert [dimension.label for dimension in message.layout.dim] == ["step", "quantity"]
     assert encode(np.empty((0, 3))) == encode(array("d"))
     assert encode(np.full((1, 4), math.nan)) == encode(topic.undecided)
 
@@ -138,8 +139,8 @@ def test_layout_that_does_not_fit() -> None:
 )
 def test_big_endian(kind: str, message: bytes, value: Any) -> None:
     """A publisher on another kind of machine is understood, too."""
-    found = decoder(kind)(message)
-    assert list(found) == value if kind == NUMBERS else found == value
+    decoded = decoder(kind)(message)
+    assert list(decoded) == value if kind == NUMBERS else decoded == value
 
 
 # --- what a node takes of its inputs, and what it calls those who publish them --------------------
@@ -160,7 +161,7 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
 
 
 @pytest.mark.parametrize(
-    ("wanted", "offered", "found"),
+    ("wanted", "offered", "lacking"),
     [
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 1.5), []),
@@ -177,13 +178,14 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(
-    wanted: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None], found: list[str]
+    wanted: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
+    lacking: list[str],
 ) -> None:
     """DDS connects who offers as much as is asked for, or more; a shorter lease is more."""
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
-    assert lacks(profile, wanted) == found
+    assert lacks(profile, wanted) == lacking
 
 
 def test_requirements_in_words() -> None:

@@ -132,14 +132,14 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
     try:
         checks = {name: check(domain, directory, name) for name in names}
         for name, process in checks.items():
-            code, found = process.wait(180), failures(process.stdout())
+            code, failed = process.wait(180), failures(process.stdout())
             breaks = BROKEN.get(name, [])
-            right = code == bool(breaks) and len(found) == len(breaks) and all(
-                any(title in check and re.search(problem, said) for check, said in found.items())
+            right = code == bool(breaks) and len(failed) == len(breaks) and all(
+                any(title in check and re.search(problem, said) for check, said in failed.items())
                 for _, _, title, problem in breaks
             )
             if not right:
-                wrong.append(f"{name}: exit code {code}, {found}")
+                wrong.append(f"{name}: exit code {code}, {failed}")
         said = checks["example"].stdout()
         assert "are the only witness" in said and ("22 of 22 checks passed" in said or wrong)
         # All checks, and no terminal: a line every ten seconds.
@@ -170,14 +170,14 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
 
 def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_path: Path) -> None:
     absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
-    other = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
-    driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))
+    publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
+    driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + publisher))
     try:
-        taken = check(domain, tmp_path, "taken")
+        check_again = check(domain, tmp_path, "taken")
         assert absent.wait(300) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
-        assert taken.wait(300) == 3
-        assert "/taken/pump/command has a publisher already (pump)" in taken.stderr()
+        assert check_again.wait(300) == 3
+        assert "/taken/pump/command has a publisher already (pump)" in check_again.stderr()
     finally:
         driver.terminate()
         assert driver.wait(300) == 0  # no traceback, and no failure, at SIGTERM

@@ -67,8 +67,8 @@ def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
 ) -> None:
     simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
     node = kind("timed", context=small.context, parameter_overrides=[simulated])
-    clocks = [one for one in node.subscriptions if one.topic_name == "/clock"]
-    assert len(clocks) == subscriptions
+    topics = [subscription.topic_name for subscription in node.subscriptions]
+    assert topics.count("/clock") == subscriptions
     node.destroy_node()
 
 
@@ -90,8 +90,8 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     profile = qos_profile(read_topics()["/roof/level"].qos)
     heard: list[float] = []
     small.create_subscription(
-        Float64, "level", lambda one: heard.append(deserialize_message(one, Float64).data), profile,
-        raw=True,
+        Float64, "level", lambda message: heard.append(deserialize_message(message, Float64).data),
+        profile, raw=True,
     )
     publisher = small.create_publisher(Float64, "level", profile)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
@@ -105,7 +105,7 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     begin_to_listen(Deaf(), small)
     assert heard == [1.0, 2.0, 3.0]
     say(4.0, 5.0)
-    (subscription,) = (one for one in small.subscriptions if one.raw)
+    (subscription,) = (entry for entry in small.subscriptions if entry.raw)
     numbers = [said["publication_sequence_number"] for _, said in waiting_in(subscription)]
     assert numbers == [4, 5]
 

@@ -45,7 +45,7 @@ class Site:
             return True, "the drive stands"
 
         self.supervisor = LiveSupervisor(
-            directory, [], "", stop_drive, lambda *what: self.failures.append(what),
+            directory, [], "", stop_drive, lambda *failure: self.failures.append(failure),
             silence_s=silence_s, restarts=restarts,
         )
         self._ending = ExitStack()
@@ -133,8 +133,8 @@ def test_a_node_that_died_or_hangs_is_started_again(here: Site) -> None:
     # Against what was open before: what other tests left may be closed at any time.
     assert (_open_files() - before).total() == nodes.total() > 0
     here.until(lambda: here.permits()[-1]["inhibit"] == "")
-    told = [permit["inhibit"] for permit in here.permits()]
-    later = told[told.index(""):]  # before that, all three were starting
+    inhibits = [permit["inhibit"] for permit in here.permits()]
+    later = inhibits[inhibits.index(""):]  # before that, all three were starting
     assert set(later) == {"", "controller is missing", "controller is starting"}
     times = [float(str(permit["at"])) for permit in here.permits()]
     assert median(after - before for before, after in pairwise(times)) < 1.0
@@ -171,7 +171,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(here: Site) -> None:
     time.sleep(0.2)
     here.end()
     assert len(here.stops) == 2  # at the end, whatever the pump node says
-    assert [what for _, what in here.failures] == [
+    assert [reason for _, reason in here.failures] == [
         "ended (SIGKILL); starts again in 1 s",
         "could not stop the drive; the drive stands",
         "ended (SIGKILL); the drive stands",
@@ -275,11 +275,11 @@ def test_a_node_that_the_pump_does_not_need_ends_nothing(
 
 def _open_files() -> Counter[str]:
     """Return what this process has open, and how often."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for file in Path("/proc/self/fd").iterdir():
         with suppress(FileNotFoundError):  # that of this directory
-            found[str(file.readlink())] += 1
-    return found
+            counts[str(file.readlink())] += 1
+    return counts
 
 
 @limits(silence_s=3.0)
@@ -352,7 +352,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     here.until(lambda: len(here.starts("weather")) == 2)
     here.until_ready()
     here.end()
-    assert [what for _, what in here.failures] == [
+    assert [reason for _, reason in here.failures] == [
         "ended (SIGKILL); starts again in 1 s",
         "cannot be started: Too many open files; tried again every 1 s",
     ]

@@ -51,7 +51,7 @@ def test_each_tank_changes_by_what_flows(
     assert plant.layer == site.initial_layer
     tau = site.tau
     for rain, evaporated, command, external in ticks:
-        x1, x2, held = plant.x1, plant.x2, plant.x2 + plant.layer
+        x1, x2, stored = plant.x1, plant.x2, plant.x2 + plant.layer
         wanted = exact_flows(site, x1, x2, command)
         pump = plant.pump_flow(command) if external is None else external
         flows = plant.flows(rain, evaporated, pump)
@@ -64,7 +64,7 @@ def test_each_tank_changes_by_what_flows(
         leaves = flows.evapotranspiration + flows.drainage
         gain_2 = tau * (rain * site.a2 + flows.pump - leaves)
         assert plant.x1 - x1 == pytest.approx(gain_1, abs=1e-9)
-        assert plant.x2 + plant.layer - held == pytest.approx(gain_2, abs=1e-9)
+        assert plant.x2 + plant.layer - stored == pytest.approx(gain_2, abs=1e-9)
         assert min(plant.x1, plant.x2, plant.layer, *flows[:4]) >= 0
         assert plant.layer <= site.layer_storage * (1 + 1e-12)
         assert flows.evapotranspiration <= evaporated

@@ -129,8 +129,8 @@ def test_drainage_by_hand() -> None:
 def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: float) -> None:
     """Eqs. (2)-(4) written a second time, at random states of random sites."""
     x1, x2 = cistern * site.a1, roof * site.a2
-    found = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
-    assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
+    flows = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
+    assert flows == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
 
 
 def test_step_by_hand() -> None:

@@ -55,7 +55,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     That it has no forecast is nothing to on/off, nor is one that is refused.
     """
-    arrays = site.watcher.hear("/diagnostics", lambda one: one)
+    arrays = site.watcher.hear("/diagnostics", lambda message: message)
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -145,15 +145,15 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
         "controller --controller mpc", max_command=0.4, recovery_time=0.2,
         forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
     ):
-        for what, (bad, why) in BAD_FORECASTS.items():
+        for case, (bad, why) in BAD_FORECASTS.items():
             site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
             site.until(site.says("/mpc: forecast", OK), LATE, "all well")
             began = datetime.now(UTC).replace(microsecond=0)
             without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
-            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {what}")
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
             said = site.says("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
-            site.until(said, LATE, what)
+            site.until(said, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
             # Command after command, also where the controller is asked again and refuses again.
@@ -228,8 +228,8 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
         commands.clear()
         site.diagnoses.clear()
         with site.live("controller --controller mine:Counting", site_file=file, recovery_time=1.0):
-            part, *what = said
-            site.until(site.says(f"/counting: {part}", *what), LATE, "good inputs")
+            part, *expected = said
+            site.until(site.says(f"/counting: {part}", *expected), LATE, "good inputs")
             if quiet:
                 site.during(2)
                 assert {command for _, command in commands} == {0.0}
@@ -386,8 +386,8 @@ def test_live_weather(site: Site) -> None:
             and newest(frost) == pytest.approx(frost_now, nan_ok=True),
             LATE, f"{rain_now}, {frost_now}",
         )
-        for part, *what in said:
-            site.until(site.says(f"/weather: {part}", *what), LATE, f"{part}: {what}")
+        for part, *expected in said:
+            site.until(site.says(f"/weather: {part}", *expected), LATE, f"{part}: {expected}")
 
     with site.live(
         "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
@@ -463,7 +463,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     file, record = site.cwd / "kept" / "forecast.csv", site.cwd / "dressed.csv"
     record.write_text("issued\n")
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    arrays = site.watcher.hear("/diagnostics", lambda one: one)
+    arrays = site.watcher.hear("/diagnostics", lambda message: message)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
@@ -478,7 +478,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(site.says(*useless), LATE, "why")
         # It is ready once it has said what it lacks, not before it has looked.
         for array in arrays:
-            said = {one.name: one.message for one in array.status}
+            said = {status.name: status.message for status in array.status}
             assert said.get("/weather") != "ready" or "/weather: frost" in said
         assert not forecast
     frost.clear()
@@ -488,4 +488,4 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(lambda: forecast and newest(frost) == 0.0, LATE, "a forecast in July")
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()
-    assert [one.parent.name for one in file.parent.rglob("*.csv")].count("forecast") == 1
+    assert [path.parent.name for path in file.parent.rglob("*.csv")].count("forecast") == 1

@@ -127,7 +127,7 @@ def test_a_site_is_kept_up_and_systemd_told(
             site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
         values = site.watcher.values
         site.until(lambda: values("/mpc")["parameter_change_count"] == 25, 60, "the changes")
-        kept = [one["value"] for one in values("/mpc")["parameter_changes"]]
+        kept = [change["value"] for change in values("/mpc")["parameter_changes"]]
         assert kept == [6.0 + number for number in range(20)]
         beats = systemd.times("WATCHDOG=1")
         # WatchdogSec of examples/greenroof.service.
@@ -281,8 +281,8 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         ):
             process.until_said(reason)
         # What only follows from these is not in it, nor a drive that is there.
-        found = {line.partition(":")[0] for line in missing().splitlines()}
-        assert found <= {"  cistern_sensor", "  roof_sensor", "  weather"}
+        lacking = {line.partition(":")[0] for line in missing().splitlines()}
+        assert lacking <= {"  cistern_sensor", "  roof_sensor", "  weather"}
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         wait_for(lambda: "  weather: " not in missing(), 60, "the forecast")
         assert "  roof_sensor: " in missing()
@@ -303,7 +303,8 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
     causes = [
-        (one["node"], one["cause"]) for one in summary["incidents"] if one["part"] == "process"
+        (incident["node"], incident["cause"]) for incident in summary["incidents"]
+        if incident["part"] == "process"
     ]
     stopped = r"could not stop the drive; .*told the drive to stop, which said then: speed [01]\."
     for (node, cause), (expected, pattern) in zip(causes[:2], [
@@ -340,8 +341,9 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
             assert process.nodes() == nodes
             hang(False)
             wait_for(
-                lambda: any(one.part == "disk" and one.ended for one in read_incidents(run)), 60,
-                "the end of the hang",
+                lambda: any(
+                    incident.part == "disk" and incident.ended for incident in read_incidents(run)
+                ), 60, "the end of the hang",
             )
             asked = time.monotonic()
         # The nodes' end, and 2 s at most for what nobody reads.
@@ -351,7 +353,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     # The site's tick is 1 s; a busy machine leaves out a few.
     assert stamps == sorted(set(stamps)) and max(b - a for a, b in pairwise(stamps)) < 5
     assert HANG_S / 2 < sum(hung < stamp < hung + HANG_S for stamp in stamps) < HANG_S + 2
-    incidents = {(one["node"], one["part"]) for one in summary["incidents"]}
+    incidents = {(incident["node"], incident["part"]) for incident in summary["incidents"]}
     assert incidents >= {("bringup", "disk"), ("recorder", "recording")}
     assert not any(part == "process" for _, part in incidents)
 

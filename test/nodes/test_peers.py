@@ -41,9 +41,9 @@ class Nodes:
 
     def code(self, name: str) -> int:
         """Wait for the end of a node by itself and return its exit code."""
-        found = self.started[name].wait(60)
+        code = self.started[name].wait(60)
         # Where the middleware takes long to go, the kernel ends a node that has said all.
-        return int("FATAL" in self.log(name)) if found == -signal.SIGALRM else found
+        return int("FATAL" in self.log(name)) if code == -signal.SIGALRM else code
 
 
 @pytest.fixture
@@ -134,12 +134,12 @@ INPUTS: Said = [
 ]
 RUN = ("/run", [7.0, 0.0, 0.0])
 # One of each topic that is recorded of mpc, the recorder's default.
-EACH: Said = [
+RECORDED: Said = [
     (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
 COUNT = "of each topic 1 messages should have come; messages were lost or came twice: /cistern/"
-# The node, what it is told, what then after its first command, its exit code, and what it says.
+# The node, its messages, those after its first command, its exit code, and what it says.
 WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice before the run": (
         "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
@@ -153,9 +153,10 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
         "the plant was started again, or there are two"),
     "a plant of another version": (
         "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is of another version"),
-    "one more of a topic": ("recorder", [RUN, *EACH, LEVEL], [], 1, f"{COUNT}level: 2\n"),
+    "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, f"{COUNT}level: 2\n"),
     "one less of a topic": (
-        "recorder", [RUN, *(one for one in EACH if one != LEVEL)], [], 1, f"{COUNT}level: 0\n"),
+        "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,
+        f"{COUNT}level: 0\n"),
 }
 
 

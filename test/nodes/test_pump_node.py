@@ -425,15 +425,15 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     code, said = command(rig, "pause", "--until", f"{until:%Y-%m-%dT%H:%M:%S}")
     assert (code, said) == (0, f"the pump is paused until {to_people(until)}\n")
     rig.until_it_stands(4)
-    held = f"held: an operator paused it until {to_people(until)}"
-    assert rig.state == held
+    paused = f"held: an operator paused it until {to_people(until)}"
+    assert rig.state == paused
     rig.until_code("pump", "paused")
     node.kill()
     node.wait()
     rig.start()
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert rig.state.startswith(held)
+    assert rig.state.startswith(paused)
     # A release of a stop releases nothing else.
     assert rig.call(SetBool, "stop", data=False).success
     assert rig.tick(0.5) == 0.0
@@ -595,8 +595,8 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     )
     given = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
 
-    def play(until: Callable[[], Any], what: str, command: float = 0.5) -> None:
-        rig.play({**given, "/pump/command": command}, until, what, LATE)
+    def play(until: Callable[[], Any], event: str, command: float = 0.5) -> None:
+        rig.play({**given, "/pump/command": command}, until, event, LATE)
 
     rig.join()
     play(lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
@@ -604,11 +604,11 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     given["/cistern/level"] = 2.0
     play(lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)
     play(lambda: rig.says("delivery", OK) and rig.says("inputs", OK), "what is new", 0.0)
-    assert any("(command_limit)" in one for one in rig.states)
+    assert any("(command_limit)" in state for state in rig.states)
     began = time.monotonic()
     play(lambda: time.monotonic() > began + 3, "three seconds", 0.0)
     assert rig.state == "off: the command is 0"
-    assert not any(one.startswith("fault") for one in rig.states)
+    assert not any(state.startswith("fault") for state in rig.states)
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:

@@ -46,10 +46,10 @@ def written(file: Path) -> dict[str, Any]:
     def newest() -> dict[str, Any]:
         try:
             lines = file.read_text().splitlines()
-            found = [json.loads(line.split(maxsplit=1)[1]) for line in lines]
+            records = [json.loads(line.split(maxsplit=1)[1]) for line in lines]
         except (FileNotFoundError, ValueError):  # it is just being written
             return {}
-        return max(found, key=lambda line: int(line["sequence"]))
+        return max(records, key=lambda line: int(line["sequence"]))
 
     return wait_for(newest, 20, "the file")  # type: ignore[no-any-return]
 
@@ -90,7 +90,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     again = read(file, clock)
     assert (again.fault, again.operator_stop, again.page_stop) == (kept, kept, True)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
-    assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
+    assert {path.name for path in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
 
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
@@ -347,12 +347,12 @@ def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
     clock.now += 1
     assert not ledger.paused
     # Of a second one, which has the file later, its own pause counts.
-    other = Ledger(file, clock)
-    other.pause(clock.now + 60)
+    later = Ledger(file, clock)
+    later.pause(clock.now + 60)
     assert ledger.close() == ""
-    assert other.take() and other.paused
-    other.pause(0.0)
-    assert other.close() == ""
+    assert later.take() and later.paused
+    later.pause(0.0)
+    assert later.close() == ""
     assert written(file)["pause_until"] == 0.0
 
 

@@ -97,10 +97,10 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> 
     os.truncate(file, file.stat().st_size * 2 // 3)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     said = restore(tmp_path / "bag", tmp_path / "new")
-    found = messages_of(tmp_path / "new" / "new_0.mcap")
-    ticks, rest = divmod(len(found), len(TOPICS) + 1)
+    restored = messages_of(tmp_path / "new" / "new_0.mcap")
+    ticks, rest = divmod(len(restored), len(TOPICS) + 1)
     assert 5 < ticks < 200 and rest == 0
-    assert found == written[: len(found)] and len(found) < len(written)
+    assert restored == written[: len(restored)] and len(restored) < len(written)
     assert said == f"{ticks} ticks"
     assert count_ticks(tmp_path / "bag") is None and count_ticks(tmp_path / "new") == ticks
 

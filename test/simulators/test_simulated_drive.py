@@ -90,7 +90,7 @@ def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(
     make: str, delivered: dict[int, int], address: int, off: int
 ) -> None:
     registers = make_of(make, lambda: 0.0, timeout_s=None).registers()
-    assert {each: registers[each] for each in delivered} == delivered
+    assert {name: registers[name] for name in delivered} == delivered
     drive = make_of(make, lambda: 0.0, timeout_s=3.0)
     assert drive.registers()[address] != off
     drive.inject("timeout_off", 0)
@@ -144,9 +144,9 @@ def driver(shared: Simulator) -> Iterator[Drive]:
 
 def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
     listening = [line.split()[1:4] for line in Path("/proc/net/tcp").read_text().splitlines()]
-    ours = {f"{each:04X}" for each in shared.ports}
+    ours = {f"{port:04X}" for port in shared.ports}
     assert {at for at, _, state in listening if state == "0A" and at[-4:] in ours} == {
-        f"0100007F:{each}" for each in ours
+        f"0100007F:{port}" for port in ours
     }
 
 
@@ -179,16 +179,16 @@ def test_faults_of_the_wire(
             driver.line.connect()
 
 
-@pytest.mark.parametrize(("fault", "found"), [("silence", 500), ("half_open", 0)])
+@pytest.mark.parametrize(("fault", "value"), [("silence", 500), ("half_open", 0)])
 def test_silence_obeys_and_half_open_does_not(
-    shared: Simulator, driver: Drive, fault: str, found: int
+    shared: Simulator, driver: Drive, fault: str, value: int
 ) -> None:
     driver.line.write(1, 0)
     shared.inject(fault)
     with pytest.raises(DriveError, match="no valid answer"):
         driver.line.write(1, 500)
     shared.inject("none")
-    assert driver.line.read(1, 1) == [found]
+    assert driver.line.read(1, 1) == [value]
 
 
 def test_what_is_not_there_is_refused_by_the_specifications_exception(
@@ -198,11 +198,11 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
     for ask in (partial(driver.line.read, 0x7000, 1), partial(driver.line.write, 3, 1)):
         with pytest.raises(DriveError, match="refused with exception 2"):
             ask()
-    other = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
-    with closing(other.line):
-        other.line.connect()
+    stranger = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
+    with closing(stranger.line):
+        stranger.line.connect()
         with pytest.raises(DriveError, match="refused with exception 11"):
-            other.read()
+            stranger.read()
 
 
 # --- the program ----------------------------------------------------------------------------------
@@ -237,8 +237,8 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     own = tmp_path / "own.yaml"
     own.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
     assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(own))
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = str(listener.getsockname()[1])
         assert "the port is taken" in refused("--port", port, "--workbench", "0")
 
 
@@ -251,9 +251,9 @@ class Driven:
     def __init__(self, drive: Simulator, exchange: DriveExchange, file: DriveFile) -> None:
         self.drive, self.exchange, self.file = drive, exchange, file
 
-    def said(self, what: Callable[[DriveStatus], bool]) -> bool:
+    def said(self, condition: Callable[[DriveStatus], bool]) -> bool:
         status = self.exchange.snapshot.status
-        return status is not None and what(status)
+        return status is not None and condition(status)
 
     def reach(self, speed: float) -> None:
         """Ask for a speed until motor and driver both say that it is there."""

@@ -96,8 +96,8 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
         ) as site:
             first, last = at_tick(1), at_tick(40)
             said = [
-                ModbusReader(each, "m").read() for each in sensors.by_section.values()
-                if isinstance(each, ModbusSensor)
+                ModbusReader(sensor, "m").read() for sensor in sensors.by_section.values()
+                if isinstance(sensor, ModbusSensor)
             ]
             now = rows()[-1]
             site.inject("burst_pipe")
@@ -174,9 +174,9 @@ def test_both_sensors_may_be_on_one_line() -> None:
     on_it = replace(SENSORS.roof, address=SENSORS.cistern.address, device_id=2)
     bench = site_of(0.0, replace(SENSORS, roof=on_it))
     (server,) = bench.servers
-    assert [server.devices[each].read()[0] for each in (1, 2)] == [20000, 500]
+    assert [server.devices[number].read()[0] for number in (1, 2)] == [20000, 500]
     bench.inject("cistern_silent", DEFAULT)
-    assert [server.devices[each].hears(0) for each in (1, 2)] == [False, True]
+    assert [server.devices[number].hears(0) for number in (1, 2)] == [False, True]
 
 
 @needs_mosquitto
@@ -200,7 +200,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
             readers[section].start()
         assert isinstance(sensors.cistern, ModbusSensor)
         assert ModbusReader(sensors.cistern, "m").read() == pytest.approx(2.0, abs=1e-3)
-        until(lambda: all(one.snapshot.value for one in readers.values()), 20)
+        until(lambda: all(reader.snapshot.value for reader in readers.values()), 20)
         assert readers["roof"].snapshot.value == pytest.approx(0.05, abs=5e-4)
         assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
         assert readers["thermometer"].snapshot.value == 15.0
