@@ -119,10 +119,10 @@ def _complete() -> None:
         above, _, last = name.rpartition(" ")
         if above not in branches:
             branches[above] = branches[""].add_parser(above).add_subparsers()
-        own = []
+        parents = []
         if name == _name(words):
-            own = [importlib.import_module(f"greenroof_ros.{entry.module}").make_parser()]
-        branches[above].add_parser(last, parents=own, add_help=not own)
+            parents = [importlib.import_module(f"greenroof_ros.{entry.module}").make_parser()]
+        branches[above].add_parser(last, parents=parents, add_help=not parents)
     argcomplete.autocomplete(parser)
 
 

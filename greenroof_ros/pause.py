@@ -44,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Pause the pump, or end its pause."""
     arguments = make_parser().parse_args()
-    until, said = "", "the pause is over"
+    until, message = "", "the pause is over"
     if not arguments.end:
         try:
             end = parse_time(arguments.until).astimezone()
@@ -53,7 +53,7 @@ def main() -> int:
                 "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
             ) from None
         until = end.isoformat(timespec="seconds")
-        said = f"the pump is paused until {to_people(end)}"
+        message = f"the pump is paused until {to_people(end)}"
     with importing_ros(), closing(Looker(arguments.namespace, lambda *_: None)) as looker:
         looker.prepare_stop(f"{arguments.namespace}/pump")
         try:
@@ -61,7 +61,7 @@ def main() -> int:
         except StopFailedError as failure:
             print(f"error: {failure}", file=sys.stderr)
             return EXIT_FAILED
-    print(said)
+    print(message)
     return EXIT_DONE
 
 

@@ -95,9 +95,9 @@ def make_parser() -> argparse.ArgumentParser:
         "--site", type=Path, metavar="FILE",
         help="site file, which says the place (default: the paper's, config/site.yaml)",
     )
-    whole = within(1, _MOST_HOURS, int)
+    whole_hours = within(1, _MOST_HOURS, int)
     parser.add_argument(
-        "--sums", type=whole, nargs="+", metavar="H",
+        "--sums", type=whole_hours, nargs="+", metavar="H",
         help="hours over which is summed (default: 1, 6, 12 and 24, where they divide --lead)",
     )
     parser.add_argument(
@@ -105,12 +105,12 @@ def make_parser() -> argparse.ArgumentParser:
         help="for each of --sums, from how many mm on there is an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
-        "--lead", type=whole, default=24, metavar="H",
+        "--lead", type=whole_hours, default=24, metavar="H",
         help="hours of lead that are scored together, a multiple of each sum (default: "
         "%(default)s, days)",
     )
     parser.add_argument(
-        "--horizon", type=whole, metavar="H",
+        "--horizon", type=whole_hours, metavar="H",
         help=f"how far ahead is looked (default: {_HORIZON}; with --dress {_MEMBER}, so that "
         f"forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} h)",
     )

@@ -178,8 +178,8 @@ class Kept:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Have numbers written."""
-        kept = dict(values)
-        self.write_text(lambda: json.dumps(kept, indent=1))
+        copy = dict(values)
+        self.write_text(lambda: json.dumps(copy, indent=1))
 
     def write_text(self, text: Callable[[], str]) -> None:
         """Have a text written, which the disk's thread asks for."""

@@ -26,14 +26,14 @@ class ConfigurationError(Exception):
         key: str | None = None,
         value: object = None,
     ) -> None:
-        where = str(file) if file is not None else ""
+        place = str(file) if file is not None else ""
         if line is not None:
-            where += f", line {line}"
+            place += f", line {line}"
         subject = key or ""
         if value is not None:
             subject += f" = {value!r}" if key else repr(value)
         self.wrong = ": ".join(part for part in (subject, expected) if part)
-        super().__init__(f"{where}: {self.wrong}" if where else self.wrong)
+        super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
 
 
 class OccupiedError(ConfigurationError):

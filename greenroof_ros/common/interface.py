@@ -98,7 +98,7 @@ def _topic(
 ) -> Topic:
     """Return a topic by its entry in the interface."""
     low, high = range
-    given: dict[str, Any] = {
+    fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
     }
     return Topic(
@@ -106,7 +106,7 @@ def _topic(
         # No limit there still means a finite value.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
         undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
-        display=None if display is None else Display(**display), **given,
+        display=None if display is None else Display(**display), **fields,
     )
 
 

@@ -108,8 +108,8 @@ def entry(
         factory: makes it, where it is a mapping.
     """
     metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
-    made: Any = field(default=default, default_factory=factory, metadata=metadata)
-    return made
+    result: Any = field(default=default, default_factory=factory, metadata=metadata)
+    return result
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,13 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping) -> Record:
             range.
     """
     try:
-        made: Record = _record(kind, mapping, ())
+        record: Record = _record(kind, mapping, ())
     except _Wrong as wrong:
         line = _find(mapping, wrong.parts)[0] or min(mapping.lines.values(), default=None)
         raise ConfigurationError(
             wrong.expected, file=file, line=line, key=".".join(wrong.parts), value=wrong.value
         ) from None
-    return made
+    return record
 
 
 def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> ConfigurationError:
@@ -210,18 +210,18 @@ def _find(content: YamlMapping, parts: Sequence[str]) -> tuple[int | None, Any]:
 
 
 def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
-    given, known = _mapping(value, parts), {key.name: key for key in keys(kind)}
-    for name in given:
-        if name not in known:
-            wrong = f"is no key here; {did_you_mean(name, known)}"
-            raise _Wrong((*parts, name), wrong, given[name])
-    made = {}
-    for name, key in known.items():
-        if name in given:
-            made[name] = _value(key.kind, given[name], key.entry, (*parts, name))
+    entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
+    for name in entries:
+        if name not in by_name:
+            wrong = f"is no key here; {did_you_mean(name, by_name)}"
+            raise _Wrong((*parts, name), wrong, entries[name])
+    fields = {}
+    for name, key in by_name.items():
+        if name in entries:
+            fields[name] = _value(key.kind, entries[name], key.entry, (*parts, name))
         elif not key.optional:
             raise _Wrong((*parts, name), f"is missing: {key.entry.meaning}")
-    return kind(**made)
+    return kind(**fields)
 
 
 def _mapping(value: Any, parts: tuple[str, ...]) -> YamlMapping:

@@ -110,9 +110,9 @@ def _open(path: Path, mode: int) -> FileIO:
             return FileIO(os.open(path, _FLAGS), "r+")
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
-                made = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
-                os.fchmod(made, mode)
-                return FileIO(made, "r+")
+                descriptor = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
+                os.fchmod(descriptor, mode)
+                return FileIO(descriptor, "r+")
 
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

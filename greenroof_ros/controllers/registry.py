@@ -175,17 +175,17 @@ class ControllerChoice:
         names = (f"/**/{self.name}", self.name, f"/{self.name}", "/**")
         keys = [key for key in names if key in mapping]
         section = mapping[keys[0]] if keys else None
-        given = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
-        if not isinstance(given, YamlMapping):
+        entries = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
+        if not isinstance(entries, YamlMapping):
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
         values = {parameter.name: parameter.default for parameter in self.parameters_on(site)}
-        for key, line in given.lines.items():
+        for key, line in entries.lines.items():
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue
             self.check_name(key, path, line)
-        return values | read_numbers(path, given, self.parameters)
+        return values | read_numbers(path, entries, self.parameters)
 
     def check_name(self, key: str, path: Path, line: int) -> None:
         """Refuse the name of a parameter that it does not have.
@@ -201,7 +201,7 @@ class ControllerChoice:
 
 
 def read_numbers(
-    path: Path, given: YamlMapping, parameters: Mapping[str, Parameter]
+    path: Path, entries: YamlMapping, parameters: Mapping[str, Parameter]
 ) -> dict[str, Any]:
     """Return the values of those parameters that a mapping of a file has.
 
@@ -209,11 +209,11 @@ def read_numbers(
         ConfigurationError: one is not a number, or not in its range.
     """
     values = {}
-    for key in (key for key in given if key in parameters):
-        value, parameter = number(path, given, key), parameters[key]
+    for key in (key for key in entries if key in parameters):
+        value, parameter = number(path, entries, key), parameters[key]
         if not parameter.accepts(value):
             raise ConfigurationError(
-                parameter.expected, file=path, line=given.lines[key], key=key, value=given[key]
+                parameter.expected, file=path, line=entries.lines[key], key=key, value=entries[key]
             )
         values[key] = int(value) if parameter.whole else value
     return values

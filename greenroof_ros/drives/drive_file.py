@@ -209,7 +209,7 @@ class Timeouts:
     @property
     def known(self) -> dict[str, Timeout]:
         """The timeouts that the file has, by interface."""
-        return {name: own for name, own in vars(self).items() if own is not None}
+        return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
     def over(self, address: Address) -> Timeout | None:
         """Return the one that guards a connection; None where the file tells of none."""

@@ -323,8 +323,8 @@ class ModbusLine:
             DriveError: no answer, or a wrong one.
         """
         answer = self._ask("reading its identification", 43, self._client.read_device_information)
-        said = getattr(answer, "information", {})
-        maker, product = (bytes(said.get(number, b"")).decode("latin-1") for number in (0, 1))
+        objects = getattr(answer, "information", {})
+        maker, product = (bytes(objects.get(number, b"")).decode("latin-1") for number in (0, 1))
         return maker, product
 
     def _ask(
@@ -463,14 +463,14 @@ class DeviceThread(ABC, Generic[K]):
     wrong is in `snapshot`.
     """
 
-    def __init__(self, name: str, known: K) -> None:
+    def __init__(self, name: str, snapshot: K) -> None:
         """Prepare it.
 
         Args:
             name: of its task, for messages.
-            known: of the device, before anything is.
+            snapshot: of the device, before anything is.
         """
-        self._name, self._snapshot, self._lock = name, known, threading.Lock()
+        self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
         self._closing = self._done = False
         self._wake = threading.Event()
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -530,5 +530,5 @@ class DeviceThread(ABC, Generic[K]):
 
     def _pause_until(self, due: float) -> None:
         """Wait until a time (s, `time.monotonic`), whatever is asked for but the end."""
-        while not self._closing and (rest := due - time.monotonic()) > 0:
-            self._pause(rest)
+        while not self._closing and (remaining := due - time.monotonic()) > 0:
+            self._pause(remaining)

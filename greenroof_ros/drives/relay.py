@@ -182,13 +182,13 @@ class RelayLine:
         self._awaited[name] += 1
         self._publish(question.topic, question.payload, number, {})
         topic, until = self._filled(question.answer), time.monotonic() + self._timeout_s
-        said = b""
-        while (heard := self._next(until)) is not None:
-            if heard[0] != topic:
+        payload = b""
+        while (message := self._next(until)) is not None:
+            if message[0] != topic:
                 continue
-            said = heard[1]
+            payload = message[1]
             try:
-                answer = json.loads(said)
+                answer = json.loads(payload)
                 value_at(answer, question.known_by)
                 if self._file.number and str(value_at(answer, self._file.number)) != number:
                     continue
@@ -198,10 +198,10 @@ class RelayLine:
             if self._file.number or self._awaited[name] <= 0:
                 self._awaited[name] = 0
                 return answer
-        if said and self.connected:
+        if payload and self.connected:
             raise self.error("answer", (
                 f"no answer to the question {name!r} that can be understood within "
-                f"{self._timeout_s:g} s, but {said[:_SHOWN]!r}"
+                f"{self._timeout_s:g} s, but {payload[:_SHOWN]!r}"
             ))
         raise self.error("connection", (
             f"no answer to the question {name!r} within {self._timeout_s:g} s"
@@ -303,9 +303,9 @@ class Relay:
         }
         self._timer_s = None  # what was read before holds until there are answers
         for setting in self.file.must:
-            if (said := _text(self._value(setting, answers))) != setting.value:
+            if (value := _text(self._value(setting, answers))) != setting.value:
                 return None, (
-                    f"{setting.meaning}: {setting.path} is {said}, and must be {setting.value}"
+                    f"{setting.meaning}: {setting.path} is {value}, and must be {setting.value}"
                 )
         timer = self.file.timer
         raw = self._value(timer, answers)
@@ -429,13 +429,13 @@ class Relay:
     def _read(self) -> bool:
         """Return whether it is on, as it says."""
         self._is_on, state = None, self.file.state
-        said = _text(self._value(state))
-        if said not in (state.is_on, state.is_off):
+        answer = _text(self._value(state))
+        if answer not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
-                f"its state, {state.path}, is {said}, neither {state.is_on} nor {state.is_off}",
+                f"its state, {state.path}, is {answer}, neither {state.is_on} nor {state.is_off}",
             )
-        self._is_on = said == state.is_on
+        self._is_on = answer == state.is_on
         return self._is_on
 
     def _switch_on(self, timer_s: float) -> None:

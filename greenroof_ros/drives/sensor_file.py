@@ -234,11 +234,11 @@ def _mistakes(
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         greatest_age = greatest_ages.get(quantity.limit, math.inf)
-        own = (
+        mistakes = (
             _modbus_mistakes(sensor, quantity, greatest_age) if isinstance(sensor, ModbusSensor)
             else _mqtt_mistakes(sensor, quantity, greatest_age)
         )
-        for key, expected in (*_sensor_mistakes(sensor, section), *own):
+        for key, expected in (*_sensor_mistakes(sensor, section), *mistakes):
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
         of = first.replace("_", " ")

@@ -138,7 +138,7 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
         parameters: of each node, by its name.
     """
     file = directory / "parameters.yaml"
-    of_nodes = {f"/**/{name}": {"ros__parameters": own} for name, own in parameters.items()}
+    of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}
     file.write_text(yaml.safe_dump(of_nodes, sort_keys=False), encoding="utf-8")
     return file
 

@@ -56,8 +56,8 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield what a person sees at the end of a run: a word, a number, and what it is."""
-    given = {key: value for key, value in summary["parameters"].items() if value is not None}
-    yield "controller", summary["controller"], _listed(given)
+    parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
+    yield "controller", summary["controller"], _listed(parameters)
     yield "from", *_initial(summary["initial"])
     yield (
         "length", f"{summary['steps']} ticks",
@@ -126,13 +126,16 @@ def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, st
         incident: of the summary.
         tau: duration of a tick (s).
     """
-    lost = Incident(**incident)
-    assert lost.began_tick is not None
+    failure = Incident(**incident)
+    assert failure.began_tick is not None
     until = "to the end"
-    if lost.ended_tick is not None:
-        until = f"to {hours_minutes(lost.ended_tick * tau)}, {lost.seconds:.1f} s of wall time"
-    began = hours_minutes(lost.began_tick * tau)
-    return ("INCIDENT", lost.node, f"from {began} {until}: {lost.cause}")
+    if failure.ended_tick is not None:
+        until = (
+            f"to {hours_minutes(failure.ended_tick * tau)}, "
+            f"{failure.seconds:.1f} s of wall time"
+        )
+    began = hours_minutes(failure.began_tick * tau)
+    return ("INCIDENT", failure.node, f"from {began} {until}: {failure.cause}")
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:

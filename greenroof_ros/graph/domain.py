@@ -78,13 +78,13 @@ def choose_transport() -> None:
     """
     import rclpy
 
-    asked = os.environ.setdefault(_RANGE, "LOCALHOST")
+    discovery = os.environ.setdefault(_RANGE, "LOCALHOST")
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
     if not fast_dds or _PROFILES in os.environ or _PROFILES_3 in os.environ:
         return
     os.environ.setdefault(LEASE, _LEASE_S)
     variable, name = (_PROFILES_3, "fastdds3") if _is_fast_dds_3() else (_PROFILES, "fastdds")
-    if asked == "LOCALHOST":
+    if discovery == "LOCALHOST":
         os.environ[_RANGE] = "SYSTEM_DEFAULT"
         name += "_loopback"
     else:

@@ -75,12 +75,12 @@ def node_command(
         if option and value is None:
             parser.add_argument(option, dest="value", choices=choices or None)
         try:
-            own = remove_ros_args(sys.argv)
+            argv = remove_ros_args(sys.argv)
         except RuntimeError as error:  # of rcl: arguments that it cannot read
             parser.error(" ".join(str(error).split()))
-        given = parser.parse_args(own[1:], argparse.Namespace(value=value))
-        of = [given.value] if option else []
-        if given.help:
+        arguments = parser.parse_args(argv[1:], argparse.Namespace(value=value))
+        of = [arguments.value] if option else []
+        if arguments.help:
             print(help_of(*of))
             return EXIT_DONE
         if of == [None]:

@@ -128,7 +128,7 @@ class Publishers:
             "other, or take another ROS_DOMAIN_ID or --namespace"
         )
 
-    def said(self, now: float) -> str:
+    def sentence(self, now: float) -> str:
         """Return the same with the name of the topic, as a sentence; empty where all is well."""
         problem = self.problem(now)
         return f"{self.full_name} {problem}" if problem else ""
@@ -152,9 +152,9 @@ class Publishers:
         unheard = self._unheard()
         if not unheard:
             return ""
-        wanted = replace(self.required, lease_s=self.topic.qos.lease_s)
+        needed = replace(self.required, lease_s=self.topic.qos.lease_s)
         names = sorted({call_node(info.node_name) for info in unheard})
-        why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, wanted))
+        why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, needed))
         return (
             f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
             f"and must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
@@ -319,13 +319,13 @@ class Inputs:
         Where the interface names two, the plant or a pump driver, it is the first of whom nothing
         else is here.
         """
-        here = {self._role} | {
+        present = {self._role} | {
             entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names
         }
         roles: dict[str, list[str]] = {}
         for name in names:
             candidates = self.by_name[name].topic.publishers
-            role = next((role for role in candidates if role not in here), candidates[-1])
+            role = next((role for role in candidates if role not in present), candidates[-1])
             roles.setdefault(role, []).append(name)
         return roles
 

@@ -318,9 +318,9 @@ class LinkedNode(NoClockSubscription, Node):
     def _warn(self, now: float) -> None:
         """Warn of each publisher that is not heard, once; live, for as long as it is there."""
         before = self._warnings
-        said = [sentence for publishers in self._heard if (sentence := publishers.warning(now))]
-        new = [sentence for sentence in said if sentence not in before]
-        self._warnings = said if self.live else [*before, *new]
+        warnings = [sentence for publishers in self._heard if (sentence := publishers.warning(now))]
+        new = [sentence for sentence in warnings if sentence not in before]
+        self._warnings = warnings if self.live else [*before, *new]
         for sentence in new:
             self.get_logger().warning(sentence)
 

@@ -91,10 +91,10 @@ class Looker:
 
         from greenroof_ros.graph.messages import message_class
 
-        wanted = {DIAGNOSTICS, *topics}
-        for name in self._subscriptions.keys() - wanted:
+        needed = {DIAGNOSTICS, *topics}
+        for name in self._subscriptions.keys() - needed:
             self._node.destroy_subscription(self._subscriptions.pop(name))
-        for name in wanted - self._subscriptions.keys():
+        for name in needed - self._subscriptions.keys():
             topic = self._interface[name]
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(topic.type), topic.graph_name, lambda message: None,
@@ -111,9 +111,9 @@ class Looker:
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
-            for _, (message, said) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
-                number = said["publication_sequence_number"]
-                self._on_message(name, message, number, said["received_timestamp"])
+            for _, (message, info) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
+                number = info["publication_sequence_number"]
+                self._on_message(name, message, number, info["received_timestamp"])
 
     def wake(self) -> None:
         """End the present wait, from another thread."""

@@ -77,11 +77,11 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
         if isinstance(parameter.default, float) and parameter.may_change
     }
     if doubles:
-        node.add_pre_set_parameters_callback(lambda given: [
+        node.add_pre_set_parameters_callback(lambda incoming: [
             RosParameter(parameter.name, value=float(parameter.value))
             if parameter.name in doubles and parameter.type_ is RosParameter.Type.INTEGER
             else parameter
-            for parameter in given
+            for parameter in incoming
         ])
     return {parameter.name: _declare(node, parameter) for parameter in declared}
 
@@ -109,12 +109,12 @@ def _declare_as_given(node: Node, parameter: Parameter) -> Any:
         if not isinstance(parameter.default, float):
             raise
         anything = ParameterDescriptor(dynamic_typing=True)
-        given = node.declare_parameter(parameter.name, parameter.default, anything).value
+        value = node.declare_parameter(parameter.name, parameter.default, anything).value
         node.undeclare_parameter(parameter.name)
-        if type(given) is not int:
+        if type(value) is not int:
             raise
     return node.declare_parameter(
-        parameter.name, float(given), _descriptor(parameter), ignore_override=True
+        parameter.name, float(value), _descriptor(parameter), ignore_override=True
     ).value
 
 
@@ -137,8 +137,8 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     if math.isinf(parameter.low):
         return descriptor
     if parameter.whole:
-        whole = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
-        descriptor.integer_range = [whole]
+        integers = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
+        descriptor.integer_range = [integers]
     else:
         numbers = FloatingPointRange(
             from_value=float(parameter.low), to_value=float(parameter.high)
@@ -163,8 +163,8 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         ConfigurationError: there is one.
     """
     for option, assignment in pairwise(arguments):
-        whole, _, value = assignment.partition(":=")
-        of, _, name = whole.rpartition(":")
+        qualified, _, value = assignment.partition(":=")
+        of, _, name = qualified.rpartition(":")
         ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
         if option in ("-p", "--param") and ours and not node.has_parameter(name):
             raise ConfigurationError(
@@ -195,9 +195,9 @@ def refuse_unknown_in(
         pattern = re.escape(f"/{section.removeprefix('/')}")
         # As rcl reads it: two stars are any number of names, one is one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
-        here = [node for node in known if re.fullmatch(pattern, node)]
-        last = [node.rpartition("/")[2] for node in here or known]
-        if not here:
+        matching = [node for node in known if re.fullmatch(pattern, node)]
+        last = [node.rpartition("/")[2] for node in matching or known]
+        if not matching:
             raise ConfigurationError(
                 "bringup starts no such node; the closest is "
                 f"/**/{_closest(section.rpartition('/')[2], last)}; it starts "
@@ -208,7 +208,7 @@ def refuse_unknown_in(
                 "must hold parameters, NAME: VALUE", file=file, line=line,
                 key=f"{section}: {_SECTION}", value=content,
             )
-        names = set().union(*(known[node] for node in here))
+        names = set().union(*(known[node] for node in matching))
         for name, value in content.items():
             for node in last:
                 if name in options.get(node, ()):
@@ -229,11 +229,11 @@ def _sections(
 ) -> Iterator[tuple[str, int, object]]:
     """Yield the parameters of a file: for which nodes, in which line, and what."""
     for name, part in content.items():
-        whole = f"{section}/{name}" if section else name
+        nested = f"{section}/{name}" if section else name
         if name == _SECTION:
             yield section, line, part
         elif isinstance(part, YamlMapping) and part:
-            yield from _sections(file, part, whole, content.lines[name])
+            yield from _sections(file, part, nested, content.lines[name])
         else:
             raise ConfigurationError(
                 f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",

@@ -318,11 +318,11 @@ class PumpCheck:
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def _answer(self, said: Mapping[str, float]) -> float:
+    def _answer(self, overrides: Mapping[str, float]) -> float:
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            said: instead of the truth and the usual command, by topic.
+            overrides: instead of the truth and the usual command, by topic.
         """
         _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau
@@ -333,7 +333,7 @@ class PumpCheck:
             "/roof/level": roof / self._site.a2,
             "/weather/frost": 0.0,
             _COMMAND: self._limits.command,
-            **said,
+            **overrides,
         }
         for topic, value in values.items():
             self._publishers[topic](value)
@@ -344,7 +344,7 @@ class PumpCheck:
                 self._hindered = "not tried: the driver does not answer"
                 raise _ProblemError(
                     f"no flow within {self._limits.answer:g} s of command {values[_COMMAND]:g}, "
-                    f"the {self._ticks}th{self._said()}"
+                    f"the {self._ticks}th{self._driver_state()}"
                 )
             self._executor.spin_once(timeout_sec=left)
         self._spin(began + self._limits.period - time.monotonic())
@@ -365,30 +365,30 @@ class PumpCheck:
             )
         self._flows.clear()
 
-    def _said(self) -> str:
+    def _driver_state(self) -> str:
         return f" (/pump/state: {self._state})" if self._state else ""
 
     def _flowing(self, flow: float) -> bool:
         return flow > _NONE * self._steady
 
-    def _stop(self, reason: str, said: Mapping[str, float]) -> None:
+    def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
         """Repeat a tick until the flow is 0, and some times more; note how long that took.
 
         Raises:
             _ProblemError: it is not within the limit, or does not stay so.
         """
         began = time.monotonic()
-        before = flow = self._answer(said)
+        before = flow = self._answer(overrides)
         while self._flowing(flow):
             _require(
                 time.monotonic() <= began + self._limits.stop,
                 f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
-                f"(first answer: {before:.3g}){self._said()}",
+                f"(first answer: {before:.3g}){self._driver_state()}",
             )
-            flow = self._answer(said)
+            flow = self._answer(overrides)
         self._came = self._came or f"no flow after {time.monotonic() - began:.1f} s"
         for _ in range(_STEADY_TICKS):
-            flow = self._answer(said)
+            flow = self._answer(overrides)
             _require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
@@ -413,7 +413,7 @@ class PumpCheck:
             _require(
                 time.monotonic() <= until,
                 f"the flow is {expected} after {self._limits.start:g} s at command {command:g}"
-                f"{self._said()}",
+                f"{self._driver_state()}",
             )
 
     def _runs(self, when: str) -> None:

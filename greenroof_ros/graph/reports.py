@@ -110,8 +110,8 @@ class Reports:
             level, code = WARN, "input_publishers"
         elif self.state == STARTING:
             code = "peers_awaited"
-        self._own = own = _dated(self._own, level, self.state, code)
-        of_code = {key: text for key, text in own.for_programs().items() if text}
+        self._own = diagnosis = _dated(self._own, level, self.state, code)
+        of_code = {key: text for key, text in diagnosis.for_programs().items() if text}
         values = {"role": self._role, "process": self._process, **of_code, **values}
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(

@@ -118,9 +118,9 @@ def _sums(before: Values | float, values: Values) -> Values:
 def _sums_by(before: Values | float, values: Values) -> Values:
     """Add up each row but the first, which is the hour or week in which each sample counts."""
     places = values[0].astype(np.intp)
-    known = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
-    sums = np.zeros((len(known), max(known.shape[1], int(places.max()) + 1)))
-    sums[:, : known.shape[1]] = known
+    earlier = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
+    sums = np.zeros((len(earlier), max(earlier.shape[1], int(places.max()) + 1)))
+    sums[:, : earlier.shape[1]] = earlier
     for row, amounts in zip(sums, values[1:], strict=True):
         np.add.at(row, places, amounts)  # one after the other, as _sum
     return sums
@@ -147,7 +147,7 @@ def _rolling(values: Values, hours: int) -> Values:
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 
 
-def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
+def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
     """Return which share of the rain on the roof did not drain off it in the same hours (1).
 
     What drains in an hour is shared between rain and pumped water as they came in the six hours
@@ -308,17 +308,17 @@ METRICS = (
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", "of the rain on the roof, what did not drain off it",
-        _roof_water, _sums_by, ".1%", finish=_kept,
+        _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
         "the same, of hours with more than 20 mm, within the hour",
-        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=20.0),
+        _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
         "the same, of any 24 hours with more than 10 mm",
-        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=10.0, hours=24),
+        _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",

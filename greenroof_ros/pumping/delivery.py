@@ -252,10 +252,10 @@ class DeliveryCheck:
         """Return the fault of a roof, or of both tanks, that did not change while water came."""
         site = self._site
         (_, cistern), (_, roof) = self._still
-        both = roof if roof.elapsed > cistern.elapsed else cistern
+        longer = roof if roof.elapsed > cistern.elapsed else cistern
         for since, area, share, stuck in (
             (roof, site.a2, self._kept_share, "the roof's sensor is stuck"),
-            (both, site.a1, 1.0, "both sensors are stuck"),
+            (longer, site.a1, 1.0, "both sensors are stuck"),
         ):
             unseen = share * (now.least_pumped - since.least_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)

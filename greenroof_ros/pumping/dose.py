@@ -50,12 +50,12 @@ class Dose:
     @property
     def said(self) -> str:
         """How it is, as a sentence."""
-        how = f"{self.delivered:.3f} of {self.volume:g} m3"
+        progress = f"{self.delivered:.3f} of {self.volume:g} m3"
         if not self.over:
-            return f"a dose: {how}; {self.why}" if self.begun else f"a dose waits: {self.why}"
+            return f"a dose: {progress}; {self.why}" if self.begun else f"a dose waits: {self.why}"
         if self.over == DONE:
             return f"the dose of {self.volume:g} m3 was delivered"
-        return f"the dose ended early, at {how}: {self.why}"
+        return f"the dose ended early, at {progress}: {self.why}"
 
 
 class Doses:

@@ -94,8 +94,8 @@ class Record:
 
 def state_directory() -> Path:
     """Return where state is kept that nobody gave a place: the user's, by the XDG's rules."""
-    given = os.environ.get("XDG_STATE_HOME")
-    return (Path(given) if given else Path.home() / ".local" / "state") / "greenroof_ros"
+    directory = os.environ.get("XDG_STATE_HOME")
+    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 class Ledger:
@@ -163,7 +163,7 @@ class Ledger:
 
     def _begin(self, file: Path) -> None:
         """Begin with what the file says, and the time since that was written."""
-        self.record, self._lines.sequence, whole = _read(file)
+        self.record, self._lines.sequence, intact = _read(file)
         self._at_start = self.record
         down = self._clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
@@ -171,7 +171,7 @@ class Ledger:
             self._unseen = down if known else math.inf
         if known:
             self._pass(down)
-        if not whole:
+        if not intact:
             self._save()
 
     @property

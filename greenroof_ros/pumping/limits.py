@@ -158,11 +158,11 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     )
 
 
-def settings_for(site: Site, **given: float) -> PumpSettings:
+def settings_for(site: Site, **changes: float) -> PumpSettings:
     """Return settings for a site: those given, and the default of every other."""
     return PumpSettings(**{
         parameter.name: parameter.default for parameter in pump_parameters(site)
-    } | given)
+    } | changes)
 
 
 class Limits:

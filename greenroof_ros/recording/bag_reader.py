@@ -195,9 +195,9 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
     """
     missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:
-        there = ", ".join(sorted(types)) or "none"
+        topics = ", ".join(sorted(types)) or "none"
         raise ConfigurationError(
-            f"has no {', '.join(missing)}, which the report needs; its topics are: {there}",
+            f"has no {', '.join(missing)}, which the report needs; its topics are: {topics}",
             file=bag,
         )
     for name in names:

@@ -72,10 +72,10 @@ class Device:
                 return self.write(address, [int(value) for value in values])
             # The answer to a write repeats what was written, whatever is in the register then.
             if function not in _WRITES:
-                known, wanted = self.read(), range(address, address + count)
-                if any(register not in known for register in wanted):
+                present, addresses = self.read(), range(address, address + count)
+                if any(register not in present for register in addresses):
                     return ExcCodes.ILLEGAL_ADDRESS
-                current[address:address + count] = [known[register] for register in wanted]
+                current[address:address + count] = [present[register] for register in addresses]
             return None
 
         everything = SimData(0, count=65536, datatype=DataType.REGISTERS)
@@ -350,10 +350,12 @@ class Bench(ABC):
             server.close()
 
     def _write(self, address: int, values: list[int]) -> ExcCodes | None:
-        wanted = range(address, address + len(values))
-        if any(register == faults.SPEED or register not in self.registers for register in wanted):
+        addresses = range(address, address + len(values))
+        if any(
+            register == faults.SPEED or register not in self.registers for register in addresses
+        ):
             return ExcCodes.ILLEGAL_ADDRESS
-        for register, value in zip(wanted, values, strict=True):
+        for register, value in zip(addresses, values, strict=True):
             if register != faults.FAULT:
                 self.adjust(register, value)
                 continue

@@ -246,7 +246,7 @@ class SimulatedDrive(ABC):
         self.take_over_settings()
 
     @property
-    def wanted(self) -> float:
+    def setpoint(self) -> float:
         """The speed that it ramps to (share of rated); pumps do not turn backwards."""
         register = self._registers["reference"]
         return min(max(self.get("reference") * self._unit(register), 0.0), 1.0)
@@ -292,17 +292,17 @@ class SimulatedDrive(ABC):
             return
         stays = self._standing in ("speed_stays", "stuck_running") or motion is Motion.HOLD
         if not stays:
-            wanted = self.wanted if motion is Motion.FOLLOW else 0.0
+            setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
             reach = self.settings.speed * step / full if full else math.inf
-            self.speed += min(max(wanted - self.speed, -reach), reach)
+            self.speed += min(max(setpoint - self.speed, -reach), reach)
         if not self.speed:
             self.standstill()
 
     @property
     def _ignores_stop(self) -> bool:
         """Whether it is to stop, and runs on while it says that it is off."""
-        off = self.motion is not Motion.FOLLOW or not self.wanted
+        off = self.motion is not Motion.FOLLOW or not self.setpoint
         return self._standing == "runs_on" and off and self._at >= self._answers_from
 
     @property
@@ -313,7 +313,7 @@ class SimulatedDrive(ABC):
     @property
     def at_speed(self) -> bool:
         """Whether it has reached its reference."""
-        return self.motion is Motion.FOLLOW and abs(self.speed - self.wanted) < _AT_SPEED
+        return self.motion is Motion.FOLLOW and abs(self.speed - self.setpoint) < _AT_SPEED
 
     @property
     def warning(self) -> bool:
@@ -464,8 +464,8 @@ class DriveBench(Bench):
         """
         super().__init__(faults.DRIVE_FAULTS, workbench)
         self._line = PseudoLine() if address.line == _PTY else None
-        own = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(own, gateway=not own.line and file.timeout.tcp is None)
+        place = address if self._line is None else Address(line=self._line.ends[0])
+        self._reached = replace(place, gateway=not place.line and file.timeout.tcp is None)
         self._device_id = file.device_id_at(self._reached)
         self.drive = make(file, settings, interface=self._reached.interface)
         self.drive.say = self.say
@@ -479,7 +479,7 @@ class DriveBench(Bench):
         }
         device = Device(self.drive.registers, self.drive.write, self._hears)
         self.servers.append(
-            Server(own, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
+            Server(place, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
         )
 
     @property
