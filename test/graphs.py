@@ -219,8 +219,8 @@ class Process:
     def _last_said(self) -> str:
         """Return the end of its standard error, wherever its directory is by now."""
         number = self._err.fileno()
-        said = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
-        return said.decode(errors="replace")
+        tail = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
+        return tail.decode(errors="replace")
 
     def stdout(self) -> str:
         return Path(self._out.name).read_text()

@@ -106,13 +106,13 @@ def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
     requests, answers = [], []
     for number, line in enumerate(dialogue.strip().splitlines(), start=1):
         request, _, answer = line.split(":")[1].partition("->")
-        for text, whole in ((request, requests), (answer or request, answers)):
+        for text, frames in ((request, requests), (answer or request, answers)):
             body = b"\1" + frame(text)
-            whole.append(struct.pack(">HHH", number, 0, len(body)) + body)
-    rest = iter(answers)
+            frames.append(struct.pack(">HHH", number, 0, len(body)) + body)
+    remaining = iter(answers)
 
     def answer_next(_request: bytes) -> Answer:
-        data = next(rest, b"")
+        data = next(remaining, b"")
         return [(0.0, data)] if data else []
 
     return requests, answer_next

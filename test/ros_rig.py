@@ -46,8 +46,9 @@ def qos(topic: str) -> Any:
 
 def ros_arguments(**parameters: object) -> list[str]:
     """Return ROS arguments that set parameters; those that are None are left out."""
-    given = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
-    return ["--ros-args", *(word for value in given for word in ("-p", value))] if given else []
+    settings = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
+    words = [word for setting in settings for word in ("-p", setting)]
+    return ["--ros-args", *words] if words else []
 
 
 class Observer:
@@ -106,12 +107,12 @@ class Observer:
         namespace: str = "",
     ) -> list[Any]:
         """Return the list in which the values of a topic are from now on."""
-        heard: list[Any] = []
+        values: list[Any] = []
         self.node.create_subscription(
             message_class(_TOPICS[topic].type), namespace + topic,
-            lambda message: heard.append(value(message)), qos(topic),
+            lambda message: values.append(value(message)), qos(topic),
         )
-        return heard
+        return values
 
     def publisher(self, topic: str, node: Node | None = None) -> Any:
         """Open a topic, for the observer or another node."""
@@ -213,8 +214,8 @@ class Site:
             self.play()
             return condition()
 
-        said = {name: status.message for name, status in self.diagnoses.items()}
-        self.watcher.until(played, seconds, f"{event} (before: {said})")
+        messages = {name: status.message for name, status in self.diagnoses.items()}
+        self.watcher.until(played, seconds, f"{event} (before: {messages})")
 
     def during(self, seconds: float) -> None:
         """Play for so long; a moment in which the machine stands still counts for 0.1 s."""

@@ -111,12 +111,12 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    there = tmp_path / "there.csv"
-    there.touch()
+    existing = tmp_path / "there.csv"
+    existing.touch()
     for file, reason in (
         (tmp_path / "a.pdf", "must be the name of a file that ends in .html or .csv"),
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
-        (there, "exists; name another file"),
+        (existing, "exists; name another file"),
     ):
         with pytest.raises(ConfigurationError) as caught:
             refuse_unwritable(file, (".html", ".csv"), "--output")

@@ -110,13 +110,13 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
 
     def cost(hour: int, member: int, roof: int, water: int, level: int | None) -> float:
         if level is None:
-            here, after, left = ended(hour, member, roof, water)
+            here_cost, after, left = ended(hour, member, roof, water)
         else:
             filled = level - roof
-            here, after, left = holding(hour, member, level, water - filled)
+            here_cost, after, left = holding(hour, member, level, water - filled)
             if filled:
-                here += filled * filled / (2 * tiny.pumps[hour])
-        return here + value(hour + 1, member, after, left)
+                here_cost += filled * filled / (2 * tiny.pumps[hour])
+        return here_cost + value(hour + 1, member, after, left)
 
     @cache
     def value(hour: int, member: int, roof: int, water: int) -> float:
@@ -348,11 +348,11 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
 def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
     """A plan for 12 h is followed for a quarter of an hour; only then the roof is filled."""
     controller = lookahead()
-    none: list[float] = []
+    nothing: list[float] = []
     assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
-    waited = [controller.command(2.3, 0.03, none, none) for _ in range(899)]
+    waited = [controller.command(2.3, 0.03, nothing, nothing) for _ in range(899)]
     assert not any(waited)
-    assert controller.command(2.3, 0.03, none, none) > 0
+    assert controller.command(2.3, 0.03, nothing, nothing) > 0
     assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
     assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
 
@@ -388,13 +388,13 @@ def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
 def test_the_order_of_members_does_not_matter() -> None:
     """Bit for bit, nor does their order in memory."""
     storms = [rain_in((5, 7), depth) for depth in (0.0, 0.004, 0.006, 0.01)]
-    made = [lookahead() for _ in range(3)]
+    three = [lookahead() for _ in range(3)]
     for controller, members in zip(
-        made, (storms, storms[::-1], np.asfortranarray(storms)), strict=True
+        three, (storms, storms[::-1], np.asfortranarray(storms)), strict=True
     ):
         controller.command(2.3, 0.03, members, [2e-6] * STEPS)
-    assert made[0].fill_to == made[1].fill_to == made[2].fill_to > 0.03
-    assert made[0].plan.tobytes() == made[1].plan.tobytes() == made[2].plan.tobytes()
+    assert three[0].fill_to == three[1].fill_to == three[2].fill_to > 0.03
+    assert three[0].plan.tobytes() == three[1].plan.tobytes() == three[2].plan.tobytes()
 
 
 def test_it_plans_again_when_something_changed() -> None:

@@ -172,8 +172,8 @@ def test_unsolved_program_pumps_nothing(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
-    with monkeypatch.context() as few:
-        few.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
+    with monkeypatch.context() as patch:
+        patch.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
         mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     for fallbacks in (1, 2, 3):
         caplog.clear()

@@ -147,8 +147,8 @@ def test_an_adversary_costs_at_most_the_budget(
     false = with_forecasts(run, kind, 48)
 
     def reached(budget: float) -> float:
-        given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
-        return deviation_of(false, run.controller.make(run.site, given))
+        parameters = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
+        return deviation_of(false, run.controller.make(run.site, parameters))
 
     limit = (1 + SHARE) * plain + BUDGET_H * EMPTY_HOUR
     assert reached(BUDGET_H) <= limit + 0.1 * EMPTY_HOUR
@@ -162,8 +162,8 @@ def test_what_overflows_while_the_roof_waits_is_missing_later() -> None:
     for _ in range(2):
         budget.move(80.0, 2.0, 2.0, 1.0, 0.0)
     out, first, _ = exact_flows(PAPER_SITE, 80.0, 2.0, 1.0)
-    less, second, _ = exact_flows(PAPER_SITE, 80.0 - first, 2.0 + first, 1.0)
-    assert budget._stored == pytest.approx(out - less - first - second, rel=1e-9)
+    out_less, second, _ = exact_flows(PAPER_SITE, 80.0 - first, 2.0 + first, 1.0)
+    assert budget._stored == pytest.approx(out - out_less - first - second, rel=1e-9)
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
@@ -171,10 +171,10 @@ def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
     rain = [3e-6 if 7200 <= begin < 14_400 else 0.0 for begin in growing_steps(12)[:-1]]
     for budget, pumps in ((72.0, False), (0.01, True)):
         controller = lookahead(waiting_budget=budget, waiting_share=0.0)
-        given = 2.3, 0.04, [rain], [0.0] * STEPS
-        commands = [controller.command(*given) for _ in range(600)]
+        inputs = 2.3, 0.04, [rain], [0.0] * STEPS
+        commands = [controller.command(*inputs) for _ in range(600)]
         assert any(commands) is pumps
-    assert ["more than plain on/off" in said for said in caplog.messages] == [True]
+    assert ["more than plain on/off" in message for message in caplog.messages] == [True]
 
 
 def test_a_low_outlet_limits_the_waiting_by_hand() -> None:

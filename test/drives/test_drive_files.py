@@ -51,7 +51,7 @@ SECONDS = "    type: uint16\n    unit: s"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
          "registers.control.manual = 400001: must be 400002: address 1 + numbering.offset 400001; "
@@ -82,13 +82,13 @@ SECONDS = "    type: uint16\n    unit: s"
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, old: str, new: str, says: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     """The line that is named is the changed one, or the head of what lacks something."""
     assert ABB.count(old) == 1, f"{old!r} is not once in the file"
     path = tmp_path / "drive.yaml"
     path.write_text(ABB.replace(old, new), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: {re.escape(says)}"):
+    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: {re.escape(message)}"):
         read_drive_file(path)
 
 
@@ -97,16 +97,16 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(ABB.replace("least_speed: 0.3", "least_speed: 30"), encoding="utf-8")
     line = 1 + path.read_text(encoding="utf-8").split("\n").index("least_speed: 30")
-    says = rf"mine.yaml, line {line}: least_speed = 30: must be from 0 to 1"
-    with pytest.raises(ConfigurationError, match=says):
+    message = rf"mine.yaml, line {line}: least_speed = 30: must be from 0 to 1"
+    with pytest.raises(ConfigurationError, match=message):
         read_drive_file(find_drive_file(str(path)))
-    says = "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202,"
-    with pytest.raises(ConfigurationError, match=says):
+    message = "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202,"
+    with pytest.raises(ConfigurationError, match=message):
         find_drive_file("siemens")
 
 
 @pytest.mark.parametrize(
-    ("text", "address", "interface", "asked"),
+    ("text", "address", "interface", "device_id"),
     [
         ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp", 3),
         ("tcp://[::1]:502", Address(host="::1", port=502), "tcp", 3),
@@ -116,7 +116,7 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
         ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247), "serial", 247),
     ],
 )
-def test_addresses(text: str, address: Address, interface: str, asked: int) -> None:
+def test_addresses(text: str, address: Address, interface: str, device_id: int) -> None:
     """A gateway leads to the serial port; the device asked is the address's, or the file's."""
     assert parse_drive_address(text, "at") == address
     assert str(address) == text and address.interface == interface
@@ -125,7 +125,7 @@ def test_addresses(text: str, address: Address, interface: str, asked: int) -> N
     numbered = replace(
         read, serial=replace(read.serial, device_id=17), tcp=replace(read.tcp, device_id=3)
     )
-    assert numbered.line(address, 1.0).where == f"{text}, device {asked}"
+    assert numbered.line(address, 1.0).where == f"{text}, device {device_id}"
 
 
 @pytest.mark.parametrize(

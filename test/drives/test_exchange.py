@@ -48,8 +48,8 @@ def abb(unguarded_s: float = 0.0) -> DriveFile:
     read = read_drive_file(find_drive_file("abb_acs880"))
     assert read.timeout.serial is not None
     assert read.timeout.serial.unguarded_after_power_up_s == 30.0
-    own = replace(read.timeout.serial, unguarded_after_power_up_s=unguarded_s)
-    return replace(read, timeout=Timeouts(own))
+    timeout = replace(read.timeout.serial, unguarded_after_power_up_s=unguarded_s)
+    return replace(read, timeout=Timeouts(timeout))
 
 
 ABB = abb()
@@ -132,8 +132,8 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    with closing(Bench()) as made:
-        yield made
+    with closing(Bench()) as bench:
+        yield bench
 
 
 def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
@@ -268,16 +268,16 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None
 
 
 def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
-    seen = set()
+    fault_texts = set()
     bench.drive.values.update({3: 0x1238, 400: 0x6681})  # EFB communication loss
     bench.exchange.start()
     bench.speed = 0.5
     while bench.drive.values[4] != 10000:
         if bench.now.status is not None:
-            seen.add(bench.now.status.fault)
+            fault_texts.add(bench.now.status.fault)
         time.sleep(0.001)
     assert bench.drive.written[:3] == [OFF, (1, 0), OFF] and ACKNOWLEDGE in bench.drive.written
-    assert seen <= {""}
+    assert fault_texts <= {""}
     assert bench.now.errors == 1
 
 
@@ -506,13 +506,13 @@ class Stopping:
         while self.now < until:
             self.now += 0.1
             self.obedience.stop_written(self.now)
-            said = speed(self.now)
+            read = speed(self.now)
             try:
-                if said is None:
+                if read is None:
                     self.lose()
                 else:
                     self.obedience.heard()
-                    status = DriveStatus(True, True, "", "", said, None, remote)
+                    status = DriveStatus(True, True, "", "", read, None, remote)
                     self.faults.add(self.obedience.judge(status, self.now).fault)
             except RunsOnError as error:
                 self.obedience.lost(True, self.now)
@@ -553,7 +553,7 @@ def test_one_that_does_not_slow_down_is_left_and_again_after_a_minute(
     assert stopping.faults <= {"", acknowledges}
     assert any(stopping.faults) == ("fallen" in why)
     assert [at for at, _ in stopping.left] == pytest.approx(left, abs=0.2)
-    assert all(why in said for _, said in stopping.left)
+    assert all(why in reason for _, reason in stopping.left)
 
 
 def test_what_is_known_of_the_speed_outlives_connections_that_break() -> None:
@@ -713,13 +713,13 @@ def test_whatever_fails_the_next_step_begins_again(
 ) -> None:
     """No file descriptor is left, for instance."""
     bench.run()
-    does, errors, problems = getattr(ModbusLine, method), [OSError("torn out")], set[str]()
+    original, errors, problems = getattr(ModbusLine, method), [OSError("torn out")], set[str]()
 
     def fail_once(self: ModbusLine) -> None:
         problems.add(bench.now.problem)
         if errors:
             raise errors.pop()
-        does(self)
+        original(self)
 
     monkeypatch.setattr(ModbusLine, method, fail_once)
     bench.drive.values[4] = 0
@@ -761,10 +761,10 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
         falls_for(second, seconds)
         stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(second_wire.at)))
         bench.exchange.close()
-        left = stop.result()
+        status = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
     assert bench.now.status is not None
-    assert (bench.now.status.stands, left.stands) == (stands, stands)
+    assert (bench.now.status.stands, status.stands) == (stands, stands)
 
 
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
@@ -780,11 +780,11 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
         wait(lambda: "runs this drive already" in bench.now.problem)
-        left = stop.result()
+        at_end = stop.result()
     assert time.monotonic() - began < 2.0
     wait(lambda: bench.now.connected)
     bench.close_within(2.0)
-    for status in (left, bench.now.status):
+    for status in (at_end, bench.now.status):
         assert str(status) == "speed 100.0%, running, local control"
         assert status is not None and not status.stands
 
@@ -813,7 +813,7 @@ def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() 
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
-    rest = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
+    others_end = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
     assert float(line.partition("=")[2]) > max(
         PUMP_ENDING_S + KILLING_S + leave, 2 * leave
-    ) + rest
+    ) + others_end

@@ -31,7 +31,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
 
 
 @contextmanager
-def heard(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
+def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
     """Hear a sensor that says metres up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": f"{broker.address}/{TOPIC}", "scale": 1.0, "low": 0.0, "high": 6.0, "median": 1,
@@ -112,7 +112,7 @@ MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
 def test_what_a_message_says(
     shared: Mosquitto, message: str, changed: dict[str, object], expected: float | str
 ) -> None:
-    with heard(shared, **changed) as reader, Talker(shared) as talker:
+    with reading(shared, **changed) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
         (result,) = after(reader, talker, message)
         assert result == (expected if isinstance(expected, str) else pytest.approx(expected))
@@ -121,7 +121,7 @@ def test_what_a_message_says(
 
 def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
     """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
-    with heard(shared, median=3) as reader, Talker(shared) as talker:
+    with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "7")
         results = after(reader, talker, "1", "5", "2", "7", "4", "3")
     assert results == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
@@ -134,7 +134,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
     """A retained message may be of last year; one that comes now counts, whatever its flag."""
     with Talker(shared) as talker:
         talker.say(TOPIC, "1.5", retain=True)
-        with heard(shared) as reader:
+        with reading(shared) as reader:
             until(lambda: "what the broker kept may be old" in reader.snapshot.problem, 20)
             assert reader.snapshot.value is None
             talker.say(TOPIC, "1.6", retain=True)
@@ -143,7 +143,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
 
 
 def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
-    with heard(shared, max_age=0.5) as reader, Talker(shared) as talker:
+    with reading(shared, max_age=0.5) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
         talker.say(TOPIC, "2")
         until(lambda: reader.snapshot.value == 2.0, 20)
@@ -160,7 +160,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
     # Asked for when nothing is heard yet, and with each message.
     slept = chain([0.0] * 3, repeat(3600.0))
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
-    with heard(shared, median=3) as reader, Talker(shared) as talker:
+    with reading(shared, median=3) as reader, Talker(shared) as talker:
         time.sleep(0.5)  # until it has subscribed
         assert after(reader, talker, "1", "1") == [1.0, 1.0]
         slept_for = "may have said this before the machine was suspended"
@@ -176,7 +176,7 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
     shared: Mosquitto
 ) -> None:
     """Unlike a value, that is known from what the broker kept."""
-    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
         unknown = "is not there: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
@@ -190,14 +190,14 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         assert after(reader, talker, "2") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
         until(lambda: "is there, and" in reader.snapshot.problem, 20)
-    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
         until(lambda: "is there, and" in reader.snapshot.problem, 20)
         assert after(reader, talker, "3") == [3.0]
 
 
 def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
     """It is said at once that it is lost; one that hangs, within 15 s."""
-    with mosquitto(tmp_path) as broker, heard(broker, max_age=1.0) as reader:
+    with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
 
         def talk(message: str) -> None:
             with Talker(broker) as talker:
@@ -280,7 +280,7 @@ def test_login_and_encryption(tmp_path: Path) -> None:
 
 def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
     """A gauge of 0.2 mm a tip, which says its total in mm."""
-    with heard(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
+    with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
 
         def rate(total: str, pause: float) -> tuple[float, float]:
@@ -325,7 +325,7 @@ def test_the_shipped_file_is_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
+    ("old", "new", "line", "message"),
     [
         ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
          "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
@@ -350,12 +350,12 @@ def test_the_shipped_file_is_read() -> None:
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
-    tmp_path: Path, old: str, new: str, line: int, said: str
+    tmp_path: Path, old: str, new: str, line: int, message: str
 ) -> None:
     assert old in SHIPPED
     file = tmp_path / "own.yaml"
     file.write_text(SHIPPED.replace(old, new, 1))
     with pytest.raises(ConfigurationError) as caught:
         read_sensors(file, {"level_limit": 5.0})
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert f"own.yaml, line {line}: " in str(caught.value)

@@ -161,7 +161,7 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
 
 
 @pytest.mark.parametrize(
-    ("wanted", "offered", "lacking"),
+    ("required", "offered", "lacking"),
     [
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 1.5), []),
@@ -178,14 +178,14 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(
-    wanted: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
+    required: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
     lacking: list[str],
 ) -> None:
     """DDS connects who offers as much as is asked for, or more; a shorter lease is more."""
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
-    assert lacks(profile, wanted) == lacking
+    assert lacks(profile, required) == lacking
 
 
 def test_requirements_in_words() -> None:

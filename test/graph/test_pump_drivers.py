@@ -135,13 +135,16 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
             code, failed = process.wait(180), failures(process.stdout())
             breaks = BROKEN.get(name, [])
             right = code == bool(breaks) and len(failed) == len(breaks) and all(
-                any(title in check and re.search(problem, said) for check, said in failed.items())
+                any(
+                    title in check and re.search(problem, failure)
+                    for check, failure in failed.items()
+                )
                 for _, _, title, problem in breaks
             )
             if not right:
                 wrong.append(f"{name}: exit code {code}, {failed}")
-        said = checks["example"].stdout()
-        assert "are the only witness" in said and ("22 of 22 checks passed" in said or wrong)
+        output = checks["example"].stdout()
+        assert "are the only witness" in output and ("22 of 22 checks passed" in output or wrong)
         # All checks, and no terminal: a line every ten seconds.
         assert "check " in checks["example"].stderr()
         # The check is gone, and so is the controller: a driver ends its run in good order.

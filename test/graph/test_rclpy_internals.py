@@ -37,14 +37,14 @@ class Small(Lifecycle, Node):
     def __init__(self, context: rclpy.Context) -> None:
         Node.__init__(self, "small", context=context)
         Lifecycle.__init__(self)
-        self.asked = 0
+        self.wakes = 0
 
     @transition
     def on_configure(self) -> None:
         pass
 
     def on_asked(self) -> None:
-        self.asked += 1
+        self.wakes += 1
 
 
 @pytest.fixture
@@ -88,9 +88,9 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     Each has the number that its publisher gave it.
     """
     profile = qos_profile(read_topics()["/roof/level"].qos)
-    heard: list[float] = []
+    values: list[float] = []
     small.create_subscription(
-        Float64, "level", lambda message: heard.append(deserialize_message(message, Float64).data),
+        Float64, "level", lambda message: values.append(deserialize_message(message, Float64).data),
         profile, raw=True,
     )
     publisher = small.create_publisher(Float64, "level", profile)
@@ -103,10 +103,10 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
 
     say(1.0, 2.0, 3.0)
     begin_to_listen(Deaf(), small)
-    assert heard == [1.0, 2.0, 3.0]
+    assert values == [1.0, 2.0, 3.0]
     say(4.0, 5.0)
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
-    numbers = [said["publication_sequence_number"] for _, said in waiting_in(subscription)]
+    numbers = [info["publication_sequence_number"] for _, info in waiting_in(subscription)]
     assert numbers == [4, 5]
 
 
@@ -125,4 +125,4 @@ def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
     assert not ask(Transition.TRANSITION_ACTIVATE)
     assert ask(Transition.TRANSITION_CONFIGURE)
     assert small.lifecycle_state == INACTIVE
-    assert small.asked == 2
+    assert small.wakes == 2

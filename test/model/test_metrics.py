@@ -197,12 +197,12 @@ def test_rain_kept_by_hand() -> None:
     assert results["rain_kept_share_day"] == pytest.approx(1 - 1.8 / 4.1, rel=1e-9)
 
 
-@pytest.mark.parametrize(("depth", "there"), [(20.0, False), (20.1, True)])
-def test_a_storm_has_more(depth: float, there: bool) -> None:
+@pytest.mark.parametrize(("depth", "expected"), [(20.0, False), (20.1, True)])
+def test_a_storm_has_more(depth: float, expected: bool) -> None:
     """An hour with 20 mm has not more; of one with more nothing is kept where more drains."""
     site = site_with(a2=100.0, tau=0.1)
     results = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
-    assert results.get("rain_kept_share_hour") == (0.0 if there else None)
+    assert results.get("rain_kept_share_hour") == (0.0 if expected else None)
 
 
 def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:

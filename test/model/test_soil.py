@@ -124,8 +124,8 @@ def test_the_layer_follows_its_equation(
         jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-8, atol=1e-12,
     )
     flow = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
-    left = layer + seconds * (inflow - flow)
-    assert left == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
+    remaining = layer + seconds * (inflow - flow)
+    assert remaining == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
 
 
 @settings(max_examples=20)
@@ -134,14 +134,14 @@ def test_the_layer_follows_its_equation(
     seconds=st.sampled_from([10.0, 3600.0]),
 )
 def test_free_changes_follow_their_equations(
-    x2: float, rain: float, asked: float, seconds: float
+    x2: float, rain: float, potential: float, seconds: float
 ) -> None:
     """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy; one step, or of many roofs."""
     volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
-    volume = solved(lambda x: -SOIL.water_stress(x) * asked, volume, seconds)
-    (change,) = SOIL.free_changes(x2, np.array([rain]), np.array([asked]), np.array([seconds]))
+    volume = solved(lambda x: -SOIL.water_stress(x) * potential, volume, seconds)
+    (change,) = SOIL.free_changes(x2, np.array([rain]), np.array([potential]), np.array([seconds]))
     assert x2 + change == pytest.approx(volume, rel=1e-6, abs=1e-6)
-    roofs = SOIL.after(np.full(2, x2), rain * ROOF.a2 * seconds, asked * seconds, seconds)
+    roofs = SOIL.after(np.full(2, x2), rain * ROOF.a2 * seconds, potential * seconds, seconds)
     assert roofs.tolist() == pytest.approx([volume] * 2, rel=1e-6, abs=1e-6)
 
 
@@ -205,14 +205,14 @@ def test_what_is_followed_is_what_the_plant_did(
     """From the substrate's volumes alone: bit for bit."""
     plant = Plant(site, 0.0, x2 * site.z_cap)
     states, flows = [], []
-    for rain, asked in ticks:
+    for rain, potential in ticks:
         states.append((plant.x2, plant.layer))
-        flows.append(plant.flows(rain, asked, 0.0))
+        flows.append(plant.flows(rain, potential, 0.0))
         plant.step(rain, flows[-1])
     volumes, layers = zip(*states, strict=True)
-    rain, asked = np.array(ticks).T
+    rain, potential = np.array(ticks).T
     roof = soil_of(site).follow(
-        layers[0], np.array(volumes), rain, np.zeros_like(rain), asked, None,
+        layers[0], np.array(volumes), rain, np.zeros_like(rain), potential, None,
         np.full_like(rain, site.tau),
     )
     assert roof.layer.tolist() == list(layers)

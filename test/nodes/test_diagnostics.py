@@ -105,8 +105,8 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     plant = observer.values("/site1/plant")
     assert isinstance(plant["roof_level"], float) and plant["tick"] == ticks
     for name in names[:3]:
-        where = tmp_path / "run" / "configuration" / "site.yaml"
-        assert observer.values(name)["site"] == str(where)
+        site_file = tmp_path / "run" / "configuration" / "site.yaml"
+        assert observer.values(name)["site"] == str(site_file)
     assert observer.values(names[3])["bag"] == str(tmp_path / "run" / "bag")
     for name in names:
         stamps = [
@@ -128,7 +128,7 @@ def test_failure_of_a_node(observer: Observer) -> None:
     """
     arrays = observer.hear("/diagnostics", lambda message: message)
 
-    def said() -> list[tuple[bytes, str]]:
+    def statuses() -> list[tuple[bytes, str]]:
         return [
             (status.level, status.message) for array in arrays for status in array.status
             if status.name == "/plant"
@@ -136,12 +136,12 @@ def test_failure_of_a_node(observer: Observer) -> None:
 
     weather = observer.start("weather")
     plant = observer.start("plant", start_limit=6.0)
-    observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
+    observer.until(lambda: statuses()[-1:] == [(ERROR, "ended")], 60, "the end")
     observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
     for process in (plant, weather):
         assert process.wait(300) in (1, -signal.SIGALRM)  # the latter on a busy machine
     check(arrays)
-    assert {level for level, _ in said()[:-1]} == {OK}
+    assert {level for level, _ in statuses()[:-1]} == {OK}
     values = observer.values("/plant")
     assert values["code"] == "node_failed"
     assert abs(datetime.fromisoformat(values["since"]).timestamp() - time.time()) < 300

@@ -137,9 +137,9 @@ def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: P
         env={**environment(domain), "PYTHONPATH": os.pathsep.join([str(CHECKOUT), *sys.path])},
     )
     python.unlink()
-    _, said = process.communicate(timeout=300)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode not in (0, 2)
-    assert "No such file or directory" in said
+    assert "No such file or directory" in errors
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed"
     assert "FileNotFoundError" in summary["reason"]

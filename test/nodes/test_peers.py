@@ -104,8 +104,8 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
     nodes.started["weather"].process.kill()
     assert nodes.code("plant") == 1
-    (said,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
-    assert said.endswith(
+    (fatal,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
+    assert fatal.endswith(
         "nothing came within 4 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
@@ -168,8 +168,8 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
     publishers = {topic: observer.publisher(topic) for topic in names}
     commands = observer.hear("/pump/command")
 
-    def say(said: Said) -> None:
-        for topic, value in said:
+    def say(messages: Said) -> None:
+        for topic, value in messages:
             kind = message_class(read_topics()[topic].type)
             publishers[topic].publish(kind() if kind is Clock else kind(data=value))
 
@@ -188,7 +188,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
 
 def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> None:
     """As nodes that were started by hand find it: bringup looks before it starts any."""
-    both = [observer.publisher(LEVEL[0]) for _ in range(2)]
+    publishers = [observer.publisher(LEVEL[0]) for _ in range(2)]
     nodes.node("onoff")
-    assert len(both) == 2 and nodes.code("onoff") == 3
+    assert len(publishers) == 2 and nodes.code("onoff") == 3
     assert "/cistern/level has 2 publishers (" in nodes.log("onoff")

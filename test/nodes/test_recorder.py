@@ -95,9 +95,9 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         )
         assert reason is not None, summary["reason"]
         assert summary["reason"] in process.stderr()
-        there = recover(disk / "run")
-        assert there.returncode == 2
-        assert "bag-recovered: cannot be written: No space left on device" in there.stderr
+        recovered = recover(disk / "run")
+        assert recovered.returncode == 2
+        assert "bag-recovered: cannot be written: No space left on device" in recovered.stderr
         assert not (disk / "run" / "bag-recovered").exists()
         done = recover(disk / "run", "--output", str(tmp_path / "rescued"))
         assert done.returncode == 0, done.stderr

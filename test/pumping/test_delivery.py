@@ -144,13 +144,13 @@ WELL: list[Any] = [
 ]
 
 
-@pytest.mark.parametrize(("made", "changed", "scenes", "least"), WELL)
+@pytest.mark.parametrize(("settings", "changed", "scenes", "least"), WELL)
 def test_what_goes_well_is_no_alarm(
-    made: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
+    settings: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
     least: dict[str, float],
 ) -> None:
     """Scenes: seconds, command, rain and evapotranspiration (mm/h), and a level that is unknown."""
-    rig = Rig(**({"noise": NOISE} | made))
+    rig = Rig(**({"noise": NOISE} | settings))
     for name, value in changed.items():
         setattr(rig, name, value)
     for scene in scenes:
@@ -190,7 +190,7 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 
 
 @pytest.mark.parametrize(
-    ("made", "before", "broken", "command", "within", "cause"),
+    ("settings", "before", "broken", "command", "within", "cause"),
     [
         # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that may be
         # evapotranspiration: a hundredth of the flow needs 18,400 s. Then the mean lags 60 s, and
@@ -213,11 +213,11 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
     ],
 )
 def test_what_breaks_is_found(
-    made: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
+    settings: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
     cause: str,
 ) -> None:
     """After ten minutes that went well; the pump is off then."""
-    rig = Rig(**({"noise": NOISE} | made))
+    rig = Rig(**({"noise": NOISE} | settings))
     rig.run(600, before)
     assert rig.decisions[-1].state != "fault"
     for name, value in broken.items():
@@ -236,8 +236,8 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
     rig.run(200, 0.0)
     rig.run(3, 1.0)
-    lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-    rig.change, rig.stuck_speed = lost, 1.0
+    drive_lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
+    rig.change, rig.stuck_speed = drive_lost, 1.0
     rig.run(10, 1.0)
     rig.stuck_speed = None
     rig.run(120, 1.0)
@@ -246,7 +246,7 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     assert rig.run(60, 1.0).state == "running"
     rig = Rig(x2=0.5)
     rig.run(200, 0.0)
-    rig.change, rig.stuck_speed = lost, 1.0
+    rig.change, rig.stuck_speed = drive_lost, 1.0
     assert time_to_fault(rig, 300, 0.0) <= 90
     assert "(a stuck contactor)" in rig.decisions[-1].why
 
@@ -266,7 +266,7 @@ def test_a_repaired_pipe() -> None:
 
 
 @pytest.mark.parametrize(
-    ("site", "leak", "after", "left", "detected"),
+    ("site", "leak", "after", "level", "detected"),
     [
         # Of 25 m2 8 mm may be lost in eight hours, and 6 mm more: together 0.35 m3.
         (PAPER_SITE, 0.25 / 28800, 0.0, 69.75, False), (PAPER_SITE, 0.6 / 28800, 0.0, 69.4, True),
@@ -275,14 +275,14 @@ def test_a_repaired_pipe() -> None:
     ],
 )
 def test_a_suspend_hides_no_leak(
-    site: Site, leak: float, after: float, left: float, detected: bool
+    site: Site, leak: float, after: float, level: float, detected: bool
 ) -> None:
     """Of eight hours."""
     rig = Rig(x2=1.0, site=site, **SLOW)
     rig.run(200, 0.0)
     rig.leak = leak
     rig.suspend(8 * 3600)
-    assert rig.plant.x1 == pytest.approx(left, abs=0.1)
+    assert rig.plant.x1 == pytest.approx(level, abs=0.1)
     rig.leak = after
     assert (time_to_fault(rig, 1800, 0.0) < math.inf) == detected
     assert not detected or "perhaps a leak" in rig.decisions[-1].why

@@ -246,11 +246,11 @@ def texts_in(tree: ast.AST) -> set[str]:
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     """Code and cause follow the problem in each call of ``diagnose`` and ``say``."""
     positions = {"diagnose": slice(3, 5), "say": slice(3, 6)}
-    said, reported = set[str](), set[str]()
+    texts, reported = set[str](), set[str]()
     for room in ("graph", "nodes", "bringup", "watch", "pumping", "drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
-            said |= texts_in(tree)
+            texts |= texts_in(tree)
             for call in ast.walk(tree):
                 if isinstance(call, ast.Call) and room not in ("watch", "pumping", "drives"):
                     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
@@ -258,11 +258,11 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
                         reported |= texts_in(argument)
     # One for each way in which a node says so.
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
-    of_inputs = {text for text in said if text.startswith("input_") and text.isidentifier()}
+    of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
     codes = read_conditions().keys()
     assert (reported - {""}) | of_inputs <= codes
-    assert codes - INTERLOCKS.keys() <= said
+    assert codes - INTERLOCKS.keys() <= texts
 
 
 # --- when it may run ------------------------------------------------------------------------------

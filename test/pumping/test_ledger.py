@@ -60,7 +60,7 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
 
 
 @pytest.mark.parametrize(
-    ("text", "kept"),
+    ("text", "expected"),
     [
         ('"\\\x00' * 10_000, '"\\ ' * 116 + '"\\'),
         ("\ud800" + "\U0001f4a7" * 400, " " + "\U0001f4a7" * 87),
@@ -68,7 +68,7 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
     ids=["escaped", "wide"],
 )
 def test_a_missing_file_is_a_fresh_record_and_is_made(
-    text: str, kept: str, tmp_path: Path, clock: Clock
+    text: str, expected: str, tmp_path: Path, clock: Clock
 ) -> None:
     """With its directories, at the size that it keeps; nothing but the lock is left beside.
 
@@ -88,7 +88,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     ledger.stop_on_page(True)
     assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
-    assert (again.fault, again.operator_stop, again.page_stop) == (kept, kept, True)
+    assert (again.fault, again.operator_stop, again.page_stop) == (expected, expected, True)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {path.name for path in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 

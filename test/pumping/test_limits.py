@@ -60,8 +60,8 @@ def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
 def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: int) -> None:
     """Whoever wants to start when: never more, and no start waits longer than for that."""
     ledger = Ledger(None, lambda: 0.0)
-    given = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
-    limits = Limits(PAPER_SITE, given, ledger)
+    settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
+    limits = Limits(PAPER_SITE, settings, ledger)
     starts: list[float] = []
     for passed in times:
         ledger.count(passed, 0.0, 0.0)
@@ -190,9 +190,9 @@ def test_never_runs_while_anything_speaks_against_it(
 # --- pulses ---------------------------------------------------------------------------------------
 
 
-def pulses(**given: float) -> Pulses:
+def pulses(**changes: float) -> Pulses:
     """Return pulses of the paper's site."""
-    return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **given))
+    return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
 def test_least_share_and_pulse_by_hand() -> None:
@@ -290,6 +290,6 @@ def test_too_many_starts_are_said() -> None:
         for before, now in zip(rig.decisions, rig.decisions[1:], strict=False)
     )
     assert starts <= 4
-    said = [decision.warning for decision in rig.decisions if decision.warning]
-    assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in said[-1]
+    texts = [decision.warning for decision in rig.decisions if decision.warning]
+    assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in texts[-1]
     assert rig.delivered == pytest.approx(600 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)

@@ -268,14 +268,14 @@ def test_a_drive_has_its_own_time() -> None:
     3 s of that are its ramp's. By then 900 s have been simulated.
     """
     control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
-    seen = Observation(
+    observed = Observation(
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.05, flow=0.0,
         drive_flow=None, drive_ready=True, drive_fault="",
     )
-    states = [control.step(1.0, seen, 1 / 60).state for _ in range(1000)]
+    states = [control.step(1.0, observed, 1 / 60).state for _ in range(1000)]
     first = states.index("fault")
-    asked = states.index("starting")
-    assert 900 <= first - asked <= 902
+    at_start = states.index("starting")
+    assert 900 <= first - at_start <= 902
 
 
 @pytest.mark.parametrize(
@@ -393,15 +393,15 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     """
     flow = 1.29646769e-3 * math.sqrt(2.8 + 55.2 - 13.0)
     rig = Rig(x1=70.0)
-    lost = LOST | {"cistern_level": 2.8}
+    no_drive = LOST | {"cistern_level": 2.8}
     rig.step(0.0)
-    rig.change = lost
+    rig.change = no_drive
     rig.run(60, 1.0)
     assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
     rig.change = {}
     rig.run(60, 1.0)
     before = rig.ledger.record
-    rig.change = lost
+    rig.change = no_drive
     rig.run(75, 1.0)
     after = rig.ledger.record
     assert after.day_run - before.day_run == pytest.approx(15, abs=1)

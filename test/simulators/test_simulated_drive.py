@@ -129,16 +129,16 @@ def driver(shared: Simulator) -> Iterator[Drive]:
     """A driver that is connected to it, and no fault stands."""
     shared.inject("none")
     at = parse_address(place_of(shared))
-    made = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
+    drive = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
 
     def connects() -> bool:
         with suppress(DriveError):  # its port may be just being opened again
-            made.line.connect()
-        return made.line.connected
+            drive.line.connect()
+        return drive.line.connected
 
     until(connects)
-    yield made
-    made.line.close()
+    yield drive
+    drive.line.close()
     shared.inject("none")
 
 
@@ -151,7 +151,7 @@ def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "parameter", "said"),
+    ("fault", "parameter", "error"),
     [
         ("none", DEFAULT, ""), ("slow", DEFAULT, ""), ("split", DEFAULT, ""),
         *((fault, DEFAULT, "no valid answer within 0.5 s")
@@ -166,11 +166,11 @@ def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
     ],
 )
 def test_faults_of_the_wire(
-    shared: Simulator, driver: Drive, fault: str, parameter: int, said: str
+    shared: Simulator, driver: Drive, fault: str, parameter: int, error: str
 ) -> None:
     """An answer in time, and byte by byte, is one."""
     shared.inject(fault, parameter)
-    with pytest.raises(DriveError, match=re.escape(said)) if said else nullcontext():
+    with pytest.raises(DriveError, match=re.escape(error)) if error else nullcontext():
         if fault == "refused_writes":
             driver.stop()
         assert driver.read().stands
@@ -234,9 +234,9 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
     assert "is no exception code" in refused(*FREE, "--fault", "exception=99")
-    own = tmp_path / "own.yaml"
-    own.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
-    assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(own))
+    copy = tmp_path / "own.yaml"
+    copy.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
+    assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
         assert "the port is taken" in refused("--port", port, "--workbench", "0")
@@ -258,13 +258,13 @@ class Driven:
     def reach(self, speed: float) -> None:
         """Ask for a speed until motor and driver both say that it is there."""
 
-        def there() -> bool:
+        def reached() -> bool:
             self.exchange.demand(speed or None)
             return self.drive.speed() == pytest.approx(speed, abs=1e-3) and self.said(
                 lambda status: status.speed == pytest.approx(speed, abs=2e-3)
             )
 
-        until(there, 8)
+        until(reached, 8)
 
 
 @contextmanager
@@ -289,20 +289,20 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
 ) -> None:
     """And has its fault reset. The timeout of a CIM is fixed."""
     timeout = 5 if make == "grundfos_cim500" else 2
-    with driven(make, tmp_path) as both:
-        drive, exchange = both.drive, both.exchange
-        both.reach(0.6)
+    with driven(make, tmp_path) as driven_drive:
+        drive, exchange = driven_drive.drive, driven_drive.exchange
+        driven_drive.reach(0.6)
         assert exchange.snapshot.timeout_s == timeout
-        both.reach(0.0)
-        both.reach(0.4)
+        driven_drive.reach(0.0)
+        driven_drive.reach(0.4)
         drive.inject("drive_fault")
-        until(lambda: both.said(lambda status: status.fault != "") and drive.speed() == 0)
+        until(lambda: driven_drive.said(lambda status: status.fault != "") and drive.speed() == 0)
         drive.inject("none")
         exchange.demand(None)
         exchange.reset()
-        until(lambda: both.said(lambda status: status.fault == ""))
+        until(lambda: driven_drive.said(lambda status: status.fault == ""))
         exchange.close()
-        alone = Drive(both.file, parse_address(place_of(drive)))
+        alone = Drive(driven_drive.file, parse_address(place_of(drive)))
         alone.line.connect()
         alone.run(0.6)
         alone.line.close()

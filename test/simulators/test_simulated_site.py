@@ -95,7 +95,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
-            said = [
+            levels = [
                 ModbusReader(sensor, "m").read() for sensor in sensors.by_section.values()
                 if isinstance(sensor, ModbusSensor)
             ]
@@ -115,16 +115,16 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     assert last["cistern_level_m"] == pytest.approx(3 - 0.2450 / 25, abs=1e-5)
     assert last["roof_level_m"] == pytest.approx(0.05 + 0.2450 / 68.8 + 40 * 9e-6, abs=1e-5)
     # Through a burst pipe water leaves the cistern and does not arrive.
-    lost = after["pumped_m3"] - before["pumped_m3"]
-    assert lost > 0.1
+    pumped = after["pumped_m3"] - before["pumped_m3"]
+    assert pumped > 0.1
     assert after["roof_level_m"] - before["roof_level_m"] == pytest.approx(20 * 9e-6, rel=1e-3)
     assert before["cistern_level_m"] - after["cistern_level_m"] == pytest.approx(
-        (lost - 20 * 2.922467e-6) / 25, rel=1e-5
+        (pumped - 20 * 2.922467e-6) / 25, rel=1e-5
     )
     # A tick or two may lie between reading them and the table.
-    assert said[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
-    assert said[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
-    assert said[2] == pytest.approx(6.1261e-3, rel=1e-3)
+    assert levels[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
+    assert levels[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
+    assert levels[2] == pytest.approx(6.1261e-3, rel=1e-3)
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,13 +213,13 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--drive-at", "somewhere"), "--drive-at = 'somewhere': must be tcp://"),
         (("--fault", "flood"), "--fault = 'flood': must be one of none, cistern_frozen"),
     ],
 )
 def test_wrong_options_are_refused(
-    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], message: str
 ) -> None:
-    assert said in refusal(monkeypatch, site_simulator, *options)
+    assert message in refusal(monkeypatch, site_simulator, *options)
