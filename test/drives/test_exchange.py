@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, over_serial
@@ -70,8 +71,8 @@ class Bench:
         self.drive = acs880()
         self.wire = Wire(self.drive)
         self.exchange = DriveExchange(
-            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")), PERIOD,
-            **{"dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
+            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")),
+            **{"period_s": PERIOD, "dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
         )
         self.speed: float | None = None
         self._ended = threading.Event()
@@ -188,6 +189,16 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     count = len(drive.written)
     time.sleep(4 * PERIOD)
     assert len(drive.written) == count
+
+
+def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
+    """A run and a stop go out at once, however seldom the drive is asked; half a speed may wait."""
+    with closing(Bench(period_s=20.0, dead_man_s=60.0)) as bench:
+        bench.connect()
+        bench.speed = 0.5
+        assert wait(lambda: bench.drive.values[0] == 0x047F) < 2.0
+        bench.speed = None
+        assert wait(lambda: bench.drive.values[0] == 0x047E) < 2.0
 
 
 def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
@@ -707,21 +718,23 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
 # --- what must not happen -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["connect", "close"])
+@pytest.mark.parametrize(
+    ("owner", "method"), [(ModbusLine, "connect"), (ModbusLine, "close"), (Obedience, "lost")]
+)
 def test_whatever_fails_the_next_step_begins_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, method: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
 ) -> None:
     """No file descriptor is left, for instance."""
     bench.run()
-    original, errors, problems = getattr(ModbusLine, method), [OSError("torn out")], set[str]()
+    original, errors, problems = getattr(owner, method), [OSError("torn out")], set[str]()
 
-    def fail_once(self: ModbusLine) -> None:
+    def fail_once(*arguments: Any) -> Any:
         problems.add(bench.now.problem)
         if errors:
             raise errors.pop()
-        original(self)
+        return original(*arguments)
 
-    monkeypatch.setattr(ModbusLine, method, fail_once)
+    monkeypatch.setattr(owner, method, fail_once)
     bench.drive.values[4] = 0
     bench.wire.drop()
     wait(lambda: not errors and bench.now.connected)

@@ -486,6 +486,7 @@ def test_local_control_is_named() -> None:
     assert raised.value.kind == "drive"
     assert "control = 0x047E had no effect within 2 s" in str(raised.value)
     assert "switch-on inhibited" in str(raised.value)
+    assert "tripped" not in str(raised.value)  # only bits that are set
 
 
 def test_giving_up_in_the_middle_of_a_start() -> None:
@@ -498,7 +499,7 @@ def test_giving_up_in_the_middle_of_a_start() -> None:
 """, lambda drive: drive.run(0.5, lambda: next(answers)))
 
 
-@pytest.mark.parametrize("speed", [-0.1, float("nan")])
+@pytest.mark.parametrize("speed", [-0.1, 1.01, float("nan")])
 def test_no_speed(speed: float) -> None:
     with pytest.raises(ValueError, match="no share"):
         follow("abb_acs880", "", lambda drive: drive.run(speed))

@@ -216,6 +216,22 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
         assert not np.any(np.subtract(entry.value, value if good else 0.0))
 
 
+def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit() -> None:
+    """The unit of a plain number, which is 1, is not written."""
+    topics = read_topics()
+    for name, value, words in (
+        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0, and must be from 0 to 100 m"),
+        ("/pump/command", -2.0, "/pump/command was refused: -2.0, and must be from 0 to inf"),
+        ("/forecast/precipitation", array("d", [0.0, -1.0, math.inf]),
+         "/forecast/precipitation was refused: -1.0, and must be from 0 to 0.001 m/s"),
+    ):
+        topic = topics[name]
+        entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))
+        assert not entry.heard and entry.good
+        entry.receive(encoder(topic.type, topic.dimensions)(value))
+        assert entry.problem == words
+
+
 def test_what_a_subscriber_takes_of_a_plan() -> None:
     """Rows and emptiness are good; what was not decided is refused, as any NaN, and acts as 0."""
     topic = read_topics()["/controller/plan"]
