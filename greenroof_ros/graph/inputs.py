@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
@@ -277,7 +278,9 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         unit = "" if self.topic.unit == "1" else f" {self.topic.unit}"
-        limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
+        limits = f"must be finite and at least {self.topic.low:g}{unit}"
+        if self.topic.high < sys.float_info.max:
+            limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
         if not self.refused:
             self._logger.error(
                 f"refused {value!r} on {self.name}: it {limits}; it acts as 0, and further ones "

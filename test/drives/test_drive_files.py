@@ -138,7 +138,8 @@ def test_addresses(text: str, address: Address, interface: str, device_id: int) 
     ("text", "message"),
     [
         *((text, "must be tcp://HOST, tcp://HOST:PORT, gateway:")
-          for text in ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "COM3", "somewhere,17")),
+          for text in ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "COM3",
+                       "somewhere,17")),
         ("tcp://10.0.0.7,256", "must be the drive's device id, 0 to 255"),
         ("gateway://10.0.0.7,0", "must be the drive's device id, 1 to 247"),
         ("/dev/ttyUSB0,x", "must be the drive's device id, 1 to 247"),
