@@ -111,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} has it already; end that one"
+        f"{file} cannot be written: process {os.getpid()} has it already; end that process"
     )
     assert "--state, state_file" in problem
     second.stop("")
