@@ -29,7 +29,7 @@ from greenroof_ros.drives.sensor_file import QUANTITIES
 def own_domain() -> Iterator[int]:
     """Hold a ROS domain that no other test session or worker on this machine holds.
 
-    From 51 on they are those of studies.
+    From 51 on they are for studies.
     """
     for domain in range(1, 51):
         lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
@@ -121,7 +121,7 @@ def free_ports(number: int) -> list[int]:
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
-    """Wait until a condition holds and return its value; one that computes is asked less often.
+    """Wait until a condition holds and return its value; a slow condition is asked less often.
 
     To read a bag all the time would take a core from what is waited for.
     """

@@ -22,7 +22,7 @@ def frame(text: str) -> bytes:
 
 
 class Wire:
-    """A TCP port that takes Modbus TCP frames and answers as it is told."""
+    """A TCP port that takes Modbus TCP frames and answers as the test says."""
 
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer

@@ -77,7 +77,7 @@ def run_of_hours(
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         site: its parameters; unless given the paper's, in ticks of ten seconds.
-        steps: of the run; those of all hours unless given.
+        steps: of the run; by default all hours'.
         fraction: of on/off.
     """
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")

@@ -1,4 +1,4 @@
-"""``greenroof``: its help, its commands and those of ``python -m``, completion in the shell."""
+"""``greenroof``: its help, its commands by both names, completion in the shell."""
 
 from __future__ import annotations
 

@@ -60,8 +60,8 @@ def record_rows(
 ) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of 5 s while it rains and those of the
-    record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
+    The true roof is stepped by the plant, with ticks of 5 s while it rains and the record's
+    steps else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
     gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
     minutes at a quarter of the flow, where the cistern is not too low; its level has the same
     noise.
@@ -124,7 +124,7 @@ def record_rows(
 def summed(rows: list[list[str]], hours: int) -> list[list[str]]:
     """Return the rows that a logger of longer steps would write, the header first.
 
-    Rain and runoff are sums, the level that of the step's beginning, and each row has the
+    Rain and runoff are sums, the level is at the step's beginning, and each row has the
     temperatures of its day; a gap in any part is one of the whole.
     """
     count = hours * 3600 // STEP_S

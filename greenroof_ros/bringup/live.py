@@ -47,7 +47,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
-# How often systemd is told (s), and how long the start may then still take (microseconds).
+# How often systemd is notified (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 # How long the list of what is missing must stand before it is said (s), and how long what has not
@@ -293,7 +293,7 @@ class _Record:
         self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
-        """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
+        """Keep the status of the site, from :mod:`greenroof_ros.experiment.summary`."""
         self._written = self.log.changes
         self._summary.give({
             "status": status,

@@ -194,7 +194,7 @@ class Finding:
 
     Attributes:
         check: what the part must do.
-        problem: what this one does instead; empty where it is right.
+        problem: what it does instead; empty where it is right.
         came: what it did, where that is right and worth a number.
     """
 

@@ -1,4 +1,4 @@
-"""Writing to disks by a thread of its own, so that nobody who must be in time waits for one."""
+"""Writing to disks by a thread of its own, so that nobody who must be in time waits for a disk."""
 
 from __future__ import annotations
 

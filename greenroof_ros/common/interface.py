@@ -136,7 +136,7 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     """Return the topics of a controller's outputs, each with the controller's attribute.
 
     Raises:
-        ConfigurationError: one is no optional topic of the interface.
+        ConfigurationError: a name is no optional topic of the interface.
     """
     topics = {name: topic for name, topic in read_topics().items() if topic.optional}
     for name in outputs:
@@ -212,7 +212,7 @@ def markdown_table(topics: Iterable[Topic]) -> str:
 
 
 def _roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, those of a live graph behind the others."""
+    """Return who publishes or subscribes, first simulated, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
 

@@ -51,7 +51,7 @@ class AfterForecast:
     end there, as the paper's 12 h do, and for no roof that lives on.
 
     Attributes:
-        edges: ends of all steps (s from now), those of the forecast and the days after it, the
+        edges: ends of all steps (s from now), of the forecast and of the days after it, the
             first 0, shape (steps + days_after + 1,).
         steps: of the forecast.
     """

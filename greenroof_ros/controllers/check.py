@@ -52,7 +52,7 @@ class _Trial:
         return rates if self.choice.ensemble else rates[0].tolist()
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield levels and forecasts; of so many one."""
+        """Yield levels and forecasts: each, or one in so many."""
         points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
         for cistern, roof, rain, evaporated in islice(points, 0, None, stride):
             yield (
@@ -61,11 +61,11 @@ class _Trial:
             )
 
     def make(self, **changes: float) -> Controller:
-        """Make one with its defaults, but for these parameters."""
+        """Make a controller with its defaults, but for these parameters."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
     def ask(self, controller: Controller, stride: int = 1) -> list[float]:
-        """Ask for a command at all levels and forecasts, or at one of so many."""
+        """Ask for a command at all levels and forecasts, or at one in so many."""
         return [_checked_command(controller, *inputs) for inputs in self.inputs(stride)]
 
 

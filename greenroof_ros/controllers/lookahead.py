@@ -141,8 +141,9 @@ class Lookahead:
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
         edges = self._after.edges
-        forecast_edges = edges[: self._after.steps + 1]
-        days = range(self._after.steps + 1, len(edges))
+        forecast_edges, days = (
+            edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
+        )
         self._plan_edges = [
             [*_put_together(forecast_edges, site.tau, 0.0), *days],
             [*_put_together(forecast_edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],

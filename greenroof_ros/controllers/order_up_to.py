@@ -211,7 +211,7 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), may be 0, shape (n,).
-            groups: of the members that are told apart by nothing yet, by the least index in it; a
+            groups: of the members that nothing distinguishes yet, by the least index in it; a
                 group is part of one of the step before; shape (members, n).
         """
         members, steps = rain.shape
@@ -269,7 +269,7 @@ class OrderUpTo:
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), shape (n,).
             share: of the room for forecast rain that is left (1).
-            member: that is told apart from the others in place of these; None for each itself.
+            member: which is known to come, in place of each member itself (None).
 
         Returns:
             Of each step, three arrays of shape (members, n); filled to 0 is left alone.

@@ -1,4 +1,4 @@
-"""The controllers by name: this package's, those of other packages, and any class by its path."""
+"""The controllers by name: of this package, of other packages, and any class by its path."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BUILT_IN = {
 }
 # Names that are no more.
 _REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
-# The one that runs unless another is asked for.
+# The controller that runs unless another is asked for.
 DEFAULT = "mpc"
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
@@ -51,7 +51,7 @@ class ControllerChoice:
 
     Attributes:
         name: of its node, its section in a parameter file, and in results.
-        reference: finds it again: the name of a registered one, or ``package.module:Class``.
+        reference: finds it again: the name of a registered controller, or ``package.module:Class``.
         path: ``package.module:Class``.
     """
 
@@ -61,7 +61,7 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class; a solver's library is imported only when one is made.
+        """The class; a solver's library is imported only when it is asked for.
 
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
@@ -155,7 +155,7 @@ class ControllerChoice:
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the value of each parameter on a site unless a user gives another.
 
-        They are those of ``config/NAME.yaml``, which a user edits, where there is one.
+        They come from ``config/NAME.yaml``, which a user edits, where there is such a file.
         """
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():
@@ -206,7 +206,7 @@ def read_numbers(
     """Return the values of those parameters that a mapping of a file has.
 
     Raises:
-        ConfigurationError: one is not a number, or not in its range.
+        ConfigurationError: a value is not a number, or not in its range.
     """
     values = {}
     for key in (key for key in entries if key in parameters):
@@ -248,7 +248,7 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"its node would be named {name}, as another one is; rename the class",
+            f"its node would be named {name}, as another node is; rename the class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)

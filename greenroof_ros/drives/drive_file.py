@@ -58,7 +58,7 @@ class Register:
     """A holding register, or two that are one value.
 
     The value in the stated unit is scale x raw, divided by the value of the register `full_scale`
-    where one is named.
+    where it is named.
     """
 
     address: int = entry("on the wire, the first register is 0", 0, 65535)
@@ -212,7 +212,7 @@ class Timeouts:
         return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
     def over(self, address: Address) -> Timeout | None:
-        """Return the one that guards a connection; None where the file tells of none."""
+        """Return the timeout that guards a connection; None where the file has none."""
         return self.known.get(address.interface)
 
 
@@ -357,7 +357,7 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
 
 
 def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key that contradicts another one, and why; what follows goes by those before."""
+    """Yield each key that contradicts another, and why; what follows goes by those before."""
     registers = drive.registers
     for name, register in registers.items():
         for key, why in _register_mistakes(register, drive.numbering.offset):

@@ -425,7 +425,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             self._stop()
-            # Another one's word, which takes a while to come, cannot stand there yet.
+            # Another master's word, which takes a while to come, cannot stand there yet.
             drive.intruder()
             status = self._obedience.judge(self._read(), time.monotonic())
         except DriveError as error:

@@ -58,7 +58,7 @@ class DriveLock:
         except LockedError as error:
             raise DriveInUseError(
                 f"{self._drive}: process {error.holder or 'unknown'} of this machine runs this "
-                f"drive already (lock {path}); end that one, and this one goes on by itself",
+                f"drive already (lock {path}); end that process, and this one goes on by itself",
                 error.holder,
             ) from None
         except OSError as error:

@@ -118,8 +118,8 @@ class RelayLine:
         self.where = str(relay)
         self.parting: Message | None = None
         self._file, self._timeout_s = relay.file, timeout_s
-        # One name for all connections, so that a broker can be told who may publish on it; where
-        # answers have numbers, those of another connection are not taken for one's own.
+        # One name for all connections, so that a broker can limit who may publish on it; where
+        # answers have numbers, an answer to another connection does not count.
         self._known = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
@@ -163,7 +163,7 @@ class RelayLine:
 
         Args:
             message: to the relay.
-            values: of names with a $ in it, besides those of the connection.
+            values: of names with a $ in it, besides the connection's own.
 
         Raises:
             DriveError: there is no connection any more.

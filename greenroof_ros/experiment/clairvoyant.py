@@ -87,7 +87,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
         max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1; if not given, those of a minute.
+        block: ticks that share one variable, at least 1; if not given, a minute's.
 
     Raises:
         NoBoundError: the solver found no optimum.

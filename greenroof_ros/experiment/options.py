@@ -81,7 +81,7 @@ def add_controller_arguments(
     parser: argparse.ArgumentParser, group: argparse._ArgumentGroup,
     arguments: Sequence[str] | None = None,
 ) -> None:
-    """Add the option that names the controller, and those of its parameters, which it decides.
+    """Add the options for the controller's name and, by the controller, for its parameters.
 
     Args:
         parser: of the command.
@@ -318,7 +318,7 @@ def forecast_from_arguments(
     """Return the forecasts that a command line asks for.
 
     Args:
-        arguments: with those of :func:`add_forecast_options`.
+        arguments: parsed with the options of :func:`add_forecast_options`.
         text: which forecasts, a model or a path.
         key: the option or argument that has it, for messages.
 

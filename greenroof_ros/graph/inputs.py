@@ -171,10 +171,10 @@ class Publishers:
 def call_node(name: str) -> str:
     """Return what to call a node in a message, by its name in the graph.
 
-    Who joined just before another was killed may know that one's topics, and never its name.
+    A node that joined just before another was killed may know its topics, and never its name.
     """
     if name == _UNKNOWN_NAME:
-        return "a node whose name is not known, such as one that was killed"
+        return "a node whose name is not known, perhaps because it was killed"
     return name
 
 
@@ -319,8 +319,8 @@ class Inputs:
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
         """Return some of the topics, by the role of who should publish them.
 
-        Where the interface names two, the plant or a pump driver, it is the first of whom nothing
-        else is here.
+        Where the interface names two, the plant or a pump driver, it is the first that publishes
+        nothing else here.
         """
         present = {self._role} | {
             entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names
@@ -342,7 +342,7 @@ class Inputs:
     def causes(self, awaited: Collection[str]) -> str:
         """Name topics that are awaited, and the nodes that should publish them.
 
-        Those of a node that waits itself for another one of them are left out.
+        Topics of a node that waits itself for another of these topics are left out.
         """
         silent = self.by_role([name for name in self.by_name if name in awaited])
         causes = root_causes(silent, read_topics().values())

@@ -1,7 +1,7 @@
 """A live graph: a node acts every tick of the steady clock, on the newest value of each input.
 
-There is no plant and no clock topic. What is missing, late or wrong is not waited for: the node is
-told which of its inputs are not good, by the rules of
+There is no plant and no clock topic. What is missing, late or wrong is not waited for: the node
+learns which of its inputs are not good, by the rules of
 :mod:`greenroof_ros.pumping.input_rules`, and acts accordingly.
 """
 

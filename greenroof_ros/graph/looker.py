@@ -1,4 +1,4 @@
-"""Looks at a graph from outside: hears what it is told to hear, and can have the pump stopped.
+"""Looks at a graph from outside: hears the topics asked for, and can have the pump stopped.
 
 What it stopped it can release, by services of the pump node that are its own; it can ask for a
 pause, and where the site allows it for a dose.
@@ -22,7 +22,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import TAKING_DOWN_S, join
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
-# How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
+# How many messages of a topic wait until the next look: 1 s at 60 times real time.
 _DEPTH = 64
 
 DIAGNOSTICS = "/diagnostics"

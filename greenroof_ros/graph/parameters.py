@@ -1,7 +1,7 @@
 """Node parameters: described once, declared with description and range, refused in one line.
 
 rclpy ignores a parameter that no node has declared, so that a mistyped limit would have no effect,
-and nobody be told: here it is refused, on a node's command line and in bringup's parameter files.
+and nobody would know: here it is refused, on a node's command line and in parameter files.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     """Refuse a parameter of a command line that a node has not declared.
 
-    Those of a parameter file are left: a section of it may be for several nodes.
+    Parameters of a file are left: a section of it may be for several nodes.
 
     Args:
         node: that has declared all it has.

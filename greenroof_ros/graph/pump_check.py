@@ -117,7 +117,7 @@ class PumpCheck:
         Args:
             node: that plays the driver's peers.
             driver: name of its node, without namespace.
-            site: whose levels it is told.
+            site: whose levels it gets.
             limits: what is asked of it.
         """
         self._node = node
@@ -454,7 +454,7 @@ def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:
 
     Args:
         driver: name of its node, with its namespace where it has one: ``/site1/pump``.
-        site: whose levels it is told, and whose ticks.
+        site: whose levels and ticks it gets.
         limits: what is asked of it.
 
     Returns:

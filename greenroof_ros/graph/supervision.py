@@ -149,7 +149,7 @@ class SupervisorSocket:
                 read = read_socket(self._socket)
                 self._ended = not read
                 data += read
-        # A line is whole: so short a one is written at once. What a bringup of another version says
+        # A line is whole: so short, it is written at once. What a bringup of another version says
         # is no permit where it says something else.
         with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
             line = json.loads(data.splitlines()[-1])

@@ -44,7 +44,7 @@ KILLING_S = 5.0
 # How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
-# How often the pump node is told whether it may run (s).
+# How often the pump node gets its permit (s).
 PERMIT_S = 0.25
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
@@ -75,7 +75,7 @@ _NOT_REQUIRED = {
 logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 
-# Stops the drive without the pump node, whose process it is told; returns whether the drive says
+# Stops the drive without the pump node, given its process; returns whether the drive says
 # that the pump stands, and what came of it, in words.
 StopDrive = Callable[[int], tuple[bool, str]]
 
@@ -191,12 +191,12 @@ class Supervisor:
             parameters: ROS 2 parameter files of all nodes; what a later one says counts.
             namespace: of all nodes, such as ``/site1``; empty for none.
             stop_drive: None where there is none, or the pump is somebody else's.
-            on_failure: told of a node that failed and the run goes on: its name, and what happened
-                and was done about it.
+            on_failure: called where a node failed and the run goes on, with its name, and what
+                happened and was done about it.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
-        self._permitted = -math.inf  # when the pump node was last told whether it may run (s)
+        self._permitted = -math.inf  # when the pump node last got its permit (s)
         self._inhibit = ""
         self._stop_drive = stop_drive
         self._on_failure = on_failure
@@ -410,8 +410,8 @@ class LiveSupervisor(Supervisor):
     """The node processes of a live site, and whether the pump may run.
 
     A node that ends, or says nothing for too long, is started again, after a while that grows; one
-    that needs that too often is given up, and the site with it, the pump stopped. The pump node is
-    told four times a second whether it may run. Where it dies, falls silent or does not obey, it is
+    that needs that too often is given up, and the site with it, the pump stopped. The pump node
+    gets a permit four times a second. Where it dies, falls silent or does not obey, it is
     killed, and the drive is stopped from here. The recorder is never given up, and ends nothing:
     recording must not stop control.
 

@@ -2,7 +2,7 @@
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
 combine those numbers: their sum, the largest, the last; hours are counted in ticks. A ratio is of
-two sums, and the rain that was kept is of those of each hour of the run. The same function serves a
+two sums, and the share of rain kept is of the sums of each hour. The same function serves a
 run that is under way, block by block (:class:`Metrics`), and one that was recorded
 (:func:`totals_of`).
 

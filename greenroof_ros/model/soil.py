@@ -1,6 +1,6 @@
 """The soil of a roof: the paper's, Eq. (4), or a measured one. Both have the same methods.
 
-:func:`soil_of` gives the one that a site has; :class:`PaperSoil` says what each method returns.
+:func:`soil_of` gives the soil of a site; :class:`PaperSoil` says what each method returns.
 """
 
 from __future__ import annotations
@@ -336,8 +336,8 @@ class MeasuredSoil:
     def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
         """Return the soil as it is, since it is continuous.
 
-        At the wilting point, the onset of stress and field capacity the slopes are those of one
-        side.
+        At the wilting point, the onset of stress and field capacity the slopes are taken from
+        one side.
         """
         filled, stress = self.filled_share(x2), self.water_stress(x2)
         excess = max(0.0, x2 - self._capacity)
@@ -377,7 +377,7 @@ class MeasuredSoil:
         return np.minimum(arrived, self._wilting) + self._available * np.tanh(more)
 
     def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
-        """Predict the change in steps as those of :meth:`after`, which may be long."""
+        """Predict the change in steps that may be long, as in :meth:`after`."""
         dry, most, drying = self._wilting, self._available, self._drying
         stressed = dry + drying  # below it evapotranspiration decays
         fallen, demand = rain * self._a2 * lengths, potential * lengths

@@ -7,7 +7,7 @@ page long, which a kill does not tear; a power cut may. Then the other line is w
 one may have been a stop or a fault: the pump is stopped until somebody releases it.
 
 The disk's thread writes: a slow disk keeps the pump's control from nothing. A lock, on a file
-beside, lets only one ledger write: another one's record would erase a stop or a fault.
+beside, lets only one ledger write: the record of another would erase a stop or a fault.
 
 The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
 site: of the steady clock, or simulated. Time for which the node was down counts by the system
@@ -311,8 +311,8 @@ def _why(file: Path, error: Exception) -> str:
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} has it already; end "
-            "that one, and this one goes on by itself, or give this one another file (--state, "
-            "state_file)"
+            "that process, and this one goes on by itself, or give this one another file "
+            "(--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (

@@ -239,7 +239,7 @@ class BagFile:
 
     @property
     def size(self) -> int:
-        """How many bytes of it are written; those of the present chunk are not yet."""
+        """How many bytes of it are written, without the present chunk."""
         return self._stream.tell()
 
     def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
@@ -316,7 +316,7 @@ class BagWriter(BagFile):
 
         Args:
             directory: must not exist.
-            topics: those of each tick, in the order in which they are written.
+            topics: of each tick, in the order in which they are written.
 
         Raises:
             FileExistsError: the directory exists.

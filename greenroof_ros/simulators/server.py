@@ -1,4 +1,4 @@
-"""Modbus servers, which can be as bad as those of the real world, and a simulator of them."""
+"""Modbus servers, which can be as bad as real ones, and a simulator of them."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class StandingFault:
     """The fault that stands; changed at run time.
 
     Attributes:
-        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; those of the wire are done
-            here.
+        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; faults of the wire are
+            made here.
         parameter: of it.
     """
 
@@ -263,7 +263,7 @@ class Bench(ABC):
     """A simulator: its servers with a workbench beside them, until somebody ends them.
 
     Attributes:
-        fault: the one that stands.
+        fault: the present fault.
         registers: of the workbench, by number.
         servers: of the simulator itself.
     """

@@ -87,7 +87,7 @@ class SimulatedDrive(ABC):
     DELIVERED: ClassVar[tuple[int, int]]
     """time and action of the timeout as delivered (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
-    """actions of the timeout that trip the drive; the first is the one that is set"""
+    """actions of the timeout that trip the drive; the first is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
     """code, or bits, of the fault after the timeout of each interface"""
     UNGUARDED_S: ClassVar[float] = 0.0
@@ -107,7 +107,7 @@ class SimulatedDrive(ABC):
 
         Args:
             file: the make.
-            settings: of this one.
+            settings: of this drive.
             clock: tells the time (s).
             interface: by which it is spoken to, ``serial`` or ``tcp``; the timeout of the drive
                 file's other one is as delivered, and guards nothing.
@@ -392,7 +392,7 @@ class SimulatedDrive(ABC):
         """Let a fault of the drive stand instead of the present one; a trip stays until its reset.
 
         Args:
-            name: of one of `faults.DRIVE_FAULTS`; those of the wire change nothing here.
+            name: of one of `faults.DRIVE_FAULTS`; faults of the wire change nothing here.
             parameter: of it.
         """
         self.advance()

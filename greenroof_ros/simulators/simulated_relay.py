@@ -76,7 +76,7 @@ class SimulatedRelay(ABC):
         self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it as told, unless it is deaf, for a time (s; None for good)."""
+        """Switch it on or off, unless it is deaf, for a time (s; None for good)."""
         self.advance()
         if self.deaf:
             return

@@ -148,7 +148,7 @@ class SiteBench(Bench):
         return self.fault.name == f"{section}_{name}"
 
     def _raw(self, section: str) -> float:
-        """Return the raw value of a sensor, absurd ones aside."""
+        """Return the raw value of a sensor, unless a fault makes it absurd."""
         sensor, parameter = self._sensors[section], self.fault.parameter
         if self._has_fault(section, "frozen") and section in self._frozen:
             return self._frozen[section]

@@ -72,7 +72,7 @@ def test_outputs_of_a_controller_are_optional_topics() -> None:
 
 
 def test_types_match_ros() -> None:
-    """Definitions and hashes in msg_defs/types.yaml are those of the installed ROS 2."""
+    """Definitions and hashes in msg_defs/types.yaml agree with the installed ROS 2."""
     rclpy = pytest.importorskip("rclpy", reason="the message packages come with ROS 2")
     assert rclpy
     types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")

@@ -86,7 +86,7 @@ def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
 def test_a_line_every_ten_seconds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Told every second for 35 s: what was told at 10, 20 and 30 s is printed."""
+    """Of progress every second for 35 s, what came at 10, 20 and 30 s is printed."""
     now = 1000.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     lines = ProgressLines()

@@ -133,7 +133,7 @@ def test_trust_comes_back() -> None:
 
 @pytest.mark.parametrize("site", SITES)
 def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
-    """The one of no trust is the roof without a forecast, that of all trust the one with it."""
+    """The shadow with no trust is a roof without a forecast, with full trust a roof with it."""
     controller, _, _ = season(site, always)
     for shadow, forecast in ((0, dry), (-1, always)):
         _, off, _ = season(site, forecast, memory=0.0)

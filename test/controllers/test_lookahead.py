@@ -147,7 +147,7 @@ def tiny_problems(
 
 
 def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
-    """Return how far the recursion's cost is from that of trying all (units)."""
+    """Return how far the recursion's cost is from the least of all plans (units)."""
     cost = tiny.solved(np.array(groups).T).cost
     return abs(cost - exhaustive(tiny, groups)) / UNIT
 
@@ -155,7 +155,7 @@ def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
 @settings(max_examples=30)
 @given(tiny_problems())
 def test_one_forecast_and_strong_pumps(tiny: Tiny) -> None:
-    """The least cost is that of trying all."""
+    """The least cost is the least of all plans."""
     assert apart(tiny) < 0.1
 
 
@@ -182,7 +182,7 @@ def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
     assert apart(replace(tiny, water=water)) < 4.5
 
 
-# --- members that are told apart -----------------------------------------------------------------
+# --- members that can be distinguished -----------------------------------------------------------
 
 
 def test_the_drier_half_parts_from_the_wetter() -> None:
@@ -256,7 +256,7 @@ def planned_volumes(controller: Lookahead) -> Array:
 
 
 def test_what_is_above_the_outlet_is_not_counted_on() -> None:
-    """A cistern full to 3.9 m, of which 1.1 m are gone in minutes, for a roof of 91 m3."""
+    """A cistern full to 3.9 m, 1.1 m too much and gone in minutes, for a roof of 91 m3."""
     site = site_with(a2=2000.0, a_in=1e-9)
     controller = lookahead(site)
     assert controller.command(3.9, 0.0, DRY, DRY) > 0.9

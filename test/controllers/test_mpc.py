@@ -43,7 +43,7 @@ class Walk(NamedTuple):
 
 @cache
 def walk(weight: float, *options: str, max_command: float = math.inf) -> Walk:
-    """Run the controller against the exact plant, from low-low unless told else."""
+    """Run the controller against the exact plant, from low-low unless another state is given."""
     run = paper_run(*options)
     controller = Mpc(run.site, weight, max_command)
     x, w, u, cost = [], [], [], []
@@ -159,7 +159,7 @@ def test_first_command_of_any_site_is_exact(
 
 
 def test_weight_may_change_between_two_ticks() -> None:
-    """The command is that of the new weight, about the old command."""
+    """The command follows from the new weight, about the old command."""
     mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     before = mpc.command(*first_inputs())
     mpc.weight = 1e-2

@@ -67,7 +67,7 @@ def test_it_begins_with_the_mean() -> None:
 
 @pytest.mark.parametrize("tau", [1.0, 10.0])
 def test_noise_of_any_size_is_noise(tau: float) -> None:
-    """It is averaged over 300 s: the error is that of the average alone, with no jumps to it."""
+    """It is averaged over 300 s: the error is the average's alone, with no jumps to it."""
     site, noise = replace(PAPER_SITE, tau=tau), 0.005
     estimate = RoofObserver(site, 300.0)
     errors = []

@@ -76,7 +76,7 @@ def begin(reader: MqttReader, talker: Talker, message: str) -> None:
 MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("2.31", {}, 2.31),
     (" 2310\n", {"scale": 0.001, "offset": -0.5}, 1.81),
-    # Tasmota's, and that of a gateway with several sensors.
+    # Tasmota's message, and a gateway's with several sensors.
     ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 1234}}',
      {"value": "ANALOG.Range1", "scale": 0.001}, 1.234),
     ('{"sensors": [{"distance": 9}, {"distance": 350}]}',

@@ -275,7 +275,7 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
 
 @pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
 def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
-    """Silence obeys what it is told, so the end of a connection switches it off at once."""
+    """Silence obeys every message, so the end of a connection switches it off at once."""
     bench.run()
     bench.relay.inject(fault)
     took = wait(lambda: not bench.closed, 20)
@@ -335,7 +335,7 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) -> None:
-    """Those of the list that doc/reference/relays.md gives; the relay and this are anonymous."""
+    """The rules that doc/reference/relays.md lists; the relay and this are anonymous."""
     page = (CHECKOUT / "doc/reference/relays.md").read_text(encoding="utf-8")
     block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
     topics = [line.split() for line in block.splitlines() if line.startswith("topic ")]

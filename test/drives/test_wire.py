@@ -36,7 +36,7 @@ def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
 
 
 def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> Any:
-    """Do something; every request must be that of the dialogue, byte for byte."""
+    """Do something; every request must be the dialogue's, byte for byte."""
     requests, answer = script(dialogue)
     with closing(Wire(answer)) as wire:
         try:

@@ -42,7 +42,7 @@ def main() -> None:
             numbers["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **numbers)
         with suppress(BlockingIOError), (marks / "permits").open("ab") as stream:
-            stream.write(os.read(SOCKET, 65536))  # those of the pump node
+            stream.write(os.read(SOCKET, 65536))  # the pump node's permits
         time.sleep(0.05)
 
 

@@ -163,7 +163,7 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
 
     It listens on 127.0.0.1 alone, and uses none of the shared memory that others could lock. What
     another process left there, killed while it made a port (it has its size, but nothing in it
-    yet), is nothing to it either; those of the domain's first participants are at
+    yet), is nothing to it either; the ports of the domain's first participants are at
     7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
     """
     ports = [

@@ -89,7 +89,7 @@ def test_same_bits_at_a_wet_site(
 ) -> None:
     """Graph and simulate: equal in every bit of every value, over the change of the hour.
 
-    Simulated they are those of the authors' published code: see test_fidelity.py.
+    Simulated they agree with the authors' published code: see test_fidelity.py.
 
     The site has a drainage layer and its own initial state, and a catchment of which a part
     arrives in a cistern that drains by itself.
@@ -210,9 +210,9 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
-    """Each in its namespace, with its parameters; the bag has each byte of that of a run alone.
+    """Each in its namespace, with its parameters; the bag equals a lone run's, byte for byte.
 
-    So it has beside a third, of which a node is killed: its run ends, whole, though Ctrl-C comes
+    So it has beside a third with a node that is killed: its run ends, whole, though Ctrl-C comes
     again and again.
     """
 

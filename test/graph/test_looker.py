@@ -26,7 +26,7 @@ def place(domain: int) -> Iterator[int]:
 
 
 class Pump(Peer):
-    """A pump node's stop service, which answers as it is told."""
+    """A pump node's stop service, which answers as the test says."""
 
     def __init__(self, domain: int) -> None:
         super().__init__(domain, "pump")

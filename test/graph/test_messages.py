@@ -1,4 +1,4 @@
-"""Messages as bytes, those of the generated code bit for bit; and what a node takes of them."""
+"""Messages as bytes, equal to the generated code's bit for bit; and what a node takes of them."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
 def test_members_travel_in_the_layout() -> None:
     """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them.
 
-    Each byte is that of the generated code, but where that leaves what was in memory: behind the
+    Each byte is the generated code's, but where that leaves what was in memory: behind the
     header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and the numbers
     begin at a whole eight. One row alone has no layout.
     """
@@ -150,7 +150,7 @@ def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     """The name is rmw_dds_common's for a participant that it has no node of."""
     assert call_node("mpc") == "mpc"
     assert call_node("_NODE_NAME_UNKNOWN_") == (
-        "a node whose name is not known, such as one that was killed"
+        "a node whose name is not known, perhaps because it was killed"
     )
 
 

@@ -36,7 +36,7 @@ BROKEN = {
             "second publisher", r"m3/s 3 s after a second publisher came",
         ),
         (
-            'not told["cistern/level"] > SUCTION', 'math.isnan(told["cistern/level"])',
+            'not state["cistern/level"] > SUCTION', 'math.isnan(state["cistern/level"])',
             "stops when the cistern falls to the suction level",
             r"m3/s 3 s after the cistern fell",
         ),
@@ -56,12 +56,12 @@ BROKEN = {
             "has stopped after", r"/pump/state says 'running' at the end of the silence",
         ),
         (
-            'told["weather/frost"] != 0', 'math.isnan(told["weather/frost"])',
+            'state["weather/frost"] != 0', 'math.isnan(state["weather/frost"])',
             "stops in frost", r"m3/s 3 s after 1 on /weather/frost",
         ),
         (
             "SUCTION  # a NaN",
-            'SUCTION + last[0]; last[0] += told["cistern/level"] <= SUCTION  #',
+            'SUCTION + last[0]; last[0] += state["cistern/level"] <= SUCTION  #',
             "runs again when the cistern has filled again",
             r"m3/s after 12 s at command 0\.5",
         ),

@@ -83,7 +83,7 @@ class Deaf:
 
 
 def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
-    """rclpy's fast one is not told of all of them, once in 7,000 times; they are handed on.
+    """rclpy's fast executor misses some of them, once in 7,000 times; they are handed on.
 
     Each has the number that its publisher gave it.
     """

@@ -114,7 +114,7 @@ def limits(**limit_values: float) -> pytest.MarkDecorator:
 
 @limits(silence_s=4.0)
 def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
-    """The pump may not run until it is there, and is told why.
+    """The pump may not run until it is there, and hears why.
 
     Nothing of the one before is left open: months are long.
     """
@@ -277,7 +277,7 @@ def _open_files() -> Counter[str]:
     """Return what this process has open, and how often."""
     counts: Counter[str] = Counter()
     for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # that of this directory
+        with suppress(FileNotFoundError):  # the listing's own
             counts[str(file.readlink())] += 1
     return counts
 
@@ -406,7 +406,7 @@ PERMITS = {
 
 @pytest.mark.parametrize("line", PERMITS)
 def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
-    """It lapses after two seconds; what is none is not taken for one; the next counts."""
+    """It lapses after two seconds; what is no permit does not count; the next permit does."""
     ours, theirs = os.pipe()
     monkeypatch.setenv(SOCKET, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:

@@ -38,7 +38,7 @@ STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
 
 
 def metrics_of(site: Site, ticks: Ticks) -> Metrics:
-    """Return the metrics of ticks, of which the last is the end of the run."""
+    """Return the metrics of ticks; the last is the end of the run."""
     metrics = Metrics()
     for x1, x2, command, rain, flows in ticks[:-1]:
         metrics.observe(site, x1, x2)
@@ -120,7 +120,7 @@ def test_energy_and_starts_by_hand() -> None:
 
 
 def test_mains_water_by_hand() -> None:
-    """Five ticks of 2 s, of which the valve of 0.001 m3/s is open in the first three; then the end.
+    """Five ticks of 2 s, with a valve of 0.001 m3/s open in the first three; then the end.
 
     The run ends below the valve's level of 1 m, 25 m3: there nothing flows any more.
     """

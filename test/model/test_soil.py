@@ -130,7 +130,7 @@ def test_the_layer_follows_its_equation(
 
 @settings(max_examples=20)
 @given(
-    x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), asked=st.floats(0, 1e-4),
+    x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), potential=st.floats(0, 1e-4),
     seconds=st.sampled_from([10.0, 3600.0]),
 )
 def test_free_changes_follow_their_equations(

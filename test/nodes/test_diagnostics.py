@@ -27,7 +27,7 @@ SENSORS = [quantity.node for quantity in QUANTITIES.values()]
 
 
 def check(arrays: list[DiagnosticArray]) -> None:
-    """Hold every message against what tools rely on: a name is one thing, told apart from others.
+    """Compare every message with what tools rely on: a name is one thing and no other.
 
     Also by those that show names without their slashes, or make codes of them.
     """

@@ -210,7 +210,7 @@ class Learner(Counting):
 
 @pytest.mark.parametrize("forecasts", [True, False])
 def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> None:
-    """In those of now the command is 0, without a forecast too; in those to come it is not."""
+    """In quiet hours now the command is 0, without a forecast too; in later ones it is not."""
     commands = site.be_dry()
     if not forecasts:
         for name in FORECASTS:
@@ -238,7 +238,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast one leaves it to on/off, and begins anew; no command is 0, and said."""
+    """Without a forecast it leaves it to on/off, and begins again; no command is 0, and said."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
@@ -282,7 +282,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
     """Its commands grow by a thousandth each time: here on/off takes over, there it is ended.
 
-    From a file that says nothing of it it begins anew.
+    From a file that says nothing of it, it begins again.
     """
     commands = site.be_dry()
     good = dict(site.values)

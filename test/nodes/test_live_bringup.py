@@ -383,7 +383,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """At real time unless told otherwise; the drive stands at the end, be that early.
+    """At real time unless an option says otherwise; the drive stands at the end, be that early.
 
     A terminal that takes nothing stops no pump: the permit is given by who draws the bar.
     """

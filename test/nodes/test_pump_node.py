@@ -264,7 +264,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
     rig.start()
     rig.run()
-    file.unlink()  # it is made anew, beside
+    file.unlink()  # it is made again, beside
     os.mkfifo(pipe)
     began = time.monotonic()
     answer = rig.call(SetBool, "stop", data=True)
@@ -613,7 +613,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """The check plays all peers itself, so those of the test's own must not be there."""
+    """The check plays all peers itself, so the test's own must not be there."""
     rig.leave()
     rig.simulate("--speed", "20")
     node = rig.start()

@@ -58,7 +58,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 @pytest.mark.parametrize(
     ("site", "averaging", "moves", "steps", "words"),
     [
-        # A pump with 0.01 m3/s and a roof that does not rise, of which the reading moves by 1 um:
+        # A pump with 0.01 m3/s and a roof that does not rise, whose reading moves by 1 um:
         # 0.005 t > 0.4128 + 68.8 2.7778e-7 t after 82.88 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
          "perhaps a burst pipe or a leak behind the pump"),
@@ -207,7 +207,7 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
         # Between pulses; the readings are noisy, and the guess may be another.
         (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
-        # A low outlet takes less than the pump's 0.0084 m3/s, and is not taken for a burst pipe.
+        # A low outlet takes less than the pump's 0.0084 m3/s, and does not count as a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
         (DRAINED, 0.0, {"arriving": 0.0, "leaving": 0.0}, 1.0, 200, CLOSED),
     ],

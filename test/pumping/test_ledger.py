@@ -94,9 +94,9 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
 
 
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
-    """It is told who has the file; when that one is gone it takes over what that one wrote.
+    """It hears who has the file; when that ledger is gone it takes over what was written.
 
-    What it was told meanwhile counts, but not a release.
+    A stop that came meanwhile counts, but not a release.
     """
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
@@ -111,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} has it already; end that one"
+        f"{file} cannot be written: process {os.getpid()} has it already; end that process"
     )
     assert "--state, state_file" in problem
     second.stop("")
@@ -228,7 +228,7 @@ def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> N
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
 def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
-    """Until somebody releases it, who is told to look at it first; then all is well."""
+    """Until somebody releases it, who has to look at it first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
     rig = Rig(file=file)
