@@ -12,7 +12,6 @@ for tens of seconds.
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import struct
@@ -23,7 +22,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from io import BytesIO
 from pathlib import Path
 
@@ -34,15 +32,9 @@ from mcap.records import Channel, Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
-from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
-from greenroof_ros.experiment.summary import SUMMARY
-from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
-from greenroof_ros.watch.words import plain
 
 # How far back the past of a bag in many files is read, from the newest (s).
 _PAST_S = 7 * 86_400
@@ -54,7 +46,6 @@ _LONGEST = 1 << 28
 _MUCH = 1 << 23
 # How often a bag is looked at again that was read to its end (s).
 _LOOK_S = 0.5
-_MOST_TEXT = 500
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -374,79 +365,3 @@ def main() -> None:
             sys.stdout.buffer.flush()
             if not batch.more:
                 time.sleep(_LOOK_S)
-
-
-# --- what stands beside a bag ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Dated:
-    """An incident with its times as the recording has them (s since 1970).
-
-    Attributes:
-        node: that says so, or that was lost.
-        part: of it; empty for the node itself.
-        cause: in words.
-        code: of it, for programs.
-        began: when.
-        ended: when; None where it lasted to the end.
-    """
-
-    node: str
-    part: str
-    cause: str
-    code: str
-    began: float
-    ended: float | None
-
-    @property
-    def name(self) -> str:
-        """As of an alarm."""
-        return f"{self.node}: {self.part}" if self.part else self.node
-
-    def stands(self, now: float) -> bool:
-        """Whether it has begun at a time, and is not over."""
-        return self.began <= now and (self.ended is None or now < self.ended)
-
-    @property
-    def of_pump(self) -> bool:
-        """Whether what the pump does is not known while it stands."""
-        return self.part == "drive" or (self.node, self.part) == (PUMP, "")
-
-
-def read_beside(bag: Path) -> tuple[str, list[Dated], str]:
-    """Return who commanded in a recorded run, its incidents as they began, and what is wrong there.
-
-    Incidents stand in a file of their own, and in the summary where that could not be written.
-    Their times are those of ticks where the site is simulated, otherwise those of the wall.
-    """
-    directory, controller = bag.parent, ""
-    try:
-        path = directory / SUMMARY
-        summary = json.loads(read_text(path)) if path.exists() else {}
-        controller = plain(str(summary.get("controller", "")), _MOST_TEXT)
-        found = read_incidents(directory)
-        found = found or [Incident(**one) for one in summary.get("incidents", ())]
-        start, tau = 0.0, 0.0
-        if any(one.began_tick is not None for one in found):
-            start = datetime.fromisoformat(summary["start"]).timestamp()
-            tau = float(summary["tau_s"])
-        dated = [_dated(one, start, tau) for one in found]
-        return controller, sorted(dated, key=lambda one: one.began), ""
-    except (OSError, ConfigurationError, ValueError, KeyError, TypeError, AttributeError) as error:
-        why = getattr(error, "strerror", None) or error
-        return controller, [], f"{directory / INCIDENTS} cannot be shown ({why})."
-
-
-def _dated(one: Incident, start: float, tau: float) -> Dated:
-    """Return an incident of a run that began at a time (s since 1970), by ticks of so long (s)."""
-    def at(tick: int | None, wall: str) -> float:
-        return datetime.fromisoformat(wall).timestamp() if tick is None else start + tick * tau
-
-    whole = one.part == PROCESS
-    return Dated(
-        one.node, "" if whole else one.part, plain(one.cause, _MOST_TEXT),
-        # A node that stays away ends the run; of another one the incident is its return.
-        "started_again" if whole and one.ended else one.code,
-        at(one.began_tick, one.began), at(one.ended_tick, one.ended) if one.ended else None,
-    )

@@ -20,10 +20,9 @@ import numpy as np
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
-from greenroof_ros.watch.alarms import row
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.registry import ERROR, Node, Trouble
+from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import INTERVALS, Store
 from greenroof_ros.watch.tiles import Tile, band_of
 
@@ -56,7 +55,7 @@ def document(store: Store, wall: float) -> dict[str, Any]:
         wall: now (steady clock, s).
     """
     with store.lock:
-        store.note(wall)
+        store.look(wall)
         return _document(store)
 
 
@@ -64,18 +63,22 @@ def _document(store: Store) -> dict[str, Any]:
     now, alarms = store.now, store.alarms
     known, incidents = store.graph.anybody or not store.ended, store.incidents()
     recorded = [
-        row(
-            one.name, Trouble(ERROR, one.cause, one.code, one.node), since=one.began,
-            over=None if one.stands(now or 0.0) else one.ended, recorded=True,
-        )
-        for one in incidents
+        incident.row(": ".join(filter(None, (trouble.role, trouble.part))), recorded=True)
+        for incident in incidents for trouble in (incident.trouble,)
     ]
-    rows = sorted([*recorded, *alarms.rows()], key=lambda one: one["over"] is not None)
-    for one in rows:
-        one["since_text"] = store.time_of_day(one["since"])
-        one["over_text"] = "" if one["over"] is None else store.time_of_day(one["over"])
-    events = [{**one, "at_text": store.time_of_day(one["at"])} for one in alarms.events()]
-    listed, present = _within(rows, _MOST_ALARMS), [one for one in rows if one["over"] is None]
+    rows = sorted([*recorded, *alarms.rows()], key=lambda row: row["over"] is not None)
+    for row in rows:
+        since, over = store.dated(row["since"]), row["over"] and store.dated(row["over"])
+        row |= {
+            "since": since, "since_text": store.time_of_day(since),
+            "since_at_least": row["since_at_least"] or since != row["since"],
+            "over": over, "over_text": "" if over is None else store.time_of_day(over),
+        }
+    events = [
+        {"at": at, "what": what, "at_text": store.time_of_day(at)}
+        for at, what in ((store.dated(event["at"]), event["what"]) for event in alarms.events())
+    ]
+    listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
         "roof": tiles.roof(store), "cistern": tiles.cistern(store),
         "pump": tiles.pump(store, present), "rain": tiles.rain(store),
@@ -83,7 +86,7 @@ def _document(store: Store) -> dict[str, Any]:
     }
     stop, waits = _stop(store), tiles.waiting(store, shown["pump"]["idle"])
     serious, warnings, following = alarms.counts()
-    over = sum(one["over"] is not None for one in recorded)
+    over = sum(row["over"] is not None for row in recorded)
     serious += len(recorded) - over
     level = "error" if serious or stop["warning"] else "warn" if warnings else _level(
         store, shown, waits, over=over > 0, known=known
@@ -135,9 +138,8 @@ def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]
     weather = store.graph.node("weather")
     if weather is not None and (source := weather.text("forecast_by")):
         notes.append(f"{source[:1].upper()}{source[1:]}.")
-    newest = store.newest.values()
-    silent = min((one.silent_for(store.wall) for one in newest), default=None)
-    if store.mode != "none" and silent and all(one.stale for one in newest):
+    silent = store.silent_s
+    if store.mode != "none" and silent and all(newest.stale for newest in store.newest.values()):
         notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
     return [note for note in notes if note]
 
@@ -387,13 +389,12 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             for name, topic in LINES.items():
                 if topic in store.newest:
                     lines[name] = store.newest[topic].past.window(first, last, _POINTS)
-            for history in (store.expected, store.expected_next()):
-                lines["roof_expected"] += history.window(first, last, _POINTS)
+            lines["roof_expected"] = store.expected.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()
-        for one in store.incidents():
-            if one.of_pump:
-                lost.add(one.began, math.inf if one.ended is None else one.ended)
+        for incident in store.incidents():
+            if incident.trouble.hides_pump:
+                lost.add(incident.since, math.inf if incident.over is None else incident.over)
         lines["flow"] = lost.cut_out(store.unknown_flow.cut_out(lines["flow"]))
         forecast, plan = store.forecast, store.plan
         return {

@@ -30,7 +30,8 @@ from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.graph.supervision import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.bag import Batch, FollowedBag, read_beside
+from greenroof_ros.watch.bag import Batch, FollowedBag
+from greenroof_ros.watch.incidents import read_beside
 from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # Up to how many times real time the numbers of a run are heard: 60 and its jitter.
@@ -369,7 +370,8 @@ class Feed:
         """Have no node taken for silent because this process stood still."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
-            self._store.forgive(self._awake - before)
+            with self._store.lock:
+                self._graph.forgive(self._awake - before)
 
     def _take(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         self._forgive_own_pause()

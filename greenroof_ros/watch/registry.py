@@ -72,6 +72,11 @@ class Trouble:
     gist: str = ""
     at_least: bool = False
 
+    @property
+    def hides_pump(self) -> bool:
+        """Whether what the pump does is not known while this lasts."""
+        return self.part == "drive" or (self.role, self.part) == (PUMP, "")
+
 
 @dataclass
 class _Part:

@@ -10,6 +10,8 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.model.site import Site
+from greenroof_ros.watch.alarms import Alarm
+from greenroof_ros.watch.registry import Trouble
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
@@ -36,6 +38,11 @@ def node(
             for part, level, text, *code in parts
         ),
     ]
+
+
+def incident(role: str, part: str, cause: str, code: str, began: float, ended: float) -> Alarm:
+    """Return an incident of a recording, with its times (s since 1970)."""
+    return Alarm(Trouble(ERROR, cause, code, role, part), began, over=ended)
 
 
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:

@@ -14,11 +14,10 @@ from unittest.mock import ANY
 import numpy as np
 import pytest
 from paper import PAPER_SITE
-from said import ERROR, OK, SECOND, START, STOPPED, WARN, hear, node, store
+from said import ERROR, OK, SECOND, START, STOPPED, WARN, hear, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.watch import words
-from greenroof_ros.watch.bag import Dated
 from greenroof_ros.watch.document import LINES
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
@@ -791,8 +790,8 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     """Why the pump stood is not guessed then."""
     one, at = store("ended", SITE), START / 1e9
     one.recorded_incidents = [
-        Dated("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
-        Dated("mpc", "", "ended", "node_failed", at + 10, at + 12),
+        incident("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
+        incident("mpc", "", "ended", "node_failed", at + 10, at + 12),
     ]
     hear(one, 0, second + 1, QUIET)
     document = shown(one)
@@ -815,8 +814,8 @@ def test_an_incident_of_a_recording_stands_while_it_did(
 def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; what stands there, and what came since, the nodes say themselves."""
     one, before = store("live", SITE), time.time()
-    over = Dated("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
-    one.recorded_incidents = [over, replace(over, ended=None), replace(over, ended=before + 60)]
+    over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
+    one.recorded_incidents = [over, replace(over, over=None), replace(over, over=before + 60)]
     assert shown(one)["alarms"] == []
     one.add_statuses(time.monotonic(), [])
     assert [row["over"] for row in shown(one)["alarms"]] == [before - 30]

@@ -17,13 +17,12 @@ from browsers import started_browser
 from graphs import wait_for
 from page_server import page_files, served
 from places import CONFIG
-from said import ERROR, SECOND, START, STOPPED, node, store
+from said import ERROR, SECOND, START, STOPPED, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.report.drawing import COLOURS
 from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.bag import Dated
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.store import Store
@@ -310,11 +309,11 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     page = open_page(watched)
     until_shown(page, "#summary", "Alarms are not known")
     assert "ok" not in page.locator("#summary-shape").get_attribute("href")
-    over = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
+    over = incident("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
     watched.recorded_incidents = [over]
     row = until_shown(page, ".alarm.over", "pump: drive")
     assert not row.locator("button").is_visible()
-    watched.recorded_incidents = [replace(over, ended=None)]
+    watched.recorded_incidents = [replace(over, over=None)]
     until_shown(page, ".alarm:not(.over)", "pump: drive")
 
 
