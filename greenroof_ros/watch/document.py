@@ -12,12 +12,13 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
 from greenroof_ros.watch.history import Gaps, stretch_of
@@ -105,7 +106,7 @@ def _document(store: Store) -> dict[str, Any]:
         "time": {
             "now": now, "utc_offset": store.utc_offset,
             "text": words.UNKNOWN if now is None
-            else words.date_time_and_zone(now, store.utc_offset),
+            else words.date_and_time(now, store.utc_offset, zone=True),
         },
         "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
         "tiles": shown,
@@ -269,11 +270,6 @@ def _stop(store: Store) -> dict[str, Any]:
     state = "" if node is None else (store.pump_says or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
     call = "" if node is None else f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
-    allowing = None if gone or not store.allow_release else node
-    owners, fault, refusal = _held(allowing)
-    greatest, no_dose = _doses(allowing)
-    others = " and ".join(one for one in owners if one != "page")
-    stays = f"It stays off for all that: it is held off by {others}, too. "
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
@@ -285,36 +281,40 @@ def _stop(store: Store) -> dict[str, Any]:
         "warning": warning,
         "call": f'{call} "{{data: true}}"' if call and not stopped else "",
         "release": f'{call} "{{data: false}}"' if asked else "",
+        **_allowed(None if gone or not store.allow_release else node, stands),
+    }
+
+
+def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
+    """Return what may be done here beside a stop, and what happens then.
+
+    Args:
+        node: the pump's, where it is heard and that was allowed; otherwise None.
+        stands: whether the pump does.
+    """
+    values: Mapping[str, Any] = {} if node is None else node.values
+    by, greatest = values.get("stopped_by"), values.get("greatest_dose")
+    owners = [str(owner) for owner in by] if isinstance(by, list) else []
+    fault, refusal, no_dose = (
+        "" if node is None else node.text(key) for key in ("fault", "page_may_not_clear", "no_dose")
+    )
+    others = " and ".join(owner for owner in owners if owner != "page")
+    stays = f"It stays off for all that: it is held off by {others}, too. "
+    doses = isinstance(greatest, (int, float))
+    return {
         "release_here": "page" in owners and stands,
         "release_then": (stays if others else _THEN) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and stands,
         "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
         "no_clear": refusal if fault else "",
-        "greatest_dose": greatest,
-        "dose_here": (dose_here := greatest is not None and not no_dose),
-        "asked_at": time.time() if dose_here else None,
+        "greatest_dose": greatest if doses else None,
+        "dose_here": doses and not no_dose,
+        "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
         "but not above the roof's target. It ends early where anything keeps the pump off. "
         + LOCK_OUT,
-        "no_dose": no_dose,
+        "no_dose": no_dose if doses else "",
     }
-
-
-def _held(node: Node | None) -> tuple[list[str], str, str]:
-    """Return who holds the pump off, its fault, and why that may not be cleared here."""
-    if node is None:
-        return [], "", ""
-    owners = node.values.get("stopped_by")
-    names = [str(one) for one in owners] if isinstance(owners, list) else []
-    return names, node.text("fault"), node.text("page_may_not_clear")
-
-
-def _doses(node: Node | None) -> tuple[float | None, str]:
-    """Return the largest dose that may be asked for (m3), None for none, and why none can now."""
-    greatest = None if node is None else node.values.get("greatest_dose")
-    if node is None or not isinstance(greatest, (int, float)):
-        return None, ""
-    return greatest, node.text("no_dose")
 
 
 # --- the water account ----------------------------------------------------------------------------
@@ -356,12 +356,8 @@ def _account(store: Store) -> dict[str, Any]:
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
     """Return the first rows that together have at most so many characters as JSON."""
-    length = 0
-    for place, one in enumerate(rows):
-        length += len(json.dumps(one)) + 2
-        if length > most:
-            return rows[:place]
-    return rows
+    lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
+    return [row for row, length in zip(rows, lengths, strict=True) if length <= most]
 
 
 # --- the charts -----------------------------------------------------------------------------------
@@ -378,11 +374,11 @@ def series(store: Store, hours: float) -> dict[str, Any]:
         hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
     """
     with store.lock:
-        now = store.now
+        now, site = store.now, store.site
         lines: dict[str, list[list[Any]]] = {name: [] for name in (*LINES, "roof_expected")}
         stretch = 0
         if now is not None:
-            newest = max((one.time_ns for one in store.newest.values()), default=0)
+            newest = max((value.time_ns for value in store.newest.values()), default=0)
             last = max(newest, round(now * 1e9))
             first = last - round(hours * 3.6e12)
             stretch = stretch_of(first, last, _POINTS)
@@ -405,17 +401,12 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             "gaps": gaps,
             "forecast": [] if forecast is None else forecast.rows(),
             "plan": [] if plan is None or now is None else plan.rows(now),
-            "marks": _marks(store.site),
+            "marks": {  # m; None where there is none
+                "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
+                "low_outlet": site.low_outlet_level, "outlet": site.z_o,
+            },
             "display": {name: asdict(words.display_of(topic)) for name, topic in LINES.items()},
         }
-
-
-def _marks(site: Site) -> dict[str, Any]:
-    """Return the references of the charts (m); None where there is none."""
-    return {
-        "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
-        "low_outlet": site.low_outlet_level, "outlet": site.z_o,
-    }
 
 
 def _gap(rows: list[list[Any]], stretch_ns: int) -> float:

@@ -90,7 +90,7 @@ class Forecast(_Steps):
         fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
-        low, high = (float(one[0]) for one in _ranges(amounts[:, None]))
+        low, high = (float(end[0]) for end in _ranges(amounts[:, None]))
         return Amount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:

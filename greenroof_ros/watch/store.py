@@ -295,19 +295,16 @@ class Store:
         """
         if not self.is_number(topic) or not len(times_ns):
             return
-        # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
+        # Copies: what is given may be a view of a longer batch.
         times = np.array(times_ns, dtype=np.int64)
-        numbers = np.asarray(values, dtype=np.float64) + 0.0
         with self.lock:
             newest = self.newest.get(topic) or Newest()
             possible = np.where(times < _LATEST_NS, times, 0)
             before = np.append(newest.past_ns, possible[:-1])
             newer = (possible > np.maximum.accumulate(before)) & (possible <= self._latest_ns())
-            times, numbers = times[newer], numbers[newer]
+            times, numbers = times[newer], self._plausible(topic, np.asarray(values)[newer])
             if not len(times):
                 return
-            low, high = self._limits(topic)
-            numbers = np.where((numbers >= low) & (numbers <= high), numbers, np.nan)
             self.newest[topic] = newest
             newest.take(int(times[-1]), float(numbers[-1]))
             newest.past_ns = int(times[-1])
@@ -332,17 +329,17 @@ class Store:
             newest = self.newest.get(topic) or Newest()
             if newest.time_ns < time_ns <= self._latest_ns():
                 self.newest[topic] = newest
-                low, high = self._limits(topic)
-                newest.take(time_ns, value + 0.0 if low <= value <= high else math.nan)
+                newest.take(time_ns, float(self._plausible(topic, np.array(value))))
 
     def is_number(self, topic: str) -> bool:
         """Whether the interface has such a topic, and it is of single numbers."""
         return topic in self._interface and self._interface[topic].type == _NUMBER
 
-    def _limits(self, topic: str) -> tuple[float, float]:
-        """Return between which values one of a topic is plausible, in its unit."""
+    def _plausible(self, topic: str, values: Values) -> Values:
+        """Return values of a topic, NaN in place of one that is not plausible; no minus zero."""
         entry = self._interface[topic]
-        return max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+        low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+        return np.where((values >= low) & (values <= high), values + 0.0, np.nan)
 
     def known(self, topic: str) -> float | None:
         """Return a value that is of now; None where there is none."""
@@ -365,34 +362,36 @@ class Store:
             past: of a plan, as in :meth:`add_plan`.
         """
         if topic == PUMP_STATE:
-            self.add_pump_state(time_ns, wire.text(message) or "")
-        elif topic == PLAN and (found := wire.rows(message)) is not None:
-            self.add_plan(time_ns, found[0], past=past)
-        elif topic.startswith("/forecast/") and (found := wire.rows(message)) is not None:
-            self.add_forecast(topic, time_ns, *found)
+            if text := wire.text(message):
+                self.add_pump_state(time_ns, text)
+        elif (rows := wire.rows(message)) is None:
+            return
+        elif topic == PLAN:
+            self.add_plan(time_ns, rows[0], past=past)
+        elif topic == RAIN_FORECAST:
+            self.add_forecast(time_ns, *rows)
 
     def add_pump_state(self, time_ns: int, text: str) -> None:
         """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
-            if text and (self.pump_state is None or time_ns > self.pump_state[0]):
+            if self.pump_state is None or time_ns > self.pump_state[0]:
                 self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
 
     # --- what is to come ------------------------------------------------------------------------
 
-    def add_forecast(self, topic: str, time_ns: int, values: Values, front: Values) -> None:
-        """Take a forecast; rain's is shown, where it says when its steps end.
+    def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
+        """Take a forecast of rain; it is shown where it says when its steps end.
 
         Args:
-            topic: its name in the interface.
             time_ns: when its first step begins, since 1970.
-            values: in the topic's unit, shape (steps,), or (members, steps) of an ensemble.
+            values: m/s, shape (steps,), or (members, steps) of an ensemble.
             front: when it was issued (s since 1970, NaN where that is not known), and the end of
                 each step (s from ``time_ns``), shape (1 + steps,).
         """
-        if topic != RAIN_FORECAST or not 0 < time_ns < _LATEST_NS:
+        if not 0 < time_ns < _LATEST_NS:
             return
         rain = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        limits, at = self._interface[topic], time_ns / 1e9
+        limits, at = self._interface[RAIN_FORECAST], time_ns / 1e9
         members, steps = rain.shape if rain.ndim == 2 else (0, 0)
         ends = front[1:]
         fits = (
@@ -471,7 +470,7 @@ class Store:
 
     def _of_now(self, newest: _Outlook | None) -> _Outlook | None:
         """Return a forecast or plan; None where newer ones may still be to be read."""
-        now_ns = max((one.time_ns for one in self.newest.values()), default=0)
+        now_ns = max((value.time_ns for value in self.newest.values()), default=0)
         past_ns = self._past_ns()
         if newest is None or (now_ns - past_ns > HOLDS_NS and newest.at * 1e9 <= past_ns):
             return None

@@ -26,7 +26,6 @@ from places import guarding
 from said import ERROR, SECOND, START, hear, node, store
 from simulators import Simulator
 
-from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.common.mqtt import make_client, parse_broker
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.bridge import alarms_of, state_of
@@ -327,49 +326,11 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: heard.last(availability) == "offline", 10, "its last word")
 
 
-@needs_mosquitto
-def test_at_a_live_site_an_alarm_comes_and_goes_by_code(domain: int, tmp_path: Path) -> None:
-    """And a broker that is killed costs the site nothing."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    from faults.rig import SiteRig
-
-    with (
-        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
-        SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig,
-    ):
-        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
-        rig.until_running(120)
-        wait_for(lambda: heard.state().get("pump") == "running", 60, "a running pump")
-        assert heard.state()["mode"] == "live"
-        wait_for(
-            lambda: (level := heard.state()["roof_level"]) is not None
-            and abs(level / 1000 - rig.levels()[1]) < 0.001, 10, "the roof's true level",
-        )
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "no alarm")
-        rig.truth.inject_site("roof_silent")
-        wait_for(
-            lambda: heard.state()["problem"] == "ON" and heard.state()["roof_level"] is None, 60,
-            "the alarm",
-        )
-        codes = {
-            row["code"] for row in json.loads(heard.last("greenroof/roof/alarms"))["alarms"]
-        }
-        assert heard.state()["condition"] in codes <= read_conditions().keys()
-        rig.truth.inject_site("none")
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "the end of the alarm")
-        rig.until_running()
-        broker.kill()
-        bridge.until_said("not connected to")
-        rig.until_running(steady_s=5.0)
-        end(bridge)
-    assert not rig.ended_badly
-
-
 # --- the broker -----------------------------------------------------------------------------------
 
 
 @needs_mosquitto
-def test_it_logs_in_over_tls(domain: int, tmp_path: Path) -> None:
+def test_it_logs_in_over_tls_and_says_once_why_it_is_not_connected(domain: int, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     key, certificate, words = (tmp_path / name for name in ("key.pem", "cert.pem", "words"))
     subprocess.run(
@@ -390,54 +351,28 @@ def test_it_logs_in_over_tls(domain: int, tmp_path: Path) -> None:
         bridge = Process(domain, "bridge", *options, "--login", str(login), cwd=tmp_path)
         bridge.until_said(f"connected to {address}")
         end(bridge)
+        (nobody,) = free_ports(1)
         for wrong, why in (
             (options, "Not authorized"), (("--broker", address), "not connected"),
+            (("--broker", f"mqtt://127.0.0.1:{nobody}"), "nobody answers at"),
         ):
             bridge = Process(domain, "bridge", *wrong, cwd=tmp_path)
             bridge.until_said(why)
             assert f"\nconnected to {address}" not in f"\n{bridge.stderr()}"
+            time.sleep(2.0)  # it has tried again
+            assert bridge.stderr().count(why) == 1
             end(bridge)
 
 
-def test_without_a_broker_it_says_so_once_and_ends_soon(domain: int, tmp_path: Path) -> None:
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    (port,) = free_ports(1)
-    bridge = Process(domain, "bridge", "--broker", f"mqtt://127.0.0.1:{port}", cwd=tmp_path)
-    bridge.until_said("nobody answers at")
-    time.sleep(4.0)  # it has tried again
-    assert bridge.stderr().count("nobody answers") == 1
-    end(bridge)
-
-
-@needs_mosquitto
-def test_a_broker_that_hangs_is_lost_and_comes_back(domain: int, tmp_path: Path) -> None:
-    """Its connections stay open; nor does the bridge wait for it when it is asked to end."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    with mosquitto(tmp_path) as broker:
-        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
-        connected = f"connected to {broker.address};"
-        bridge.until_said(connected)
-        broker.pause()
-        bridge.until_said("not connected to")
-        broker.go_on()
-        wait_for(lambda: bridge.stderr().count(f"\n{connected}") == 1, 30, "a connection again")
-        broker.pause()
-        end(bridge)
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    (("--broker", "127.0.0.1"), "--broker = '127.0.0.1': must be mqtt://HOST[:PORT]"),
-    (("--broker", "mqtt://h", "--authority", "a.pem"), "certificates are for mqtts://"),
-    (("--broker", "mqtt://h", "--prefix", "a/#"), "--prefix = 'a/#': must be letters, digits"),
-    (("--broker", "mqtt://h", "--login", "nowhere.yaml"), "nowhere.yaml"),
-])
-def test_wrong_input_is_one_message(
-    arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
-) -> None:
-    done = run_command("bridge", *arguments, cwd=tmp_path, env=environment(unused_domain))
+def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
+    """For addresses and logins see test_mqtt.py."""
+    done = run_command(
+        "bridge", "--broker", "mqtt://h", "--prefix", "a/#", cwd=tmp_path,
+        env=environment(unused_domain),
+    )
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-    assert message in line
+    assert "--prefix = 'a/#': must be letters, digits" in line
     assert "Traceback" not in done.stderr
 
 

@@ -53,7 +53,13 @@ def forecast(
     one: Store, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
 ) -> None:
     """Have a forecast, of steps that grow up to some hours ahead."""
-    one.add_forecast(RAIN, time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
+    one.add_forecast(time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
+
+
+def plan_lasts(one: Store, first: int, last: int) -> None:
+    """Have the controller say from one second to another that its plan is the last one."""
+    for second in range(first, last, 60):
+        one.add_plan(START + second * SECOND, np.empty((0, 4)))
 
 
 def leaves(value: Any) -> Iterator[Any]:
@@ -188,7 +194,7 @@ def test_rain_and_what_is_to_come() -> None:
             assert rows[0] == pytest.approx([at, at + 10, 6e-7, 2e-7, 1e-6])
         assert (len(rows), rows[-1][1]) == (32, START / 1e9 + 60 + later + 43_200)
     one, front = watched(), np.array([math.nan, *range(1, 11)])
-    one.add_forecast(RAIN, MINUTE, np.full(10, 1e-7), front)
+    one.add_forecast(MINUTE, np.full(10, 1e-7), front)
     assert tile_of(one, "rain")["sentence"] == (
         "no forecast of the next hours: it reaches 10 s ahead"
     )
@@ -318,7 +324,7 @@ def test_hostile_forecasts_and_plans() -> None:
         (np.full(100_000, 1e-7), range(1, 100_001)), (np.full((5000, 32), 1e-7), range(1, 33)),
         (ten, [*range(1, 11), 12]), (ten, range(10)), (ten, [*range(1, 10), math.inf]),
     ):
-        one.add_forecast(RAIN, MINUTE, values, np.array([math.nan, *ends]))
+        one.add_forecast(MINUTE, values, np.array([math.nan, *ends]))
         assert tile_of(one, "rain")["sentence"] == "no forecast is known"
         assert read_series(one, 3)["forecast"] == []
     for later, rows in enumerate((
@@ -929,21 +935,24 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     one = watched()
     at = START / 1e9
     one.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
+    plan_lasts(one, 60, 720)
     one.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
+    plan_lasts(one, 780, 9000)
     assert read_series(one, 3)["lines"]["roof_expected"] == []  # it is still to come
     assert read_series(one, 3)["plan"] == [
         [at + 720, at + 4320, 0.0, 0.03], [at + 4320, at + 7920, 0.0, 0.03],
     ]
     add_at(one, "/roof/level", (5000, 0.042))
     rows = read_series(one, 3)["lines"]["roof_expected"]
-    assert [row for row in rows if row[0] <= at + 4320][-1] == [
-        at + 4320, *[pytest.approx(0.042, abs=1e-12)] * 3,
-    ]
+    assert [row[0] - at for row in rows[:3]] == [3600, 3900, 4200]
+    expected = pytest.approx([0.040, 0.040 + 300 / 3600 * 0.01, 0.040 + 600 / 3600 * 0.01])
+    assert [row[3] for row in rows[:3]] == expected
+    assert [row[3] for row in rows[3:]] == pytest.approx([0.03] * len(rows[3:]))
     # Up to an hour after the newest value of the charts.
     add_at(one, "/roof/level", (9000, 0.042))
     rows = read_series(one, 3)["lines"]["roof_expected"]
-    assert rows[-1] == [at + 7920, *[pytest.approx(0.03, abs=1e-12)] * 3]
-    # A point in 5 min at least, though the plans' steps are of an hour: there are no gaps.
+    assert at + 7620 <= rows[-1][0] <= at + 7920
+    # A point in 5 min, though the plans' steps are of an hour: there are no gaps.
     assert np.diff([row[0] for row in rows]).max() <= 300
 
 
@@ -953,9 +962,10 @@ def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
     plans = [np.array([[7200.0, 0.0, level]]) for level in (0.03, 0.04, 0.05)]
     for place in (0, 1, 0, 2):  # each 600 s
         one.add_plan(START + place * 600 * SECOND, plans[place])
+        plan_lasts(one, place * 600 + 60, place * 600 + 600)
     add_at(one, "/roof/level", (5400, 0.04))
-    found = read_series(one, 3)["lines"]["roof_expected"]
-    assert [round(row[3], 3) for row in found] == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
+    levels = [round(row[3], 3) for row in read_series(one, 3)["lines"]["roof_expected"]]
+    assert levels == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
@@ -998,8 +1008,9 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
     assert [row[2] for row in read_series(one, 24)["plan"]] == [1e-4] * 12
     # Nothing that was shown only is kept as expected.
+    plan_lasts(one, 3600, hours)
     add_at(one, "/roof/level", (hours + 3600, 0.044))
-    assert read_series(one, 24)["lines"]["roof_expected"][-1][0] == START / 1e9 + hours
+    assert {row[3] for row in read_series(one, 24)["lines"]["roof_expected"]} == {0.04}
     one.add_plan(now_ns + 2 * SECOND, np.full((1, 3), np.nan), past=False)
     assert read_series(one, 24)["plan"] == []
 

@@ -96,7 +96,7 @@ def site_watched(mode: str = "ended") -> Store:
     ))
     front = np.array([seconds[-1], *growing_steps(1)[1:]])
     rain = np.outer(np.arange(3), np.full(len(front) - 1, 1e-6))
-    watched.add_forecast("/forecast/precipitation", now_ns, rain, front)
+    watched.add_forecast(now_ns, rain, front)
     return watched
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
-import queue
 import re
 import select
 import signal
@@ -14,7 +13,6 @@ import subprocess
 import sys
 import termios
 import time
-from contextlib import suppress
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,7 +56,7 @@ def with_storm() -> Store:
     one = run_of(6.0)
     now, ends = START + 6 * 3600 * SECOND, growing_steps(12)[1:]
     rain = np.outer(np.arange(1.0, 12.0), [1e-7] * 32)
-    one.add_forecast("/forecast/precipitation", now, rain, np.array([now / 1e9, *ends]))
+    one.add_forecast(now, rain, np.array([now / 1e9, *ends]))
     levels = np.linspace(0.046, 0.050, 32)
     one.add_plan(now, np.column_stack([ends, np.full(32, 1e-4), levels]))
     return one
@@ -296,8 +294,9 @@ def answer(store: Store, feed: Feed) -> None:
     while True:
         if store.allow_release:
             store.add_statuses(time.monotonic(), HELD)
-        with suppress(queue.Empty):
-            action, _, asked = feed._asked.get(timeout=0.25)
+        time.sleep(0.25)
+        while feed._asked:
+            action, _, asked = feed._asked.pop()
             count += 1
             asked.set_result(f"asked {count} times, now for: {action}")
 
