@@ -17,6 +17,7 @@ from paper import PAPER_SITE
 from said import ERROR, OK, SECOND, START, STOPPED, WARN, hear, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import LINES
 from greenroof_ros.watch.document import document as read_document
@@ -101,36 +102,34 @@ def pump_says(one: Store, wall: float, text: str, stamp_ns: int = 0, **said: Any
 # --- tiles ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("level", "state", "sentence"), [
-    (0.04566, "good", "at its target"),
-    (0.0453, "good", "0.4 mm below its target"),
-    (0.0434, "low", "2.3 mm below its target"),
-    (0.55, "high", "504.3 mm above its target; the soil is full, and water drains off"),
-    (-0.0, "low", "45.7 mm below its target"),
-])
-def test_roof(level: float, state: str, sentence: str) -> None:
-    """The band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
-    tile = tile_of(watched(roof_level=level), "roof")
-    assert (tile["state"], tile["sentence"]) == (state, sentence)
-    assert tile["number"] == level
-    assert tile["band"] == pytest.approx([0.043415, 0.047985])
-    assert tile["low"] <= level <= tile["high"]
+LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
 
 
-@pytest.mark.parametrize(("low_outlet", "level", "state", "sentence"), [
-    (None, 2.5, "good", "43.8 m3 above the suction level can be pumped"),
-    (None, 0.75, "low", "too low for the pump: not above the suction level"),
-    (None, 3.01, "high", "above its outlet: it overflows to the sewer"),
-    (1.0, 2.5, "good",
+@pytest.mark.parametrize(("name", "site", "level", "state", "sentence"), [
+    ("roof", SITE, 0.04566, "good", "at its target"),
+    ("roof", SITE, 0.0453, "good", "0.4 mm below its target"),
+    ("roof", SITE, 0.0434, "low", "2.3 mm below its target"),
+    ("roof", SITE, 0.55, "high",
+     "504.3 mm above its target; the soil is full, and water drains off"),
+    ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
+    ("cistern", SITE, 2.5, "good", "43.8 m3 above the suction level can be pumped"),
+    ("cistern", SITE, 0.75, "low", "too low for the pump: not above the suction level"),
+    ("cistern", SITE, 3.01, "high", "above its outlet: it overflows to the sewer"),
+    ("cistern", LOW_OUTLET, 2.5, "good",
      "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
 ])
-def test_cistern(low_outlet: float | None, level: float, state: str, sentence: str) -> None:
-    one = watched(cistern_level=level)
-    if low_outlet:
-        one.set_site(replace(SITE, low_outlet_level=low_outlet, low_outlet_radius=0.02))
-    tile = tile_of(one, "cistern")
-    assert (tile["state"], tile["sentence"]) == (state, sentence)
-    assert [mark["at"] for mark in tile["marks"]] == [0.75, *filter(None, [low_outlet]), 3.0]
+def test_levels(name: str, site: Site, level: float, state: str, sentence: str) -> None:
+    """The roof's band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
+    one = watched(**{f"{name}_level": level})
+    one.set_site(site)
+    tile = tile_of(one, name)
+    assert (tile["state"], tile["sentence"], tile["number"]) == (state, sentence, level)
+    assert tile["low"] <= level <= tile["high"]
+    if name == "roof":
+        assert tile["band"] == pytest.approx([0.043415, 0.047985])
+    else:
+        outlet = [] if site is SITE else [1.0]
+        assert [mark["at"] for mark in tile["marks"]] == [0.75, *outlet, 3.0]
 
 
 @pytest.mark.parametrize(("values", "state", "why"), [
@@ -429,17 +428,17 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     )
 
 
-@pytest.mark.parametrize(("mode", "factor", "heading"), [
-    ("none", None, "Nothing is heard yet"),
-    ("simulated", 30.0, "Simulated run, 30 times real time"),
-    ("simulated", 1.01, "Simulated run, at real time"),
-    ("simulated", math.nan, "Simulated run"),
-    ("loop", 1.5, "Simulated site with a drive, 1.5 times real time"),
-])
-def test_headings(mode: str, factor: float | None, heading: str) -> None:
+def test_headings() -> None:
     one = Store()
-    one.set_present(mode=mode, factor=factor, note="")
-    assert shown(one)["heading"] == heading
+    for mode, factor, heading in (
+        ("none", None, "Nothing is heard yet"),
+        ("simulated", 30.0, "Simulated run, 30 times real time"),
+        ("simulated", 1.01, "Simulated run, at real time"),
+        ("simulated", math.nan, "Simulated run"),
+        ("loop", 1.5, "Simulated site with a drive, 1.5 times real time"),
+    ):
+        one.set_present(mode=mode, factor=factor, note="")
+        assert shown(one)["heading"] == heading
 
 
 def test_a_watcher_that_knows_nothing() -> None:
@@ -489,19 +488,16 @@ def test_the_account_in_words() -> None:
     assert words_of["deviation"] == "0.0 mm"
     assert words_of["energy"].endswith(" kWh")
     assert shown(one)["account"]["sentence"] == "0.060 m3 not accounted for"
-
-
-def test_gaps_and_water_of_the_mains_in_the_account() -> None:
-    """Below its level the valve gives its flow, here all that is pumped, so that none is saved."""
-    one = watched()
     hear(one, 361, 400, QUIET)
-    assert shown(one)["account"]["sentence"] == "0.000 m3 not accounted for, with gaps of 5 min"
+    assert shown(one)["account"]["sentence"].endswith(", with gaps of 5 min")
+
+
+def test_water_of_the_mains_in_the_account() -> None:
+    """Below its level the valve gives its flow, here all that is pumped, so that none is saved."""
     one = store(site=replace(SITE, mains_level=1.0, mains_flow=1e-3))
     hear(one, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
-    rows = account_of(one)
-    assert rows["pumped"]["number"] == pytest.approx(0.06)
-    assert rows["mains"]["number"] == pytest.approx(0.06)
-    assert rows["saved"]["number"] == pytest.approx(0.0, abs=1e-12)
+    numbers = [account_of(one)[key]["number"] for key in ("pumped", "mains", "saved")]
+    assert numbers == pytest.approx([0.06, 0.06, 0.0], abs=1e-12)
 
 
 def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
@@ -734,25 +730,24 @@ def with_outlook(
     return {**document["tiles"], "advice": document["advice"]}
 
 
-def test_a_pump_that_waits_for_rain_says_so() -> None:
-    """Members of half to one and a half times 32 mm: a tenth is below 19, a tenth above 45."""
-    tiles = with_outlook(0.032)
-    assert tiles["summary"]["sentence"] == (
-        "The roof is too dry, 10.7 mm below its target; the pump is waiting for rain: 32 mm (19 to "
-        "45) by 04:00."
-    )
-    assert (tiles["summary"]["level"], tiles["advice"]) == ("ok", "Nothing to do.")
-
-
 @pytest.mark.parametrize("case", [
     {"mean": 0.008},  # too little
     {"mean": 0.032, "command": 0.5},
     {"mean": 0.032, "plan": [[1800.0, 1e-3, 0.036], [43200.0, 0.0, 0.04]]},  # it pumps before
+    {"mean": 0.032},
 ])
-def test_a_pump_that_does_not_wait_for_rain(case: dict[str, Any]) -> None:
-    summary = with_outlook(**case)["summary"]
-    assert "waiting" not in summary["sentence"]
-    assert summary["level"] == "warn"
+def test_a_pump_that_waits_for_rain_says_so(case: dict[str, Any]) -> None:
+    """Members of half to one and a half times 32 mm: a tenth is below 19, a tenth above 45."""
+    tiles = with_outlook(**case)
+    sentence, level = tiles["summary"]["sentence"], tiles["summary"]["level"]
+    if case == {"mean": 0.032}:
+        assert sentence == (
+            "The roof is too dry, 10.7 mm below its target; the pump is waiting for rain: 32 mm "
+            "(19 to 45) by 04:00."
+        )
+        assert (level, tiles["advice"]) == ("ok", "Nothing to do.")
+    else:
+        assert ("waiting" in sentence, level) == (False, "warn")
 
 
 def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
@@ -937,6 +932,8 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     one.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
     plan_lasts(one, 60, 720)
     one.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
+    # What is heard is read from the bag as well, some seconds later.
+    one.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
     plan_lasts(one, 780, 9000)
     assert read_series(one, 3)["lines"]["roof_expected"] == []  # it is still to come
     assert read_series(one, 3)["plan"] == [
@@ -954,18 +951,6 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     assert at + 7620 <= rows[-1][0] <= at + 7920
     # A point in 5 min, though the plans' steps are of an hour: there are no gaps.
     assert np.diff([row[0] for row in rows]).max() <= 300
-
-
-def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
-    """What is heard is read from the bag as well, some seconds later."""
-    one = watched()
-    plans = [np.array([[7200.0, 0.0, level]]) for level in (0.03, 0.04, 0.05)]
-    for place in (0, 1, 0, 2):  # each 600 s
-        one.add_plan(START + place * 600 * SECOND, plans[place])
-        plan_lasts(one, place * 600 + 60, place * 600 + 600)
-    add_at(one, "/roof/level", (5400, 0.04))
-    levels = [round(row[3], 3) for row in read_series(one, 3)["lines"]["roof_expected"]]
-    assert levels == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
