@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
+from greenroof_ros.watch.history import Stamps, Values
 
 # How far back the past of a bag in many files is read, from the newest (s).
 _PAST_S = 7 * 86_400
@@ -60,9 +61,6 @@ _NUMBER_LENGTH = _NUMBER.itemsize - _HEAD.size
 _FLOAT = "std_msgs/msg/Float64"
 _TYPES = (_FLOAT, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String")
 
-Times = NDArray[np.int64]
-Values = NDArray[np.float64]
-
 
 @dataclass
 class Batch:
@@ -79,7 +77,7 @@ class Batch:
         replaced: whether it is another bag than the one that was read; it has to be begun again.
     """
 
-    numbers: list[tuple[str, Times, Values]] = field(default_factory=list)
+    numbers: list[tuple[str, Stamps, Values]] = field(default_factory=list)
     messages: dict[tuple[str, int], tuple[int, bytes]] = field(default_factory=dict)
     newest_ns: int = 0
     problem: str = ""
@@ -260,21 +258,21 @@ class Recorded:
         name, namespace = file.channels.get(channel, ""), self._namespace or ""
         return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
 
-    def _group(self, file: _File, found: NDArray[np.void], batch: Batch) -> None:
-        """Part records of numbers, or as long as one, by their topics."""
-        values = found["value"].copy()
-        other = found["header"][:, 1] == 0  # of a machine with the other byte order
+    def _group(self, file: _File, records: NDArray[np.void], batch: Batch) -> None:
+        """Part records of numbers, or as long as such, by their topics."""
+        values = records["value"].copy()
+        other = records["header"][:, 1] == 0  # of a machine with the other byte order
         values[other] = values[other].byteswap()
-        times = found["time"].astype(np.int64)
-        for channel in np.unique(found["channel"]).tolist():
-            mine = found["channel"] == channel
+        times = records["time"].astype(np.int64)
+        for channel in np.unique(records["channel"]).tolist():
+            mine = records["channel"] == channel
             name = self._name(file, channel)
             if self._types.get(name) == _FLOAT:
                 batch.numbers.append((name, times[mine], values[mine]))
             else:  # a short text, such as "off"
-                for one in found[mine]:
-                    message = one["header"].tobytes() + one["value"].tobytes()
-                    self._keep(file, channel, int(one["time"]), message, batch)
+                for record in records[mine]:
+                    message = record["header"].tobytes() + record["value"].tobytes()
+                    self._keep(file, channel, int(record["time"]), message, batch)
 
     def _keep(
         self, file: _File, channel: int, time_ns: int, message: bytes, batch: Batch
@@ -282,8 +280,8 @@ class Recorded:
         """Keep a message of a topic that is no number's, if it is shown at all."""
         name = self._name(file, channel)
         if self._types.get(name, _FLOAT) != _FLOAT:
-            each = 0 if name.startswith("/forecast/") else time_ns
-            batch.messages[name, each] = time_ns, message
+            newest_alone = name.startswith("/forecast/")
+            batch.messages[name, 0 if newest_alone else time_ns] = time_ns, message
 
 
 def _recent(paths: list[Path]) -> list[Path]:

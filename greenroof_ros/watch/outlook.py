@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
+from greenroof_ros.watch.history import Values
 
 AHEAD_S = 12 * 3600.0
 """How far people look ahead (s)."""

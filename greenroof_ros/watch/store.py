@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
@@ -28,13 +27,11 @@ from greenroof_ros.watch import wire, words
 from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
 from greenroof_ros.watch.alarms import Alarm, Alarms
-from greenroof_ros.watch.history import Gaps, History
+from greenroof_ros.watch.history import Gaps, History, Stamps, Values
 from greenroof_ros.watch.outlook import Forecast, Plan
 from greenroof_ros.watch.registry import Node, Registry
 from greenroof_ros.watch.wire import Status
 
-Stamps = NDArray[np.int64]
-Values = NDArray[np.float64]
 _Outlook = TypeVar("_Outlook", Forecast, Plan)
 
 FLOW, RAIN_FORECAST = "/pump/flow", "/forecast/precipitation"
