@@ -47,14 +47,14 @@ def incident(role: str, part: str, cause: str, code: str, began: float, ended: f
 
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
     """Return what is known of a graph of which only the site is."""
-    one = Store()
-    one.set_site(site)
-    one.set_present(mode=mode, factor=30.0, note="")
-    return one
+    graph = Store()
+    graph.set_site(site)
+    graph.set_present(mode=mode, factor=30.0, note="")
+    return graph
 
 
-def hear(one: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
+def hear(graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
     """Have each topic's value from one second to another, the last one not included."""
     times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():
-        one.add(topic, times, np.full(len(times), value))
+        graph.add(topic, times, np.full(len(times), value))

@@ -57,7 +57,7 @@ class Simulated:
     def account(self, *, live: bool = False) -> Account:
         """Return its account; of a live site, where nobody says drainage and overflow."""
         topics = TOPICS[:5] if live else TOPICS
-        return filled({one: self.topics[one] for one in topics}, self.site, live=live)
+        return filled({topic: self.topics[topic] for topic in topics}, self.site, live=live)
 
 
 def simulated(*options: str) -> Simulated:
@@ -146,15 +146,15 @@ def test_a_live_site_has_the_same_computed_from_its_levels(
 
 def test_the_runs_reach_what_they_are_for(runs: dict[str, Simulated]) -> None:
     """Without these a wrong limit, drainage or overflow would not be seen above."""
-    found = {name: run.summary for name, run in runs.items()}
-    assert found["storm"]["drainage_m3"] > 1e-3
-    assert found["storm"]["outflow_m3"] > 0.1
-    assert found["empty"]["limited_steps"] > 10
-    assert found["measured"]["drainage_m3"] > 0.1
-    assert found["measured"]["final_layer_m3"] > 0.001
+    summaries = {name: run.summary for name, run in runs.items()}
+    assert summaries["storm"]["drainage_m3"] > 1e-3
+    assert summaries["storm"]["outflow_m3"] > 0.1
+    assert summaries["empty"]["limited_steps"] > 10
+    assert summaries["measured"]["drainage_m3"] > 0.1
+    assert summaries["measured"]["final_layer_m3"] > 0.001
     asked = runs["measured"].topics["/weather/evapotranspiration"][1][:-1].sum()
-    assert 0 < found["measured"]["evapotranspiration_m3"] < 0.9 * asked
-    assert found["low outlet"]["outflow_m3"] > 10
+    assert 0 < summaries["measured"]["evapotranspiration_m3"] < 0.9 * asked
+    assert summaries["low outlet"]["outflow_m3"] > 10
 
 
 def test_a_driver_that_says_more_than_the_cistern_gave() -> None:

@@ -91,9 +91,9 @@ def test_an_alarm_that_was_there_before_anybody_listened() -> None:
         (20.5, mpc(("inputs", ERROR, "bad"))),
     ):
         alarms.hear(at, at, said)
-    found = rows(alarms)
-    assert (found["/pump: drive"]["since"], found["/pump: drive"]["since_at_least"]) == (20, False)
-    assert not found["/mpc: inputs"]["since_at_least"]
+    known = rows(alarms)
+    assert (known["/pump: drive"]["since"], known["/pump: drive"]["since_at_least"]) == (20, False)
+    assert not known["/mpc: inputs"]["since_at_least"]
 
 
 def test_flapping_is_one_row() -> None:
@@ -197,10 +197,10 @@ def test_what_is_wrong_with_a_node(
     steps: Steps, alarms_then: dict[str, tuple[str, str]], events: list[str]
 ) -> None:
     alarms = heard(*steps)
-    found = [row for row in alarms.rows() if row["over"] is None]
-    assert {row["id"]: (row["level"], row["what"]) for row in found} == alarms_then
+    present_rows = [row for row in alarms.rows() if row["over"] is None]
+    assert {row["id"]: (row["level"], row["what"]) for row in present_rows} == alarms_then
     assert happened(alarms) == events
-    for row in found:
+    for row in present_rows:
         if row["code"] == "node_failed":
             assert row["do"] == "Mend what it says, and start it again."
         if row["code"] == "two_processes":
@@ -327,9 +327,9 @@ def test_every_code_has_its_advice() -> None:
             assert known and do, code
             assert "{" not in do.replace("{data: false}", ""), code
         assert advise(code, "", "/camera") == (FOREIGN, False)
-    for code, one in INTERLOCKS.items():
-        service = "/site1/pump/reset" if one.kind == LATCHED else "/site1/pump/stop"
-        if one.kind == LATCHED or code in ("operator_stop", "record_unknown"):
+    for code, interlock in INTERLOCKS.items():
+        service = "/site1/pump/reset" if interlock.kind == LATCHED else "/site1/pump/stop"
+        if interlock.kind == LATCHED or code in ("operator_stop", "record_unknown"):
             assert service in advise(code, "pump", "/site1/pump")[0]
     assert advise("of another version", "pump", "/pump") == (OTHER, False)
 
@@ -494,7 +494,7 @@ def test_a_flood_crowds_nobody_out() -> None:
     """
     alarms, long = Alarms(), "x" * 1_000_000
     forged = [
-        one for number in range(100) for one in node(f"/n{number}", "pump", ("p", ERROR, "!"))
+        status for number in range(100) for status in node(f"/n{number}", "pump", ("p", ERROR, "!"))
     ]
     alarms.hear(0.0, 0.0, pump(WRONG))
     tracemalloc.start()

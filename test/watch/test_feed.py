@@ -97,17 +97,17 @@ def fed(domain: int, bag: Path | None = None) -> Iterator[tuple[Kept, Feed]]:
 
 def recorded(run: Path) -> dict[str, dict[int, Any]]:
     """Return each value of a bag at its time."""
-    found: defaultdict[str, dict[int, Any]] = defaultdict(dict)
+    values: defaultdict[str, dict[int, Any]] = defaultdict(dict)
     with bag_file(run).open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             assert schema is not None
             if schema.name.endswith("Float64"):
-                found[channel.topic][message.log_time] = wire.number(message.data)
+                values[channel.topic][message.log_time] = wire.number(message.data)
             elif schema.name.endswith("Float64MultiArray"):
                 rows = wire.rows(message.data)
                 assert rows is not None
-                found[channel.topic][message.log_time] = rows[0].tolist()
-    return dict(found)
+                values[channel.topic][message.log_time] = rows[0].tolist()
+    return dict(values)
 
 
 def _shown(watched: Kept) -> dict[str, Any]:

@@ -18,28 +18,28 @@ def ticks(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_plain_python(
-    times: np.ndarray, values: np.ndarray, each: int
+    times: np.ndarray, values: np.ndarray, stretch: int
 ) -> list[list[float]]:
     """Return last time (s), least, greatest and last of each stretch (ns)."""
-    found: dict[int, list[float]] = {}
+    rows: dict[int, list[float]] = {}
     for at, value in zip(times.tolist(), values.tolist(), strict=True):
-        row = found.setdefault(at // each, [0.0, value, value, 0.0])
-        found[at // each] = [at / 1e9, min(row[1], value), max(row[2], value), value]
-    return list(found.values())
+        row = rows.setdefault(at // stretch, [0.0, value, value, 0.0])
+        rows[at // stretch] = [at / 1e9, min(row[1], value), max(row[2], value), value]
+    return list(rows.values())
 
 
-@pytest.mark.parametrize(("count", "batch", "each"), [
+@pytest.mark.parametrize(("count", "batch", "stretch"), [
     *((5000, batch, STRETCH_NS) for batch in (1, 333)),
     (200_000, 200_000, 25 * STRETCH_NS),  # in 400 points they are 500 s each
 ])
-def test_batches_of_any_size_give_every_extreme(count: int, batch: int, each: int) -> None:
+def test_batches_of_any_size_give_every_extreme(count: int, batch: int, stretch: int) -> None:
     """In few rows, however wide the window is."""
     times, values = ticks(count)
     history = History()
     for first in range(0, count, batch):
         history.add(times[first : first + batch], values[first : first + batch])
     rows = history.window(int(times[0]), int(times[-1]), 400)
-    assert rows == in_plain_python(times, values, each)
+    assert rows == in_plain_python(times, values, stretch)
     assert len(rows) <= 401
 
 

@@ -365,19 +365,19 @@ def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> N
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[float | None]:
     """What was made: None for each document, of each series its hours."""
-    found: list[float | None] = []
+    hours_made: list[float | None] = []
 
     def document(store: Store, wall: float) -> dict[str, Any]:
-        found.append(None)
+        hours_made.append(None)
         return read_document(store, wall)
 
     def series(store: Store, hours: float) -> dict[str, Any]:
-        found.append(hours)
+        hours_made.append(hours)
         return read_series(store, hours)
 
     monkeypatch.setattr(server, "document", document)
     monkeypatch.setattr(server, "series", series)
-    return found
+    return hours_made
 
 
 def test_what_is_pushed_is_made_once_for_all_pages(
