@@ -1,8 +1,8 @@
 """The site in Home Assistant itself: ``python tools/watch/home_assistant.py HASS``.
 
 ``HASS`` is Home Assistant's program ``hass``. It discovers a site in the loop through a broker:
-each entity once, with its unit; its button stops the pump; and all is unavailable when the bridge is
-killed. Otherwise it ends with the reason.
+each entity once, with its unit. Its button stops the pump, and all is unavailable when the bridge
+is killed. Otherwise it ends with the reason.
 """
 
 from __future__ import annotations
