@@ -119,17 +119,6 @@ def test_batches_give_the_summary(runs: dict[str, Simulated], name: str) -> None
     assert abs(totals["unexplained"]) < 1e-9
 
 
-def test_heard_one_by_one_gives_the_same_bits(runs: dict[str, Simulated]) -> None:
-    run = runs["empty"]
-    one_by_one = Account(run.site)
-    for tick in range(len(run.topics["/roof/level"][0])):
-        for topic, (times, values) in run.topics.items():
-            one_by_one.add(topic, times[tick : tick + 1], values[tick : tick + 1])
-        if tick % 50 == 0:
-            one_by_one.totals()
-    assert one_by_one.totals() == run.account().totals()
-
-
 @pytest.mark.parametrize(("name", "keys"), [
     ("storm", ("drained", "overflow")), ("measured", ("drained", "evapotranspired")),
     ("low outlet", ("overflow",)),
@@ -235,7 +224,7 @@ def live_topics() -> Recorded:
     }
 
 
-def test_a_live_value_holds_for_ten_minutes() -> None:
+def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> None:
     """From 0.4 s, when the last topic was first heard, to 3600 s, but for 1620 + 600 to 3240 s."""
     account = filled(live_topics(), live=True)
     totals = account.totals()
@@ -247,9 +236,6 @@ def test_a_live_value_holds_for_ten_minutes() -> None:
     assert totals["stored"] == totals["drained"] == totals["overflow"] == 0
     flows = 1e-3 * 2579.6 + (1e-6 * 68.8 - 1e-5) * 3599.6
     assert totals["unexplained"] == pytest.approx(-flows, rel=1e-12)
-
-
-def test_a_refused_live_value_is_unknown() -> None:
     topics = live_topics()
     topics["/weather/precipitation"][1][100:200] = np.nan
     account = filled(topics, live=True)

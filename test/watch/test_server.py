@@ -413,24 +413,6 @@ def test_what_is_pushed_is_made_once_for_all_pages(
         assert 5 <= names.count(b"event: state") <= ticks and names.count(b"event: series") >= 2
 
 
-def test_a_change_comes_soon_and_nothing_new_every_few_seconds(
-    look: Callable[..., Stream], watched: Store
-) -> None:
-    set_level(watched, 0.01, 1)
-    stream = look()
-    assert "text/event-stream" in stream.head() and "no-store" in stream.head()
-    arrived: list[float] = []
-    for name, content in stream.events():
-        if name == "state":
-            arrived.append(time.monotonic())
-            if level_in(content) == 0.04:
-                break
-            if len(arrived) == 2:
-                set_level(watched, 0.04, 2)
-    nothing_new, change = np.diff(arrived)
-    assert 0.3 < nothing_new < 7 and change < 2
-
-
 def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
     """As a browser reads gzip: one stream, from whichever message it began."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
@@ -444,7 +426,8 @@ def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., 
             assert unpacking.decompress(message.compressed) == message.plain
     assert len(messages[0].compressed) < len(messages[0].plain) / 3
     stream = look(Accept_Encoding="gzip, deflate, br")
-    assert "Content-Encoding: gzip" in stream.head()
+    for said in ("Content-Encoding: gzip", "text/event-stream", "no-store"):
+        assert said in stream.head()
     unpacking, text = zlib.decompressobj(wbits=31), b""
     for chunk in stream.chunks():
         text += unpacking.decompress(chunk)
