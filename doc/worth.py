@@ -13,9 +13,12 @@ from pathlib import Path
 
 FILE = Path(__file__).parent / "reference" / "worth.csv"
 
-_TITLES = {"paper": "Roof that drains only when full", "measured": "Measured roof"}
-_WIDTH, _LEFT, _RIGHT, _ROW, _HEAD, _FOOT = 640, 215, 90, 26, 62, 46
-_FROM, _TO = 70, 102
+_TITLES = {
+    "measured": "Measured roof: drains in most storms",
+    "paper": "The paper's roof: drains only when full",
+}
+_WIDTH, _LEFT, _RIGHT, _ROW, _HEAD, _FOOT = 600, 215, 90, 27, 64, 48
+_FROM, _TO = 68, 102
 """ends of the axis (%)"""
 
 _STYLE = """
@@ -48,7 +51,7 @@ def drawing() -> str:
         top += height
     return "\n".join([
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {top}" '
-        'font-family="Helvetica, Arial, sans-serif" font-size="15" role="img" '
+        'font-family="Helvetica, Arial, sans-serif" font-size="16" role="img" '
         'aria-label="Deviation from the target level in percent of on/off\'s, on two roofs">',
         f"<style>{_STYLE}</style>",
         f'<rect class="back" width="{_WIDTH}" height="{top}" rx="8"/>',
@@ -63,20 +66,20 @@ def _panel(title: str, rows: list[dict[str, str]], top: int) -> tuple[list[str],
     parts = [
         f'<text x="16" y="{top + 28}" font-weight="bold">{escape(title)}</text>',
         f'<text class="quiet" x="{_WIDTH - 16}" y="{top + 28}" text-anchor="end" '
-        'font-size="13">mean deviation</text>',
+        'font-size="14">mean deviation</text>',
     ]
-    for percent in range(_FROM, 101, 10):
+    for percent in range(70, 101, 10):
         x = _at(percent)
         parts += [
             f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{top + 42}" y2="{bottom - 10}"/>',
             f'<text class="quiet" x="{x:.1f}" y="{bottom + 8}" text-anchor="middle" '
-            f'font-size="13">{percent} %</text>',
+            f'font-size="14">{percent} %</text>',
         ]
     for number, row in enumerate(rows):
         parts += _row(row, top + _HEAD + _ROW * number)
     parts.append(
         f'<text class="quiet" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{bottom + 26}" '
-        'text-anchor="middle" font-size="13">deviation from the target, of on/off\'s</text>'
+        'text-anchor="middle" font-size="14">deviation from the target, in % of on/off\'s</text>'
     )
     return parts, _HEAD + _ROW * len(rows) + _FOOT
 
@@ -97,5 +100,5 @@ def _row(row: dict[str, str], y: int) -> list[str]:
         'stroke-width="3"/>',
         mark,
         f'<text x="{_WIDTH - 16}" y="{y + 5}" text-anchor="end">'
-        f'{float(row["mean deviation [mm]"]):.1f} mm</text>',
+        f'{float(row["mean deviation [mm]"]):#.3g} mm</text>',
     ]
