@@ -68,7 +68,7 @@ def test_intervals_of_sums_over_weeks() -> None:
 
 
 def test_rows_of_the_figure(inputs: Inputs, tmp_path: Path) -> None:
-    """A run that deviates a tenth less each week has 0.9, without width; the least has its range."""
+    """A run with a tenth less in each week has 0.9, without width; the least has its range."""
     results = {}
     for number, (source, form) in enumerate(SHOWN.values()):
         share = 1 - number / 10
