@@ -451,7 +451,7 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 def command_groups() -> str:
     """Return what each command of ``greenroof`` does, by what a user wants to do."""
     return markdown(
-        ("to", "`greenroof`", "does or shows"),
+        ("to", "`greenroof`", "does this"),
         (
             (title if name == next(iter(group)) else "", f"`{name}`", entry.about)
             for title, group in GROUPS.items() for name, entry in group.items()

@@ -64,20 +64,20 @@ class LiveSite:
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: live, it says where the levels are read; or --sensors external, where "
-             "nodes of your own publish /cistern/level and /roof/level"),
+             "is missing: a live site needs it to know where the levels are measured; or give "
+             "--sensors external, if nodes of your own publish /cistern/level and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
-             "is missing: live, it says which drive the pump has, and --drive-at where; or --pump "
-             "external, where a node of your own takes /pump/command"),
+             "is missing: a live site needs it to know the pump's drive, and --drive-at its "
+             "address; or give --pump external, if a node of your own runs the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
-             "is of the weather node, which --weather external leaves to somebody else"),
+             "is for the weather node, which --weather external replaces"),
             (arguments.dressed is not None and not has_forecast, "--dressed", arguments.dressed,
              "is for forecasts of --forecast FILE.csv"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
-             f"is missing: live, it is what {self.controller.name} knows of the weather to "
-             "come; or --weather external, where a node of your own publishes it; or --controller "
-             "onoff or lookahead, which can do without"),
+             f"is missing: {self.controller.name} needs a forecast; or give --weather external, "
+             "if a node of your own publishes it, or --controller onoff or lookahead, which need "
+             "no forecast"),
         )
         self.sensors = None
         self.sensed: Sensors | None = None
@@ -91,8 +91,8 @@ class LiveSite:
             (not others_weather and not has_forecast and arguments.thermometer is None and not own,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
-             "frost; let a node of your own publish /gauge/temperature (degC) and give "
-             "--thermometer external, name one in the file of --sensors, or give a forecast"),
+             "frost; give it if a node of your own publishes /gauge/temperature (degC), or add a "
+             "thermometer to the file of --sensors, or give a forecast"),
             (own and arguments.thermometer is not None, "--thermometer", EXTERNAL,
              "contradicts the file of --sensors, which has a thermometer"),
         )

@@ -212,7 +212,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     given, known = _mapping(value, parts), {key.name: key for key in keys(kind)}
     for name in given:
         if name not in known:
-            wrong = f"is no key here; {did_you_mean(name, known)}"
+            wrong = f"is not a key here; {did_you_mean(name, known)}"
             raise _Wrong((*parts, name), wrong, given[name])
     made = {}
     for name, key in known.items():

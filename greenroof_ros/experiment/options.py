@@ -204,7 +204,10 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
 
 
 def _skill(text: str) -> str:
-    check_skill(text)
+    try:
+        check_skill(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{error}, not {text}") from error
     return text
 
 

