@@ -86,7 +86,8 @@ def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None
     """A second too early, an hour by another offset, a second too long."""
     weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
     assert refusal(WeatherSeries, weather, PAPER_SITE, parse_time(start), steps).startswith(
-        f"{tmp_path / 'weather.csv'}: has records from 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but"
+        f"{tmp_path / 'weather.csv'}: has records from 2021-07-07T03:00-05:00 to "
+        "2021-07-07T06:00-05:00, but the run starts at "
     )
 
 
