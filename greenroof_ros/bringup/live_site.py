@@ -181,8 +181,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Keep a site up that has sensors and a pump, at the system's time; nothing is\n"
-        "simulated. It has no end: Ctrl-C or SIGTERM stops the pump, and then the nodes.",
+        description="Keep a site with sensors and a pump running, by the system clock; nothing is\n"
+        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the\n"
+        "nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
@@ -199,31 +200,32 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: somebody "
-        "else's nodes publish the levels",
+        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: nodes "
+        "of your own publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
-        help="forecasts, read again when the file is replaced; open-meteo: fetched from there for "
-        "the site's place, and kept in the state directory (as 'greenroof fetch-forecast' does); "
-        "onoff needs none beside a thermometer",
+        help="forecasts, read again when the file is replaced; open-meteo: fetched from "
+        "Open-Meteo for the site's place, and kept in the state directory (as 'greenroof "
+        "fetch-forecast' does); with a thermometer, onoff and lookahead need no forecast",
     )
     group.add_argument(
         "--fetch-model", default="", metavar="NAME",
         help="weather model of open-meteo, such as icon_seamless (default: its own choice)",
     )
     group.add_argument(
-        "--fetch-url", default="", metavar="URL", help="of a server like open-meteo's, for that"
+        "--fetch-url", default="", metavar="URL",
+        help="another server with the interface of Open-Meteo",
     )
     group.add_argument(
         "--fetch-every", type=within(10, 1440), metavar="MIN",
-        help="from one forecast of open-meteo to the next (default: 30)",
+        help="minutes between two forecasts of Open-Meteo (default: 30)",
     )
     group.add_argument(
         "--dressed", metavar="FILE.csv",
-        help="instead of each forecast an ensemble of what fell after similar ones, by a file that "
-        "'greenroof verify --dress' made; what falls here is added to it, and without a forecast "
-        "it stands for one",
+        help="replaces each forecast by an ensemble of the rain observed after similar "
+        "forecasts, from a file that 'greenroof verify --dress' made; the rain measured here is "
+        "added to it, and without a forecast its spells of rain are used",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
@@ -233,7 +235,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
-        help="external: the weather, now and ahead, is from a node of somebody else's",
+        help="external: a node of your own publishes weather and forecast",
     )
     group.add_argument(
         "--restarts", type=within(0, 1000, int), default=10, metavar="N",
