@@ -1,7 +1,7 @@
 """The README's figure of what forecasts are worth, made from ``reference/worth.csv``.
 
-``python tools/real_seasons`` writes that file. The figure has its own background, light or dark as
-the reader's system is.
+``python tools/real_seasons ARCHIVES -o DIR`` writes that file as ``DIR/worth.csv``. The figure has
+its own background, light or dark as the reader's system is.
 """
 
 from __future__ import annotations
