@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import (
     YamlMapping,
     number,
@@ -631,7 +631,7 @@ class _Grid:
         for key in mapping:
             if key not in known:
                 raise self._refuse(
-                    mapping, key, f"is not known here; there are {', '.join(known)}"
+                    mapping, key, f"is not a key here; {did_you_mean(key, known)}"
                 )
         for key in needed:
             if mapping.get(key) in (None, [], {}, ""):

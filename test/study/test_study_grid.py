@@ -18,7 +18,10 @@ from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 WRONG = {
-    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not known here"),
+    "unknown-key": (
+        GRID + "engine: ros\n",
+        "line 14: engine = 'ros': is not a key here; choose from site, weather, initial",
+    ),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
     "site-kind": (
         edited(SITE, "site: [{file: site.yaml}, 10]"),
