@@ -20,16 +20,18 @@ import yaml
 from brokers import Mosquitto, Talker
 from disks import small_disk
 from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
-from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED
+from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED, Sign
 from faults.line import Cable, Line
 from faults.players import TRUE, Players, Relay
 from faults.truth import AT_REST, Truth
 from faults.watcher import Watcher
-from graphs import Process, alive, free_ports
+from graphs import Process, alive, free_ports, summary_of
 from places import CONFIG, guarding
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.modbus_line import parse_address
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.limits import settings_for
@@ -144,7 +146,8 @@ class Rig:
     Attributes:
         watcher: the campaign's node in the graph.
         truth: what the drive really does.
-        others: nodes of others that a case has started.
+        watchers: all that hear for the campaign: `watcher`, and a case's own in another domain.
+        kept: where bringup keeps its summary and incidents, if there is a bringup.
         lines: to the level sensors, where they can go bad; by tank.
     """
 
@@ -188,7 +191,7 @@ class Rig:
         self.main: Process
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
-        self.others: list[Process] = []
+        self.kept = directory / "state"
         self.players: Players | Relay | None = None
 
     def _place(self) -> tuple[str, ...]:
@@ -199,6 +202,7 @@ class Rig:
         site = None if site_bench is None else parse_address(site_bench)
         self.truth = Truth(parse_address(self._bench), site)
         self.watcher = Watcher(self.domain)
+        self.watchers = [self.watcher]
 
     def pids(self) -> dict[str, int]:
         """Return the process of each node, by the node's name, and of ``bringup``."""
@@ -212,7 +216,7 @@ class Rig:
 
     def runs(self) -> bool:
         """Whether the pump runs, truly and by its node."""
-        return self.truth.runs() and self.watcher.state in ("running", "starting")
+        return self.truth.runs() and self.watcher.pump_state in ("running", "starting")
 
     def until_guarded(self) -> None:
         """Wait until the drive's own timeout counts, which it may not at once after power-up.
@@ -243,17 +247,26 @@ class Rig:
                 )
             time.sleep(0.02)
 
-    def said(self, pattern: str, since: float, printed: int) -> str:
-        """Return what was said of a cause, on a topic, or by bringup beyond what it had printed."""
-        found = self.watcher.find(pattern, since)
-        if not found:
-            text = self.main.stderr()[printed:]
-            line = next((one for one in text.splitlines() if re.search(pattern, one)), "")
-            found = f"bringup: {line}" if line else ""
-        for other in self.others[-1:] if not found else ():
-            line = next((o for o in other.stderr().splitlines() if re.search(pattern, o)), "")
-            found = f"the other node: {line}" if line else ""
-        return found
+    def signs(self, since: float, incidents: int = 0) -> set[Sign]:
+        """Return what was shown since a time, on /diagnostics and in incidents after so many."""
+        heard = {
+            sign for watcher in self.watchers for at, sign in list(watcher.signs) if at >= since
+        }
+        return heard | {
+            (incident.what, incident.code) for incident in read_incidents(self.kept)[incidents:]
+        }
+
+    def incidents(self) -> int:
+        """Return how many incidents there were so far."""
+        return len(read_incidents(self.kept))
+
+    def summary(self) -> dict[str, Any]:
+        """Return what bringup has written about itself; nothing where there is no bringup."""
+        return summary_of(self.kept) if (self.kept / summary.SUMMARY).exists() else {}
+
+    def reason(self) -> str:
+        """Return why bringup ended, for people; empty where it was killed."""
+        return self.summary().get("reason") or ""
 
     def __enter__(self) -> Rig:
         return self
@@ -282,8 +295,8 @@ class Rig:
             main.terminate()
             try:
                 code = main.wait(25)
-                # A run with incidents that it got over ends with 1, and says so last.
-                over = code == 1 and "\ndone, with " in self.main.stderr()
+                # A site with incidents that it got over ends with 1.
+                over = code == 1 and self.summary().get("status") == summary.DONE
                 if code not in (0, 130) and not over:
                     wrong.append(f"exit code {code} after SIGTERM")
             except subprocess.TimeoutExpired:
@@ -532,12 +545,13 @@ class LoopRig(Rig):
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
+        self.kept = directory / "run"
         self._watch()
         self.main = Process(
             domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--output", str(directory / "run"), "--state", str(directory / "state"),
+            "--output", str(self.kept), "--state", str(directory / "state"),
             "--node-parameters", str(self.parameters), cwd=directory,
         )
 
@@ -552,7 +566,7 @@ class RelayedRig(Rig):
         self.started.add(pump_node(self, live=False).process.pid)
         site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
         self._node("weather", site, ticks)
-        self._controller = self._node("controller", site, arguments=("--controller", CONTROLLER))
+        self._node("controller", site, arguments=("--controller", CONTROLLER))
         self.main = self._node(
             "plant", site, ticks, "speed:=1.0", "pump:=external",
             f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
@@ -571,11 +585,8 @@ class RelayedRig(Rig):
         self.started.add(node.process.pid)
         return node
 
-    def said(self, pattern: str, since: float, printed: int) -> str:
-        """Return the same, or what the controller printed: the first refusal on each topic."""
-        lines = self._controller.stderr().splitlines()
-        line = next((one for one in lines if re.search(pattern, one)), "")
-        return super().said(pattern, since, printed) or line
+    def reason(self) -> str:
+        return self.watcher.failures["plant"]
 
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {

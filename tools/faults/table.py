@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
@@ -113,15 +112,15 @@ def _row(way: str, those: list[dict[str, Any]]) -> str:
     ])
 
 
-# What a recovery has beside its kind: a number, or what a service answered.
-_OF_ONE = re.compile(r" after [\d.]+ s| \(.*\)| with exit code -?\d+|^\d+ times, ")
+# A pump that runs so soon after the fault (s) has run on.
+_AT_ONCE_S = 1.0
 
 
 def _outcome(those: list[dict[str, Any]]) -> str:
     """Return how most went on, then the others."""
     counts = Counter(
-        "ran on" if one["to_safe"] is None and one["recovery"].startswith("ran again after 0.")
-        else _OF_ONE.sub("", one["recovery"]) for one in those
+        "ran on" if result["to_safe"] is None and result["recovered"] is not None
+        and result["recovered"] < _AT_ONCE_S else result["recovery"] for result in those
     )
     return ", ".join(said for said, _ in counts.most_common() if said) or "as specified"
 
