@@ -175,8 +175,8 @@ class Process:
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
-        """Return the process id of each node that this bringup started."""
-        found = {}
+        """Return the process id of each node that this bringup started, by what it is."""
+        nodes = {}
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         for pid in children.read_text().split():
             try:
@@ -185,11 +185,11 @@ class Process:
                 continue
             for word in words:
                 if word.startswith("greenroof_ros.nodes."):
-                    name = word.removeprefix("greenroof_ros.nodes.")
+                    name = word.removeprefix("greenroof_ros.nodes.").removeprefix("live_")
                     if name == "sensor":
                         name = QUANTITIES[words[words.index('--of') + 1]].node
-                    found[name] = int(pid)
-        return found
+                    nodes[name] = int(pid)
+        return nodes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:
         """Wait until the bag in ``run`` has grown to some size: the run is well under way."""

@@ -9,15 +9,16 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta, timezone
+from datetime import timedelta
 from pathlib import Path
 
 from faults.cases import Case
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S, Players
-from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait, write_forecast
+from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
 from faults.truth import AT_REST
 from faults.watcher import Watcher
 from graphs import Process, own_domain
+from ros_rig import write_forecast
 
 from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
@@ -228,12 +229,12 @@ def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
 def _forecast(rig: Rig, case: Case, undo: ExitStack) -> None:
     assert isinstance(rig, SiteRig)
     if case.target == "broken":
-        write_forecast(rig.forecast, text="issued,time,precipitation [mm/h]\nnonsense,1,2\n")
+        rig.forecast.write_text("issued,time,precipitation [mm/h]\nnonsense,1,2\n")
     elif case.target == "missing":
         rig.forecast.unlink()
     else:
-        write_forecast(rig.forecast, issued=datetime.now(timezone.utc) - timedelta(days=30))
-    undo.callback(write_forecast, rig.forecast)
+        write_forecast(rig.forecast, timedelta(days=30), hours=48)
+    undo.callback(write_forecast, rig.forecast, hours=48)
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:

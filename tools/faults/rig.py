@@ -11,14 +11,13 @@ import subprocess
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
 from brokers import Mosquitto, Talker
-from disks import small_disk
+from disks import fill, small_disk
 from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
 from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED, Sign
 from faults.line import Cable, Line
@@ -27,6 +26,7 @@ from faults.truth import AT_REST, Truth
 from faults.watcher import Watcher
 from graphs import Process, alive, free_ports, summary_of
 from places import CONFIG, guarding
+from ros_rig import write_forecast
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.modbus_line import parse_address
@@ -92,18 +92,6 @@ def site_file(directory: Path, **changes: float) -> Path:
     return path
 
 
-def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
-    """Put a dry forecast of two days in place, as one should: whole, by renaming."""
-    issued = issued or datetime.now(timezone.utc).replace(minute=0, second=0, microsecond=0)
-    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"]
-    for hour in range(48):
-        at = issued + timedelta(hours=hour)
-        lines.append(f"{issued.isoformat()},{at.isoformat()},0.0,2.0,15.0")
-    draft = path.with_suffix(".new")
-    draft.write_text("\n".join(lines) + "\n" if text is None else text)
-    draft.replace(path)
-
-
 def _has_shared_memory(pid: int) -> bool:
     """Whether a process shares memory with others, which a stopped one of them could hold."""
     try:
@@ -131,6 +119,11 @@ class Simulator:
         if not self.ready.startswith("ready:"):
             raise BrokenError(f"{module}: {self.process.stderr()}")
         self.powered_at = time.monotonic()
+
+    @property
+    def place(self) -> str:
+        """The address of a drive."""
+        return self.ready.split()[2].rstrip(",")
 
     def end(self) -> None:
         popen = self.process.process
@@ -185,7 +178,7 @@ class Rig:
             "--boot", f"{BOOT_S:g}", *self._place(), "--workbench", str(bench),
             "--site", str(self.site_file),
         )
-        self.drive_at = self.drive.ready.split()[2].rstrip(",")
+        self.drive_at = self.drive.place
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
         self.main: Process
@@ -206,13 +199,11 @@ class Rig:
 
     def pids(self) -> dict[str, int]:
         """Return the process of each node, by the node's name, and of ``bringup``."""
-        found = {"bringup": self.main.process.pid}
+        pids = {"bringup": self.main.process.pid}
         with suppress(OSError):  # it has ended
-            found |= {
-                name.removeprefix("live_"): pid for name, pid in self.main.nodes().items()
-            }
-        self.started.update(found.values())
-        return found
+            pids |= self.main.nodes()
+        self.started.update(pids.values())
+        return pids
 
     def runs(self) -> bool:
         """Whether the pump runs, truly and by its node."""
@@ -335,7 +326,7 @@ class SiteRig(Rig):
             "--roof", str(_ROOF_M3), "--output", str(self.csv),
         )
         self.forecast = directory / "forecast.csv"
-        write_forecast(self.forecast)
+        write_forecast(self.forecast, hours=48)
         self.state = directory / "state"
         self._options = (
             "--controller", CONTROLLER, "--site", str(self.site_file),
@@ -458,9 +449,7 @@ class FullDiskRig(SiteRig):
 
     def fill(self) -> None:
         """Fill the disk to its last byte."""
-        with self._other().open("wb", buffering=0) as stream, suppress(OSError):
-            while True:
-                stream.write(bytes(4096))
+        fill(self._other())
 
     def free(self) -> None:
         """Make room again."""

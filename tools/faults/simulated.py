@@ -55,7 +55,7 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
             watcher = Watcher(domain, "intruder")
         run.wait_for_ticks()
         time.sleep(rng.uniform(0.0, 1.0))
-        nodes = {name.removeprefix("live_"): pid for name, pid in run.nodes().items()}
+        nodes = run.nodes()
         pids = list(nodes.values())
         began = time.monotonic()
         _begin(case, run, domain, nodes, watcher, rng)

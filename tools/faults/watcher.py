@@ -45,6 +45,7 @@ class Watcher:
     Attributes:
         said: what was said of states that changed, for people: when, by which status, its level
             and sentence.
+        codes: of each status as it was heard last; empty where all is well.
         signs: the conditions that came up, as a program reads them: when, at which status, and
             their codes; those of the page, too.
         advised: those of the page, with advice.
@@ -61,7 +62,7 @@ class Watcher:
         self.standing: set[Sign] = set()
         self.pump_state = ""
         self.failures: dict[str, str] = {}
-        self._codes: dict[str, str] = {}
+        self.codes: dict[str, str] = {}
         self._alarms = Alarms()
         self._context = rclpy.Context()
         with _transport():
@@ -128,9 +129,9 @@ class Watcher:
             self.failures[who] = json.loads(values.get("failure", '""'))
             if who == "pump":
                 self.pump_state = json.loads(values.get("pump_state", '""'))
-        if self._codes.get(who, "") != code:
-            self._codes[who] = code
-            self.signs += [(now, (who, code))] if code else []
+        if code and self.codes.get(who) != code:
+            self.signs.append((now, (who, code)))
+        self.codes[who] = code
 
     def publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are known."""
