@@ -4,7 +4,7 @@
 holds each fault for longer than the limit once it was said. What a node says is wrong on
 ``/diagnostics`` must stand on the page within the limit, with the condition's code, and go within
 it when it is over. What lasts less than the limit may be missed, but of each kind its own alarm
-must be seen: what the campaign wants said of it, or what follows from it for the node that it is
+must be seen: what the campaign wants shown of it, or what follows from it for the node that it is
 done to.
 """
 
@@ -15,7 +15,6 @@ import contextlib
 import itertools
 import math
 import random
-import re
 import sys
 import tempfile
 import threading
@@ -30,7 +29,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 import paths  # noqa: F401
 from browsers import started_browser
 from diagnosed import Diagnosed
-from faults.cases import LIVE, Case, all_cases
+from faults.cases import LIVE, Case, Sign, all_cases
 from faults.live import Outcome, run_case
 from faults.rig import RIGS, BrokenError, Rig, wait
 from graphs import Process, free_ports, own_domain
@@ -47,8 +46,8 @@ _AHEAD_S = 3.0
 # events, the newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
-    (one) => [one.dataset.alarm, `${one.dataset.level} ${one.dataset.code}`])),
-  [...document.querySelectorAll("#events li")].map((one) => one.textContent)]"""
+    (alarm) => [alarm.dataset.alarm, `${alarm.dataset.level} ${alarm.dataset.code}`])),
+  [...document.querySelectorAll("#events li")].map((event) => event.textContent)]"""
 # Kinds that say nothing on this page, by fault and target, and why.
 NOT_SAID = {
     ("second pump node", "in another domain"):
@@ -57,19 +56,19 @@ NOT_SAID = {
 
 
 def kinds() -> list[Case]:
-    """Return one case for each fault and alarm that must be said of a live site.
+    """Return one case for each fault and its conditions that must be shown of a live site.
 
     Neither those that end the site, and with it all that is said, nor bursts of hostile values: the
     same is said of those that keep coming.
     """
-    found: dict[tuple[str, str], Case] = {}
+    kinds: dict[tuple[str, tuple[Sign, ...]], Case] = {}
     for case in all_cases():
         if (
-            case.way == LIVE and case.expected.alarm and case.expected.recovery != "ends"
+            case.way == LIVE and case.expected.signs and case.expected.recovery != "ends"
             and case.fault != "10000 hostile"
         ):
-            found.setdefault((case.fault, case.expected.alarm), case)
-    return list(found.values())
+            kinds.setdefault((case.fault, case.expected.signs), case)
+    return list(kinds.values())
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class Look:
 
     def restart(self, name: str) -> str:
         """Return the newest event that a node was started again; empty for none."""
-        return next((each for each in self.events if f"{name} was started again" in each), "")
+        return next((event for event in self.events if f"{name} was started again" in event), "")
 
 
 class Page:
@@ -183,8 +182,8 @@ class Comparison:
                 again = next((when for when, it in changes[number + 1:-1] if it == what), math.inf)
                 looks = self._page.since(max(at - _AHEAD_S, shown_at))
                 seen = next((
-                    each.at for each in looks
-                    if each.at < again and each.alarms.get(name, "") == what
+                    look.at for look in looks
+                    if look.at < again and look.alarms.get(name, "") == what
                 ), None)
                 may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
                 if self._note(name, what, at, seen, must=then - at > may_miss):
@@ -193,7 +192,7 @@ class Comparison:
     def _compare_restart(self, name: str, at: float) -> None:
         looks = self._page.since(at - _AHEAD_S)
         before = looks[0].restart(name) if looks else ""
-        seen = next((each.at for each in looks if each.restart(name) != before), None)
+        seen = next((look.at for look in looks if look.restart(name) != before), None)
         must = self._until - at > self._limit
         self._note(name, "was started again", at, seen, must=must)
 
@@ -258,11 +257,9 @@ def _verdict(case: Case, comparison: Comparison | None) -> list[str]:
     if comparison is None:
         return ["not compared"]
     own = any(
-        each.name == f"/{case.target}" or any(
-            re.search(case.expected.alarm, sentence)
-            for sentence in comparison.said.sentences[each.name, each.what]
-        )
-        for each in comparison.followed if each.what
+        change.name == f"/{case.target}"
+        or (change.name.lstrip("/"), change.what.partition(" ")[2]) in case.expected.signs
+        for change in comparison.followed if change.what
     )
     if own or (case.fault, case.target) in NOT_SAID:
         return comparison.missed
@@ -313,8 +310,8 @@ def _table(changes: list[Change]) -> str:
     """Return how many changes were followed, and the latest of those shown and gone (s)."""
     text = f"{len(changes)} changes compared"
     for what, times in (
-        ("shown", [each.after for each in changes if each.what]),
-        ("gone", [each.after for each in changes if not each.what]),
+        ("shown", [change.after for change in changes if change.what]),
+        ("gone", [change.after for change in changes if not change.what]),
     ):
         text += f", {len(times)} {what}"
         text += f" (latest {max(times):.1f} s)" if times else ""
