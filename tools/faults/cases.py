@@ -137,7 +137,7 @@ _DRIVE: dict[str, Expected] = {
     "exception": Expected(bound="refused", signs=_LOST),
     "drive_fault": Expected(bound="drive", signs=_pump("drive_fault"), recovery="latches"),
     "timeout_off": Expected(bound="drive", signs=_pump("drive_timeout")),
-    "local": Expected(bound="drive", signs=_pump("drive_local")),
+    "local": Expected(bound="drive", signs=(("pump: drive", "drive_local"),)),
     # Held by an operator, it says that it is off, and its motor runs until its own timeout passes.
     "runs_on": Expected(bound="runs on", signs=_pump("runs_on"), recovery="latches"),
     # PX4's: silent for 7 s of 9.
