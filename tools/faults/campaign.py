@@ -78,8 +78,8 @@ class Bench:
                 outcome = simulated.run_case(case, place, domain, rng)
         elif case.rig == "readers":
             if case not in self._read:
-                block = [one for one in all_cases()
-                         if (one.rig, one.number) == (case.rig, case.number)]
+                block = [other for other in all_cases()
+                         if (other.rig, other.number) == (case.rig, case.number)]
                 self._read |= dict(readers.run_cases(block, place, SEED))
             outcome = self._read[case]
         elif case.rig == "service":
@@ -119,7 +119,7 @@ class Bench:
             wrong.append(f"{type(error).__name__}: {error}")
         wrong += [] if self._rig is None else self._rig.ended_badly
         self._rig, self._served = None, 0
-        return "; ".join(f"at the end of the rig: {one}" for one in wrong)
+        return "; ".join(f"at the end of the rig: {what}" for what in wrong)
 
     def _write(self) -> None:
         self._failed |= bool(self._last["wrong"])

@@ -121,8 +121,8 @@ def last_message(file: Path) -> float:
     last = 0
     with suppress(McapError, EOFError), file.open("rb") as stream:  # where it was cut
         for record in StreamReader(stream, emit_chunks=True).records:
-            found = breakup_chunk(record) if isinstance(record, Chunk) else [record]
-            last = max([last, *(one.log_time for one in found if isinstance(one, Message))])
+            records = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+            last = max([last, *(part.log_time for part in records if isinstance(part, Message))])
     return last / 1e9
 
 

@@ -166,13 +166,13 @@ class Relay(_Played):
 
 def _wrong(topic: str, value: Value) -> Value:
     change = _WRONG[topic]
-    return change(value) if isinstance(value, float) else [change(one) for one in value]
+    return change(value) if isinstance(value, float) else [change(number) for number in value]
 
 
 def _garbage(topic: str, value: Value, rng: random.Random) -> Value:
     hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
     if topic == "/gauge/temperature":
-        hostile = tuple(one for one in hostile if not -90 <= one <= 60)
+        hostile = tuple(degrees for degrees in hostile if not -90 <= degrees <= 60)
     if isinstance(value, float):
         return rng.choice(hostile)
     # A controller that needs no forecast takes one of another length, but none that cannot be.

@@ -64,7 +64,7 @@ class _Readers:
         for process in self._processes:
             at = began + rng.uniform(0.0, _APART_S)
             moments += [(at, process, signal.SIGSTOP), (at + STOPPED_S, process, signal.SIGCONT)]
-        for at, process, number in sorted(moments, key=lambda one: one[0]):
+        for at, process, number in sorted(moments, key=lambda moment: moment[0]):
             time.sleep(max(0.0, at - time.monotonic()))
             process.send_signal(number)
             if process.poll() is not None:

@@ -567,7 +567,7 @@ class RelayedRig(Rig):
         ours = [topic for topic in RELAYED if name in interface[topic].publishers]
         node = Process(
             self.domain, f"nodes.{name}", *arguments, "--ros-args",
-            *(word for one in parameters for word in ("-p", one)),
+            *(word for parameter in parameters for word in ("-p", parameter)),
             *(word for topic in ours for word in ("-r", f"{topic}:={TRUE}{topic}")),
             cwd=self.directory,
         )

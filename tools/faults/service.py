@@ -99,7 +99,7 @@ def _stands_from(
     roof. Without a thermometer the temperature is the forecast's.
     """
     choice = find_controller("lookahead")
-    values = {one.name: one.default for one in choice.parameters_on(site)}
+    values = {setting.name: setting.default for setting in choice.parameters_on(site)}
     for minutes in range(0, 60 * _HOURS, 10):
         try:
             outlook = forecast.at(began + timedelta(minutes=minutes))

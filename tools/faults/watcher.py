@@ -141,16 +141,10 @@ class Watcher:
 
     def publish(self, topic: str, value: float | Sequence[float] | str) -> None:
         """Publish on a topic of the interface, with its profile."""
-        kind = message_class(self._topics[topic].type)
+        self.open(topic)
+        message = message_class(self._topics[topic].type)()
+        message.data = value if isinstance(value, (float, str)) else array("d", value)
         with self._lock:
-            if topic not in self._publishers:
-                profile = qos_profile(self._topics[topic].qos)
-                self._publishers[topic] = self.node.create_publisher(kind, topic, profile)
-            message = kind()
-            if isinstance(value, (float, str)):
-                message.data = value
-            else:
-                message.data = array("d", value)
             self._publishers[topic].publish(message)
 
     def publish_any(self, topic: str, value: Any) -> None:
@@ -169,7 +163,7 @@ class Watcher:
     def relay(self, source: str, topic: str, changed: Callable[[Any], Any]) -> None:
         """Publish on a topic what comes on another one, as a function makes it; None: nothing."""
         self.open(topic)
-        one = self._topics[topic]
+        described = self._topics[topic]
 
         def pass_on(message: Any) -> None:
             data = message.data
@@ -180,16 +174,16 @@ class Watcher:
                 self.publish(topic, value)
 
         self.node.create_subscription(
-            message_class(one.type), source, pass_on, qos_profile(one.qos)
+            message_class(described.type), source, pass_on, qos_profile(described.qos)
         )
 
     def open(self, topic: str) -> None:
         """Be a publisher of a topic, and say nothing on it."""
         with self._lock:
             if topic not in self._publishers:
-                one = self._topics[topic]
+                described = self._topics[topic]
                 self._publishers[topic] = self.node.create_publisher(
-                    message_class(one.type), topic, qos_profile(one.qos)
+                    message_class(described.type), topic, qos_profile(described.qos)
                 )
 
     def withdraw(self, topic: str) -> None:
