@@ -102,16 +102,16 @@ def main() -> None:
         )
         stack.callback(run.process.terminate)
         ticks = Ticks(domain)
-        found: dict[bool, list[float]] = {False: [], True: []}
+        ticks_s: dict[bool, list[float]] = {False: [], True: []}
         for turn in range(2 * turns):
             with ExitStack() as watching:
                 if turn % 2:
                     watching.enter_context(watched(domain, place))
                 took = ticks.measure()
-            found[bool(turn % 2)].append(took)
+            ticks_s[bool(turn % 2)].append(took)
             print(f"{'with' if turn % 2 else 'without':8} {took * 1e6:.0f} us a tick", flush=True)
             time.sleep(2)
-        ratio = statistics.median(found[True]) / statistics.median(found[False])
+        ratio = statistics.median(ticks_s[True]) / statistics.median(ticks_s[False])
         print(f"with a watcher {ratio:.3f} of without, medians of {turns} turns of {TURN_S:g} s")
 
 

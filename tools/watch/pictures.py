@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 import tempfile
 import time
@@ -22,10 +21,10 @@ from typing import Any
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from browsers import started_browser
 from faults.rig import SiteRig
 from graphs import Process, bring_up, free_ports, own_domain, wait_for
 from places import DATA
-from playwright.sync_api import sync_playwright
 from rich.console import Console
 
 from greenroof_ros.watch.terminal import pages
@@ -122,7 +121,7 @@ def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
 
 
 STATES: dict[str, Callable[[int, Path], Any]] = {
-    each.__name__: each for each in (full_speed, storm, fault, stale, ended)
+    state.__name__: state for state in (full_speed, storm, fault, stale, ended)
 }
 
 
@@ -141,9 +140,7 @@ def take(state: str, address: str, directory: Path) -> None:
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
         console.print(pages(_told(address, "state"), _told(address, "series"), console, 24)[0])
-    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+    with started_browser() as browser:
         for scheme in SCHEMES:
             for width in WIDTHS:
                 page = browser.new_page(
@@ -154,7 +151,6 @@ def take(state: str, address: str, directory: Path) -> None:
                 time.sleep(1)
                 page.screenshot(path=directory / f"{state}-{width}-{scheme}.png", full_page=True)
                 page.close()
-        browser.close()
 
 
 def main() -> None:
