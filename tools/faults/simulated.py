@@ -192,17 +192,17 @@ def digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def reference(directory: Path, domain: int) -> Path:
-    """Return an undisturbed short run, made once in a directory."""
+def reference(directory: Path, domain: int, hours: str = _SHORT_H) -> Path:
+    """Return an undisturbed run, made once in a directory."""
     kept = directory / "undisturbed"
     if not (kept / "run").is_dir():
         place = Path(tempfile.mkdtemp(prefix="undisturbed-", dir=directory))
         run = Process(
-            domain, "bringup", "--controller", "onoff", "--hours", _SHORT_H, "--output", "run",
+            domain, "bringup", "--controller", "onoff", "--hours", hours, "--output", "run",
             cwd=place,
         )
-        code = run.wait(120)
+        code = run.wait(300)
         assert code == 0, run.stderr()
-        with contextlib.suppress(OSError):  # the other lane was faster
+        with contextlib.suppress(OSError):  # another process was faster
             place.rename(kept)
     return kept / "run"
