@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import subprocess
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,8 @@ from pathlib import Path
 from faults.bounds import RAMP_S, bounds
 from faults.cases import Case, Sign
 from faults.inject import begin
-from faults.rig import BrokenError, Rig, SiteRig, left, wait
+from faults.rig import RIGS, BrokenError, Rig, SiteRig, left, wait
+from graphs import own_domain
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -63,6 +65,48 @@ class Outcome:
 
     def fail(self, what: str) -> None:
         self.wrong = "; ".join(filter(None, (self.wrong, what)))
+
+
+class Rigs:
+    """The rig of cases that follow each other: made for the first, and again where it broke.
+
+    Attributes:
+        stack: ends it, and what was started for it.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.stack = ExitStack()
+        self._directory, self._count = directory, 0
+        self._rig: Rig | None = None
+
+    def do(self, case: Case, outcome: Outcome, task: Callable[[Rig], None]) -> None:
+        """Do something to a case's rig; where that fails or ends it, the next case has another."""
+        try:
+            if self._rig is None:
+                self._count += 1
+                domain = self.stack.enter_context(own_domain())
+                kind, _, drive = case.rig.partition(":")
+                place = self._directory / f"rig-{self._count}"
+                self._rig = self.stack.enter_context(RIGS[kind](place, domain, drive))
+            task(self._rig)
+        except BrokenError as error:
+            outcome.fail(f"rig: {error}")
+        except Exception as error:  # whatever it is, the next case needs a new rig
+            outcome.fail(f"{type(error).__name__}: {error}")
+        ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
+        if outcome.wrong or ends:
+            outcome.fail(self.end())
+
+    def end(self) -> str:
+        """End the rig, and return what is wrong with how it ended."""
+        wrong = []
+        try:
+            self.stack.close()
+        except Exception as error:
+            wrong.append(f"{type(error).__name__}: {error}")
+        wrong += [] if self._rig is None else self._rig.ended_badly
+        self._rig = None
+        return "; ".join(f"at the end of the rig: {what}" for what in wrong)
 
 
 def run_case(
