@@ -131,7 +131,7 @@ def run_case(
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.watchers[1:] = []
     if case.target == "recorder" and isinstance(rig, SiteRig):
-        _until_it_records(rig.state / "bag", rng)
+        _until_it_records(rig.kept / "bag", rng)
     time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
     if not rig.runs():
         rig.until_running()
@@ -175,7 +175,7 @@ def _fault(
 ) -> None:
     expected = case.expected
     began, incidents = time.monotonic(), rig.incidents()
-    recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
+    recorded = newest_file(rig.kept / "bag") if isinstance(rig, SiteRig) else None
     clock = time.time()
     with ExitStack() as undo:
         begin(rig, case, rng, undo)

@@ -29,7 +29,7 @@ from places import CONFIG, guarding
 from ros_rig import write_forecast
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.drives.modbus_line import parse_address
+from greenroof_ros.drives.modbus_line import Address, parse_address
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.model.pump_speed import flow_at
@@ -181,21 +181,27 @@ class Rig:
         self.drive_at = self.drive.place
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
-        self.main: Process
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
         self.kept = directory / "state"
         self.players: Players | Relay | None = None
+        site_bench = self.start_site()
+        self.truth = Truth(parse_address(self._bench), site_bench)
+        self.watcher = Watcher(self.domain)
+        self.watchers = [self.watcher]
+        self.main = self.bring_up()
 
     def _place(self) -> tuple[str, ...]:
         """Return the options that say where the drive is."""
         return ("--serial", "pty") if self.serial else ("--port", str(*free_ports(1)))
 
-    def _watch(self, site_bench: str | None = None) -> None:
-        site = None if site_bench is None else parse_address(site_bench)
-        self.truth = Truth(parse_address(self._bench), site)
-        self.watcher = Watcher(self.domain)
-        self.watchers = [self.watcher]
+    def start_site(self) -> Address | None:
+        """Start what the drive's pump waters, and return its workbench; None without either."""
+        return None
+
+    def bring_up(self) -> Process:
+        """Start what is under test, and return its main process."""
+        raise NotImplementedError
 
     def pids(self) -> dict[str, int]:
         """Return the process of each node, by the node's name, and of ``bringup``."""
@@ -312,31 +318,28 @@ class SiteRig(Rig):
 
     cistern_m3 = _CISTERN_M3
 
-    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
-        super().__init__(directory, domain, drive, **special)
-        file, read = directory / "sensors.yaml", directory / "sensors-read.yaml"
+    def start_site(self) -> Address:
+        file, read = (self.directory / f"{name}.yaml" for name in ("sensors", "sensors-read"))
         for path, sensors in zip((file, read), self._sensors(), strict=True):
             path.write_text(yaml.safe_dump(sensors))
         (bench,) = free_ports(1)
-        self.csv = directory / "levels.csv"
+        self.csv = self.directory / "levels.csv"
         self.site_simulator = Simulator(
-            domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
-            "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
+            self.domain, self.directory, "site_simulator", "--sensors", str(file), "--drive-at",
+            self._bench, "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
             "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
             "--roof", str(_ROOF_M3), "--output", str(self.csv),
         )
-        self.forecast = directory / "forecast.csv"
+        self.forecast = self.directory / "forecast.csv"
         write_forecast(self.forecast, hours=48)
-        self.state = directory / "state"
         self._options = (
             "--controller", CONTROLLER, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--state", str(self.state), "--restarts", "1000",
+            "--state", str(self.kept), "--restarts", "1000",
             "--node-parameters", str(self.parameters),
         )
-        self._watch(f"tcp://127.0.0.1:{bench}")
-        self.bring_up()
+        return Address("127.0.0.1", bench)
 
     def _sensors(self) -> tuple[Any, Any]:
         """Return the file of the simulated sensors, and that by which the nodes read them."""
@@ -350,10 +353,9 @@ class SiteRig(Rig):
             by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
         return sensors, by_line
 
-    def bring_up(self) -> None:
-        """Start bringup, at first or again."""
-        self.main = Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
+    def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
+        return Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -381,12 +383,12 @@ class RelayRig(SiteRig):
         self.cable = Cable(self.broker.port)
         return ("--at", f"{self.broker.address}/roof", "--timeout", f"{DRIVE_TIMEOUT_S:g}")
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self._options = tuple(
             option.replace(f":{self.broker.port}/", f":{self.cable.port}/")
             for option in self._options
         )
-        super().bring_up()
+        return super().bring_up()
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -397,9 +399,9 @@ class RelayRig(SiteRig):
 class GaugedRig(SiteRig):
     """The same with a weather station, which the campaign plays."""
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, GAUGES)
-        super().bring_up()
+        return super().bring_up()
 
 
 class MqttRig(SiteRig):
@@ -442,10 +444,10 @@ class MqttRig(SiteRig):
 class FullDiskRig(SiteRig):
     """The same, its bag on a small disk that can be filled."""
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self._disk = ExitStack()
-        self._disk.enter_context(small_disk(self.state / "bag", "2m"))
-        super().bring_up()
+        self._disk.enter_context(small_disk(self.kept / "bag", "2m"))
+        return super().bring_up()
 
     def fill(self) -> None:
         """Fill the disk to its last byte."""
@@ -456,7 +458,7 @@ class FullDiskRig(SiteRig):
         self._other().unlink()
 
     def _other(self) -> Path:
-        return self.state / "bag" / "other"
+        return self.kept / "bag" / "other"
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -469,15 +471,13 @@ class PlayedRig(Rig):
     topics = PLAYED
     nodes = ("pump", CONTROLLER)
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
-        self.main = Process(
-            domain, "bringup.live", "--controller", CONTROLLER,
+        return Process(
+            self.domain, "bringup.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
-            *self._pump(), "--state", str(directory / "state"),
-            "--restarts", "1000", "--node-parameters", str(self.parameters), cwd=directory,
+            *self._pump(), "--state", str(self.kept), "--restarts", "1000",
+            "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 
     def _pump(self) -> tuple[str, ...]:
@@ -522,41 +522,35 @@ class PumpRig(Rig):
 
     topics: tuple[str, ...] = ("/pump/command", *LEVELS)
 
-    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
-        super().__init__(directory, domain, drive, **special)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
-        self.main = pump_node(self)
+        return pump_node(self)
 
 
 class LoopRig(Rig):
     """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self.kept = directory / "run"
-        self._watch()
-        self.main = Process(
-            domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
+    def bring_up(self) -> Process:
+        self.kept = self.directory / "run"
+        return Process(
+            self.domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--output", str(self.kept), "--state", str(directory / "state"),
-            "--node-parameters", str(self.parameters), cwd=directory,
+            "--output", str(self.kept), "--state", str(self.directory / "state"),
+            "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 
 
 class RelayedRig(Rig):
     """The same with each node started by itself, and the campaign between them."""
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Relay(self.watcher, RELAYED)
         self.started.add(pump_node(self, live=False).process.pid)
         site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
         self._node("weather", site, ticks)
         self._node("controller", site, arguments=("--controller", CONTROLLER))
-        self.main = self._node(
+        return self._node(
             "plant", site, ticks, "speed:=1.0", "pump:=external",
             f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
         )
