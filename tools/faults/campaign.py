@@ -50,7 +50,7 @@ def in_order(cases: list[Case]) -> list[Case]:
 
 
 class Bench:
-    """Does one case after the other; those of a rig follow each other."""
+    """Does one case after the other; the cases of a rig follow each other."""
 
     def __init__(self) -> None:
         RESULTS.mkdir(parents=True, exist_ok=True)

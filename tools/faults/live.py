@@ -311,7 +311,7 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     except subprocess.TimeoutExpired:
         outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
-    # A live site ends with 1 where it had incidents, which may be those of the cases before.
+    # A live site ends with 1 where it had incidents, which may be of the cases before.
     asked = int(rig.summary()["incident_count"] > 0) if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
         case.fault if case.target == "bringup" else "", 1)

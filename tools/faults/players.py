@@ -22,7 +22,7 @@ ON_S, OFF_S = 2.0, 7.0
 # Where the nodes publish between which the campaign stands.
 TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
-# Too large, which a command may be: it is taken as 1.
+# Too large, which a command may be: it counts as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
 # What is wrong but looks right, by topic: how far off, or a value of its own.
 _WRONG: dict[str, Callable[[float], float]] = {

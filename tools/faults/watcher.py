@@ -47,8 +47,8 @@ class Watcher:
             and sentence.
         codes: of each status as it was heard last; empty where all is well.
         signs: the conditions that came up, as a program reads them: when, at which status, and
-            their codes; those of the page, too.
-        advised: those of the page, with advice.
+            their codes; the codes on the page, too.
+        advised: those on the page with advice, likewise.
         standing: the conditions that stand on the page now.
         pump_state: what the pump node says of the pump, in a word.
         failures: why nodes ended, by their names.

@@ -44,7 +44,7 @@ def watched(domain: int, cwd: Path) -> Iterator[None]:
                 count[0] += len(stream.readline())
 
     threading.Thread(target=read, daemon=True).start()
-    wait_for(lambda: count[0], 30, "what the page is told")
+    wait_for(lambda: count[0], 30, "what the page is sent")
     time.sleep(10)  # it has read what was recorded before
     yield
     ended.set()
@@ -66,8 +66,8 @@ class Ticks:
             looker.look(0.1)
 
     def _on_message(self, topic: str, message: bytes, number: int | None, came_ns: int) -> None:
-        told = wire.statuses(message)
-        for status in () if told is None else told[1]:
+        _, statuses = wire.statuses(message) or (0, [])
+        for status in statuses:
             if status.name == "/plant" and "tick" in status.values:
                 self.newest = (came_ns / 1e9, int(status.values["tick"]))
 

@@ -2,7 +2,7 @@
 
 Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
 coming, a live site whose drive has a fault, one whose roof sensor is silent, and a run that has
-ended. The page is taken in Chromium, at three widths, light and dark; the terminal as text.
+ended. Pictures of the page are made in Chromium, at three widths, light and dark; the terminal as text.
 """
 
 from __future__ import annotations
@@ -125,13 +125,13 @@ STATES: dict[str, Callable[[int, Path], Any]] = {
 }
 
 
-def _told(address: str, name: str) -> dict[str, Any]:
-    """Return what the page is told, from its stream."""
+def _sent(address: str, name: str) -> dict[str, Any]:
+    """Return what the page is sent under a name, from its stream."""
     with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:
         for line in stream:
             if line.strip() == f"event: {name}".encode():
-                told: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
-                return told
+                sent: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
+                return sent
     raise AssertionError(f"no {name}")
 
 
@@ -139,7 +139,7 @@ def take(state: str, address: str, directory: Path) -> None:
     """Take the pictures of a state."""
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
-        console.print(pages(_told(address, "state"), _told(address, "series"), console, 24)[0])
+        console.print(pages(_sent(address, "state"), _sent(address, "series"), console, 24)[0])
     with started_browser() as browser:
         for scheme in SCHEMES:
             for width in WIDTHS:
