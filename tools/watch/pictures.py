@@ -2,7 +2,8 @@
 
 Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
 coming, a live site whose drive has a fault, one whose roof sensor is silent, and a run that has
-ended. Pictures of the page are made in Chromium, at three widths, light and dark; the terminal as text.
+ended. Pictures of the page are made in Chromium, at three widths, light and dark; the terminal is
+kept as text.
 """
 
 from __future__ import annotations
