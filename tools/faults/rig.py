@@ -250,7 +250,7 @@ class Rig:
             sign for watcher in self.watchers for at, sign in list(watcher.signs) if at >= since
         }
         return heard | {
-            (incident.what, incident.code) for incident in read_incidents(self.kept)[incidents:]
+            (incident.subject, incident.code) for incident in read_incidents(self.kept)[incidents:]
         }
 
     def incidents(self) -> int:
