@@ -105,11 +105,11 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
         ConfigurationError: there is one, or somebody else's file, or it is no directory.
     """
     figures = directory / "figures"
-    found = list(directory.iterdir()) if directory.exists() else []
+    there = list(directory.iterdir()) if directory.exists() else []
     if figures.is_dir():
-        found = [*filter(figures.__ne__, found), *figures.iterdir()]
+        there = [*filter(figures.__ne__, there), *figures.iterdir()]
     foreign = [
-        str(file.relative_to(directory)) for file in sorted(found)
+        str(file.relative_to(directory)) for file in sorted(there)
         if not file.is_file()
         or (file != directory / _PAGE and not (file.parent == figures and own(file.name)))
     ]
@@ -119,11 +119,11 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
             f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} "
             "is no report's, and never written over; name another directory"
         )
-    elif found and not force:
+    elif there and not force:
         wrong = "holds a report already; --force replaces it, or name another directory"
     if wrong:
         raise ConfigurationError(wrong, key="--output", value=str(directory))
-    return found
+    return there
 
 
 @contextmanager

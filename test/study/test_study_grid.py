@@ -218,11 +218,11 @@ def test_settings_of_one_controller(tmp_path: Path) -> None:
       forecast: {model: errors, skill: real, seed: [1, 2]}
 """
     cases = read_grid(tmp_path / grid(tmp_path, text))
-    found = sorted(
+    settings = sorted(
         (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
         for case in cases if (case.initial, case.evapotranspiration) == ("dry", "fao56")
     )
-    assert found == [
+    assert settings == [
         (0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2),
     ]
 
