@@ -1,9 +1,10 @@
-"""The page and the terminal in five states: ``python tools/watch/pictures.py DIRECTORY``.
+"""The page and the terminal in each of their states: ``python tools/watch/pictures.py DIRECTORY``.
 
 Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
-coming, a live site whose drive has a fault, one whose roof sensor is silent, and a run that has
-ended. Pictures of the page are made in Chromium, at three widths, light and dark; the terminal is
-kept as text.
+coming, a live site whose drive has a fault, one whose roof sensor is silent, one whose pump was
+stopped on the page and one where it was released there, a run that ended before the page's eyes,
+and the recording of a run. The page is taken in Chromium, at three widths, light and dark; the
+terminal as text.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
@@ -52,8 +53,25 @@ def _address(process: Process) -> str:
     return next((word for word in words if word.startswith("http://")), "")
 
 
+class Watched(NamedTuple):
+    """A graph to be looked at.
+
+    Attributes:
+        options: of ``watch``.
+        clicks: what a person clicks on the page, one after the other.
+        end: ends the graph while it is looked at; None for what goes on.
+    """
+
+    options: tuple[str, ...] = ()
+    clicks: tuple[str, ...] = ()
+    end: Callable[[], Any] | None = None
+
+
+_NO_CLICKS = Watched()
+
+
 @contextmanager
-def full_speed(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
+def full_speed(domain: int, place: Path) -> Iterator[Watched]:
     """A simulation at full speed, some hours after its begin."""
     run = Process(
         domain, "bringup", "--controller", "mpc", "--weather",
@@ -61,13 +79,13 @@ def full_speed(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
         "--start", "2021-07-01", "--hours", "700", "--output", "run", cwd=place,
     )
     run.wait_for_ticks(1_000_000)
-    yield ()
+    yield Watched()
     run.process.terminate()
     run.wait(300)
 
 
 @contextmanager
-def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
+def storm(domain: int, place: Path) -> Iterator[Watched]:
     """A storm that an ensemble of forecasts sees coming."""
     run = Process(
         domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
@@ -76,20 +94,21 @@ def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
     )
     run.wait_for_ticks()
     time.sleep(150)  # some hours
-    yield ()
+    yield Watched()
     run.process.terminate()
     run.wait(300)
 
 
 @contextmanager
-def site_with(domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None]) -> (
-    Iterator[tuple[str, ...]]
-):
+def site_with(
+    domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None],
+    watched: Watched = _NO_CLICKS,
+) -> Iterator[Watched]:
     """A live site whose pump ran, and which has this trouble since some seconds."""
     with SiteRig(place, domain, drive) as rig:
         rig.until_running(seconds=120, steady_s=10.0)
         trouble(rig)
-        yield ()
+        yield watched
 
 
 def fault(domain: int, place: Path) -> Any:
@@ -113,27 +132,66 @@ def stale(domain: int, place: Path) -> Any:
     return site_with(domain, place, "grundfos_cim500", trouble)
 
 
+def stopped(domain: int, place: Path) -> Any:
+    """A person stopped its pump on the page."""
+    watched = Watched(("--allow-release",), ("#stop-button", "#ask-yes"))
+    return site_with(domain, place, "danfoss_fc202", lambda _: None, watched)
+
+
+def released(domain: int, place: Path) -> Any:
+    """And released it there."""
+    clicks = ("#stop-button", "#ask-yes", "#release-button", "#ask-yes")
+    watched = Watched(("--allow-release",), clicks)
+    return site_with(domain, place, "danfoss_fc202", lambda _: None, watched)
+
+
 @contextmanager
-def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
-    """A run that has ended."""
+def ended(domain: int, place: Path) -> Iterator[Watched]:
+    """A run that ends while it is looked at."""
+    run = Process(
+        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
+        "--speed", "600", "--output", "run", cwd=place,
+    )
+    run.wait_for_ticks()
+    yield Watched(end=lambda: run.wait(300))
+
+
+@contextmanager
+def recording(domain: int, place: Path) -> Iterator[Watched]:
+    """The bag of a run."""
     bring_up(domain, place, "--controller", "lookahead", "--horizon", "12", "--hours", "24",
              "--start", "2021-07-08")
-    yield ("--bag", "run/bag")
+    yield Watched(("--bag", "run/bag"))
 
 
 STATES: dict[str, Callable[[int, Path], Any]] = {
-    state.__name__: state for state in (full_speed, storm, fault, stale, ended)
+    state.__name__: state
+    for state in (full_speed, storm, fault, stale, stopped, released, ended, recording)
 }
 
 
 def _sent(address: str, name: str) -> dict[str, Any]:
     """Return what the page is sent under a name, from its stream."""
-    with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:
+    place, _, token = address.partition("#token=")
+    request = urllib.request.Request(
+        f"{place}events?hours=12", headers={"Authorization": f"Bearer {token}"}
+    )
+    with urllib.request.urlopen(request, timeout=30) as stream:
         for line in stream:
             if line.strip() == f"event: {name}".encode():
                 sent: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
                 return sent
     raise AssertionError(f"no {name}")
+
+
+def click(address: str, selectors: tuple[str, ...]) -> None:
+    """Click on the page, as a person does who reads what appears."""
+    with started_browser() as browser:
+        page = browser.new_page()
+        page.goto(address)
+        for selector in selectors:
+            page.locator(selector).click(timeout=60_000)
+            time.sleep(5)
 
 
 def take(state: str, address: str, directory: Path) -> None:
@@ -167,9 +225,13 @@ def main() -> None:
             domain = stack.enter_context(own_domain())
             place = Path(stack.enter_context(tempfile.TemporaryDirectory(
                 ignore_cleanup_errors=True)))
-            options = stack.enter_context(STATES[state](domain, place))
-            address = stack.enter_context(watcher(domain, place, *options))
+            watched = stack.enter_context(STATES[state](domain, place))
+            address = stack.enter_context(watcher(domain, place, *watched.options))
             time.sleep(8)
+            click(address, watched.clicks)
+            if watched.end is not None:
+                watched.end()
+                time.sleep(8)
             take(state, address, arguments.directory)
             print(state, flush=True)
 
