@@ -162,7 +162,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     with _bar("verifying", forecasts.count, "issues") as done:
         tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
-    if not any(each.scores().n for each in tallies.values()):
+    if not any(total.scores().n for total in tallies.values()):
         raise ConfigurationError(
             f"have no whole sum in common with the records: these are of {forecasts.span}, the "
             f"records of {span}",
@@ -247,7 +247,7 @@ def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
     """Return the sums and events that a command line asks for."""
     if arguments.sums is None and arguments.events is None:
-        return [Sum(*each) for each in _SUMS if arguments.lead % each[0] == 0]
+        return [Sum(*usual) for usual in _SUMS if arguments.lead % usual[0] == 0]
     if arguments.sums is None or arguments.events is None:
         raise ConfigurationError("must be given together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
@@ -261,7 +261,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
                 f"must each divide --lead, {arguments.lead} h, and be given once",
                 key="--sums", value=hours,
             )
-    return [Sum(*each) for each in zip(arguments.sums, arguments.events, strict=True)]
+    return [Sum(*pair) for pair in zip(arguments.sums, arguments.events, strict=True)]
 
 
 def _new_table(title: str, *names: str) -> Table:
@@ -277,14 +277,14 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     headings = (heading for heading, _ in SHOWN.values())
     table = _new_table(title, "lead", "sum of", "event", *headings)
     before = ""
-    for each, of_class in tallies.items():
+    for key, of_class in tallies.items():
         scores = of_class.scores()
         table.add_row(
-            each.lead if each.lead != before else "",
-            f"{each.sum.hours} h", f"{each.sum.event:g} mm",
+            key.lead if key.lead != before else "",
+            f"{key.sum.hours} h", f"{key.sum.event:g} mm",
             *map(scores.shown, SHOWN),
         )
-        before = each.lead
+        before = key.lead
     return table
 
 
@@ -297,7 +297,7 @@ def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
     for row in rows:
         table.add_row(
             f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
-            *(f"{each:.2f}" for each in (*row.bias[:2], *row.crps)),
+            *(f"{value:.2f}" for value in (*row.bias[:2], *row.crps)),
         )
     return table
 
@@ -310,10 +310,10 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
         ("lead_from_h", "lead_to_h", "sum_hours", "event_mm",
          *("crps_mm" if name == "crps" else name for name in SHOWN))
     )
-    for each, of_class in tallies.items():
+    for key, of_class in tallies.items():
         scores = of_class.scores()
         rows.writerow(
-            (each.low, each.high, each.sum.hours, f"{each.sum.event:g}", scores.n,
+            (key.low, key.high, key.sum.hours, f"{key.sum.event:g}", scores.n,
              *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
         )
     return stream.getvalue()

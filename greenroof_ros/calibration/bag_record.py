@@ -32,7 +32,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
     column, nor in the forecasts of a live site: where nothing says that it was computed it is taken
     as it is.
 
-    What the pumps were told counts while they deliver, in steps in which it is never above 1, which
+    The pumps' command counts while they deliver, in steps in which it is never above 1, which
     is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
     through gaps, too: the value of a day before, or in the first day the last before the gap.
 

@@ -226,8 +226,8 @@ def _to_hold(record: Record, site: Site) -> Values:
     it no more than that.
     """
     rate = max(_FULL_RATE, site.crop_coefficient)
-    taken = np.where(_watered(record), rate * record.reference, 0.0)
-    return np.concatenate(([0.0], np.cumsum(record.came - taken)))
+    evaporated = np.where(_watered(record), rate * record.reference, 0.0)
+    return np.concatenate(([0.0], np.cumsum(record.came - evaporated)))
 
 
 def _most_held(site: Site) -> float:
@@ -296,7 +296,7 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
         rise = 1000 * float(np.mean(level[storm.dry:storm.dry + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             rises.append((came, rise))
-    came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
+    came, risen = (sum(depths) for depths in zip(*rises, strict=True)) if rises else (1.0, 1.0)
     if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / came < _MOST_RISE:
         yield FINDINGS.make(
             "unit-error", "rises", "level",
@@ -404,7 +404,7 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
         return
     at = np.arange(before, record.steps - count)
     there, rained = (
-        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(level), _wet(record))
+        np.concatenate(([0], np.cumsum(marks))) for marks in (~np.isnan(level), _wet(record))
     )
     known = there[at + count] - there[at - count] == 2 * count
     dry = known & (rained[at + count] == rained[at - before])
@@ -439,19 +439,19 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     is wrong by more than half.
     """
     lines, best, worse, off = [], [], [], []
-    for one in scores:
+    for row in scores:
         nses = {
-            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in one.nse.items()
+            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in row.nse.items()
             if over_s >= HOUR_S and not math.isnan(nse)
         }
-        lines.append(f"{one.quantity}, {one.part}: {' and '.join(nses)}")
+        lines.append(f"{row.quantity}, {row.part}: {' and '.join(nses)}")
         best.append(max(nses.values(), default=0.0))
-        if one.part == "validation":
+        if row.part == "validation":
             name, nse = [*nses.items()][-1] if nses else ("", 0.0)
             if nse < 0:
-                worse.append(f"NSE of {one.quantity} {name}")
-            if one.quantity == "runoff" and abs(one.volume_error) > _VOLUME_OFF:
-                off.append(f"volume of runoff {100 * one.volume_error:+.0f} %")
+                worse.append(f"NSE of {row.quantity} {name}")
+            if row.quantity == "runoff" and abs(row.volume_error) > _VOLUME_OFF:
+                off.append(f"volume of runoff {100 * row.volume_error:+.0f} %")
     if max(best) < 0:
         return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:

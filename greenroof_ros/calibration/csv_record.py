@@ -24,16 +24,8 @@ from greenroof_ros.calibration.record import (
     time_name,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.records import (
-    Limits,
-    Table,
-    Unit,
-    gaps,
-    numbered_lines,
-    read_table,
-)
+from greenroof_ros.formats.records import Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
@@ -119,7 +111,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     Raises:
         ConfigurationError: the file breaks any of this; the message names line, column and value.
     """
-    table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)))
+    table = read_table(file)
     columns = _columns(table)
     clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
 
@@ -205,7 +197,7 @@ def _unit(
         return (ours, low, high), Unit(text, per_ours), False
     rate = _RATE.fullmatch(text)
     if ours != "mm/h" or rate is None or not (rate["amount"] == "mm" or "l/s" in examples):
-        units = ", ".join(f"[{one}]" for one in examples.split())
+        units = ", ".join(f"[{example}]" for example in examples.split())
         raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
     per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
     if rate["time"]:
@@ -261,7 +253,7 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
             "must be later than the time of the row before", TIME, int(back[0]) + 1
         )
     step_s = float(np.median(spacing))
-    # A roof's drainage is of hours; of longer sums nothing can be told that rain does not say.
+    # A roof drains within hours; longer sums show nothing that rain does not.
     if step_s > DAY_S:
         raise table.refuse(
             f"the rows are {time_name(step_s)} apart; they must be a day apart at most", TIME, 1
@@ -308,7 +300,7 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
     # Before the first row and after the last as if there were one more, so that gaps there count.
     since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
     for low, high in gaps(missing):
-        row, after = (int(one) for one in np.searchsorted(rows.steps, (low, high)))
+        row, after = np.searchsorted(rows.steps, (low, high)).tolist()
         gap_s = float(since[after + 1] - since[row]) - record.step_s
         if gap_s > HOUR_S and counts[low:high].any():
             empty = rows.steps[row] == low

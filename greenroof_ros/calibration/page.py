@@ -55,7 +55,7 @@ def render(
         spans: from when to when each part is.
         findings: what speaks against the fit, and what was found beside the roof's parameters.
     """
-    known = {one.name: (one.unit, one.meaning) for one in site_parameters()}
+    known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
     figures = [
         _figure(quantity, record, halves, getattr(fit.simulated, quantity))
@@ -93,8 +93,8 @@ def _figure(
 ) -> Figure:
     over_s = max(HOUR_S, round(record.step_s))
     days, points = (
-        _together(quantity, record, halves, simulated, *each)
-        for each in ((DAY_S, 0.0), (over_s, _SEEN))
+        _together(quantity, record, halves, simulated, *span)
+        for span in ((DAY_S, 0.0), (over_s, _SEEN))
     )
     name = f"calibration-{quantity}"
     adds_up = TOGETHER[quantity] is sums

@@ -7,9 +7,8 @@ from datetime import timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import QUANTITIES, Records, Table, numbered_lines, read_table
+from greenroof_ros.formats.records import QUANTITIES, Records, Table, read_table
 from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"
@@ -61,7 +60,7 @@ def read_records(file: Path, site: Site, /) -> Records:
             file=file, line=1,
         )
     observed = [name for pair in _COLUMNS.values() for name in pair]
-    table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)), observed)
+    table = read_table(file, observed)
     table.require((_TIME, _LONGITUDE, *observed), "hourly bulk files")
     _check_zone(table, site.utc_offset)
     zone = timezone(timedelta(hours=site.utc_offset))

@@ -73,7 +73,7 @@ from greenroof_ros.formats.records import (
     ensemble,
     join,
     numbered_lines,
-    read_table,
+    table_of,
 )
 from greenroof_ros.model.site import Site
 
@@ -164,18 +164,18 @@ def _read(
 
 def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     """Return the hours of a file, and what reads their times."""
-    text = read_text(file, byte_order_mark=True)
+    text = read_text(file)
     if text.lstrip().startswith(("{", "[")):
         place, table = _json_tables(file, text)
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return read_table(file, lines), _parse_saved
+            return table_of(file, lines), _parse_saved
         if len(lines) < 3:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
             )
-        place, table = read_table(file, lines[:2]), read_table(file, lines[2:])
+        place, table = table_of(file, lines[:2]), table_of(file, lines[2:])
     if "location_id" in place.header:
         raise place.refuse("must be of one place; download each by itself", "location_id", 0)
     zone = _check_place(place, site)

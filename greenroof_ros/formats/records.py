@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
@@ -179,25 +180,25 @@ def join(parts: Sequence[Records]) -> Records:
     return replace(first, files=files, values=values)
 
 
-def _check_alike(one: Records, other: Records) -> None:
+def _check_alike(first: Records, part: Records) -> None:
     """Refuse to join what cannot be one series."""
     for what, ours, theirs in (
-        ("quantities", sorted(one.values), sorted(other.values)),
-        ("method of evapotranspiration", [one.method], [other.method]),
-        ("quantities of the hour before their time", one.shifted, other.shifted),
-        ("hours by which rain is late", [str(one.rain_late)], [str(other.rain_late)]),
+        ("quantities", sorted(first.values), sorted(part.values)),
+        ("method of evapotranspiration", [first.method], [part.method]),
+        ("quantities of the hour before their time", first.shifted, part.shifted),
+        ("hours by which rain is late", [str(first.rain_late)], [str(part.rain_late)]),
     ):
         if ours != theirs:
             raise ConfigurationError(
-                f"must have the same {what} as {one.source}, {', '.join(ours) or 'none'}; "
+                f"must have the same {what} as {first.source}, {', '.join(ours) or 'none'}; "
                 f"it has {', '.join(theirs) or 'none'}",
-                file=other.source,
+                file=part.source,
             )
-    if (other.first - one.first) % HOUR:
+    if (part.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"its hours begin at {to_minutes(other.first)}, which must be a whole number of hours "
-            f"from {to_minutes(one.first)}, as in {one.source}",
-            file=other.source,
+            f"its hours begin at {to_minutes(part.first)}, which must be a whole number of hours "
+            f"from {to_minutes(first.first)}, as in {first.source}",
+            file=part.source,
         )
 
 
@@ -273,24 +274,24 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
     return replace(first, rain=np.concatenate([issue.rain for issue in issues]))
 
 
-def check_alike(one: Issue, other: Issue) -> None:
+def check_alike(earlier: Issue, later: Issue) -> None:
     """Refuse an issue after another one in an archive, if it is no other, or not alike.
 
     Raises:
         ConfigurationError: it is.
     """
-    wrong, when = "", to_minutes(other.issued)
-    if one.issued == other.issued:
-        wrong = f"has the issue of {when}, which {one.file.name} has already"
-    elif len(one.rain) != len(other.rain):
+    wrong, when = "", to_minutes(later.issued)
+    if earlier.issued == later.issued:
+        wrong = f"has the issue of {when}, which {earlier.file.name} has already"
+    elif len(earlier.rain) != len(later.rain):
         wrong = (
-            f"the issue of {when} must have as many members as that before it in {one.file.name}, "
-            f"{len(one.rain)}, not {len(other.rain)}"
+            f"the issue of {when} must have as many members as that before it in "
+            f"{earlier.file.name}, {len(earlier.rain)}, not {len(later.rain)}"
         )
-    elif (one.evapotranspiration is None) != (other.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or have none, as {one.file.name}"
+    elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
+        wrong = f"must have a column of evapotranspiration, or have none, as {earlier.file.name}"
     if wrong:
-        raise ConfigurationError(wrong, file=other.file, line=other.line)
+        raise ConfigurationError(wrong, file=later.file, line=later.line)
 
 
 @dataclass(frozen=True)
@@ -524,6 +525,15 @@ class Table:
             )
 
 
+def read_table(file: Path, observed: Container[str] = ()) -> Table:
+    """Read a file of CSV; see :func:`table_of`.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is no table.
+    """
+    return table_of(file, numbered_lines(read_text(file)), observed)
+
+
 def numbered_lines(text: str) -> list[tuple[int, str]]:
     """Return the lines that are neither empty nor a comment (``#``), with their numbers from 1."""
     return [
@@ -545,7 +555,7 @@ def split_cells(file: Path, line: int, text: str) -> list[str]:
         raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
 
 
-def read_table(
+def table_of(
     file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
 ) -> Table:
     """Return lines of CSV as a table.

@@ -122,31 +122,23 @@ def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset
     return lambda dataset: dataset[variable].setncattr(name, value)
 
 
-def instead(
-    variable: str, values: Any, dimensions: Sequence[str] | None = None, datatype: Any = "f8",
-) -> Callable[[netCDF4.Dataset], None]:
-    """Return what puts a variable of other values, dimensions or type in another's place.
-
-    A dimension that is not there is made, and the first is as long as the values.
-    """
+def instead(variable: str, values: Any, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
+    """Return what puts a variable of other dimensions in another's place, with its attributes."""
     def edit(dataset: netCDF4.Dataset) -> None:
-        old = dataset[variable]
-        attributes = {name: old.getncattr(name) for name in old.ncattrs()}
+        attributes = {name: dataset[variable].getncattr(name) for name in dataset[variable].ncattrs()}
         for name in attributes:
-            old.delncattr(name)
+            dataset[variable].delncattr(name)
         dataset.renameVariable(variable, f"{variable}_before")
-        own = old.dimensions if dimensions is None else tuple(dimensions)
-        for dimension in own:
-            if dimension not in dataset.dimensions:
-                dataset.createDimension(dimension, len(values))
-        new = dataset.createVariable(variable, datatype, own)
-        new.setncatts(attributes)
-        new[...] = values
+        if dimensions[0] not in dataset.dimensions:
+            dataset.createDimension(dimensions[0], len(values))
+        dataset.createVariable(variable, "f8", dimensions)[...] = values
+        dataset[variable].setncatts(attributes)
     return edit
 
 
 RAIN = "HRDPS_P_PR_SFC"
-PLACES = "must have the dimensions time and two of the places, as latitude "
+PLACES = f"{RAIN!r}: must have the dimensions time and two of the places, as latitude "
+OF_SUMS = f"{RAIN}: must be the sum since the issue, from which follow 0 to 500 mm/h, not "
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "units": (
         {"edit": attribute(RAIN, "units", "kg m**-2 s**-1")},
@@ -156,57 +148,33 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"edit": attribute("time", "units", "hours since 2021-07-08 06:00:00")},
         "time:units = 'hours since 2021-07-08 06:00:00': must be 'hours since 2021-07-08 00:00:00'",
     ),
-    "variable": (
-        {"edit": lambda dataset: dataset.renameVariable(RAIN, "HRDPS_P_TT_10000")},
-        f"must have one variable of precipitation, such as {RAIN}; it has time, rlon, lon, rlat",
-    ),
     "product": (
-        {"product": "CaLDAS"}, "'CaLDAS_P_PR_SFC': must be of HRDPS, REPS, GEPS, GEPS_NA",
+        {"product": "CaLDAS"},
+        f"must have one variable of precipitation, such as {RAIN}, of HRDPS, REPS, GEPS, GEPS_NA; "
+        "it has time, rlon, lon, rlat, lat, CaLDAS_P_PR_SFC",
     ),
     "place": (
-        {"edit": lambda dataset: dataset["lat"].delncattr("standard_name")},
-        "must have a variable of standard_name 'latitude'",
+        {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
+        "must have a variable of standard_name 'longitude'",
     ),
     "far": (
         {"edit": lambda dataset: dataset["lat"].__setitem__(slice(None), LATITUDES + 1)},
         "has no point within 0.5 degrees of the site's place, 43.63, -79.4; the nearest is 0.",
     ),
-    "falls": (
-        {"sums": [0.0, 0.003, 0.001]},
-        f"{RAIN}: must be the sum since the issue; it falls by 2 mm to 2 h after it",
-    ),
+    "falls": ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 before 2 h after it"),
     "hole": ({"sums": [0.0, np.nan, 0.001]}, f"{RAIN}: is missing 1 h after the issue"),
-    "millimetres": (
-        {"sums": [0.0, 1.0, 3.0]},
-        f"{RAIN}: must be 0 to 500 mm/h, not 1000 before 1 h after the issue",
-    ),
+    "millimetres": ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 before 1 h after it"),
     "step": (
         {"hours": [0, 1, 2, 3, 4, 28]},
-        "time: must have further hours, 1 to 6 from each to the next after 4",
+        "time: must have further hours, 1 to 6 from each to the next, not 0, 1, 2, 3, 4, 28",
     ),
     "longer time": (  # of a dimension of its own: the last sums would be those of the first hours
-        {"edit": instead("time", range(9), ["later"])},
-        "time: must have the dimension time, not (later)",
-    ),
-    "letters of sums": (
-        {"edit": instead(RAIN, np.full((6, 3, 4), b"0"), datatype="S1")},
-        f"{RAIN}: must be of a type of numbers, such as float or int",
-    ),
-    "infinite": (
-        {"edit": instead(RAIN, np.full((6, 3, 4), np.inf))},
-        f"{RAIN}[0] = inf: must be finite, and a number of 32 bits",
-    ),
-    "place unknown": (
-        {"edit": instead("lat", np.where(LATITUDES < 43.65, LATITUDES, np.nan))},
-        "lat: must have degrees from -90 to 90 for every point of the grid, and one point or more",
+        {"edit": instead("time", range(9), "later")},
+        f"{PLACES}(rlat, rlon) and longitude (rlat, rlon) have them, not (time, rlat, rlon) with t",
     ),
     "places turned": (  # as many points, in another order
-        {"edit": instead("lat", np.tile([43.62, 43.63, 43.64, 43.65], (3, 1)).T, ["rlon", "rlat"])},
-        f"{RAIN!r}: {PLACES}(rlon, rlat) and longitude (rlat, rlon) have them, not (time, rlat, rl",
-    ),
-    "packed": (
-        {"edit": attribute(RAIN, "scale_factor", "a tenth")},
-        f"{RAIN}:scale_factor = 'a tenth': must be a number",
+        {"edit": instead("lat", np.tile([43.62, 43.63, 43.64, 43.65], (3, 1)).T, "rlon", "rlat")},
+        f"{PLACES}(rlon, rlat) and longitude (rlat, rlon) have them, not (time, rlat, rlon)",
     ),
 }
 
