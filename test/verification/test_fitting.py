@@ -59,10 +59,10 @@ def test_errors_are_found_again(rain: dict[int, Array]) -> None:
     goals = {lead: sample.scores(worse, lead)[None] for lead in (26.5, 74.5)}
     before = [np.abs(sample.scores(REAL.errors, lead) - goal[0]) for lead, goal in goals.items()]
     assert np.max(before) > 0.1
-    found = fit_errors(sample, goals, REAL.errors, lambda _: None)
+    fitted = fit_errors(sample, goals, REAL.errors, lambda _: None)
     for lead, (goal,) in goals.items():
-        assert sample.scores(found, lead) == pytest.approx(goal, abs=0.02)
-    assert found.persistence == REAL.errors.persistence
+        assert sample.scores(fitted, lead) == pytest.approx(goal, abs=0.02)
+    assert fitted.persistence == REAL.errors.persistence
 
 
 def test_lags_without_two_wet_hours() -> None:

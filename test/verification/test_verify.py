@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import subprocess
 from datetime import datetime
@@ -13,9 +12,12 @@ import numpy as np
 import pytest
 from browsers import drawn_page
 from commands import run_command
-from gauges import HOUR, write_gauge, write_previous_runs
+from gauges import FIRST, HOUR, write_gauge, write_previous_runs
 from places import DATA
 from scipy import stats
+
+from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.records import Issue
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
@@ -39,10 +41,10 @@ def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
     """Return the sums over blocks of the clock that are whole, by when they begin."""
-    found: dict[datetime, list[float]] = {}
+    values: dict[datetime, list[float]] = {}
     for start, value in series.items():
-        found.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
-    return {start: round(sum(each), 6) for start, each in found.items() if len(each) == hours}
+        values.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
+    return {start: round(sum(rain), 6) for start, rain in values.items() if len(rain) == hours}
 
 
 def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
@@ -81,23 +83,13 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 
 def test_runs_by_lead(tmp_path: Path) -> None:
     """An ensemble of two runs: each hour's lead counts from its run, and all of its members."""
-    (tmp_path / "runs").mkdir()
-    for run, members in (("2024030100", (0.0, 2.0)), ("2024030106", (4.0, 1.0))):
-        start = datetime.strptime(f"{run}+0000", "%Y%m%d%H%z")
-        times = [f"{start + hour * HOUR:%Y-%m-%dT%H:%M}" for hour in range(13)]
-        (tmp_path / "runs" / f"gem_{run}.json").write_text(json.dumps({
-            "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 0,
-            "hourly_units": {
-                "time": "iso8601", "precipitation": "mm", "precipitation_member01": "mm",
-            },
-            "hourly": {
-                "time": times, "precipitation": [None, *[members[0]] * 12],
-                "precipitation_member01": [None, *[members[1]] * 12],
-            },
-        }))
+    (tmp_path / "runs.csv").write_text(write_forecasts([
+        Issue(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
+        for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
+    ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
     rows = scores(
-        tmp_path, "runs", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
+        tmp_path, "runs.csv", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
     )
     near, far = rows
     assert (near["lead_from_h"], near["lead_to_h"], far["lead_to_h"]) == ("0", "6", "12")
@@ -127,8 +119,8 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
         "--horizon", "24",
     )
     assert int(hourly["n"]) == len(rows) - 1  # the first row's hour was before the records
-    found = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
-    assert found == pytest.approx([1.0, 1.0, 1.0, 0.0])
+    got = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
+    assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
 
 def test_forecasts_of_another_place(tmp_path: Path) -> None:
