@@ -113,7 +113,7 @@ def _stuck(record: Record) -> Iterator[Finding]:
 
 # Water reaches a level sensor within minutes and leaves a roof within hours; more is a clock. So is
 # an answer that comes before the rain by more than so many steps, and two hours at most: clocks
-# differ by minutes, and the rises of a level are those of half an hour's means.
+# differ by minutes, and a level's rises are between means of half an hour.
 _LONGEST_DELAY_S, _MOST_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
 _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 # A correlation that says something, and how many times that without a shift it must be. A roof that

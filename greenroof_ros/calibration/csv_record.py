@@ -91,7 +91,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
     no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
     begins at its time; levels are of that moment. An amount without ``/`` is the sum of its
-    step; ``mm`` are over the roof, ``l`` and ``m3`` those of the whole roof of ``a2``. Rows are a
+    step; ``mm`` are a depth on the roof, ``l`` and ``m3`` the whole roof's, of ``a2``. Rows are a
     regular step apart, of at most a day; where a clock was set, each is of the step that begins
     nearest to its time, amounts of two rows of one step add up, and all else of them is averaged.
     Missing rows and empty cells are gaps. Lines that begin with ``#`` are comments.
@@ -323,8 +323,8 @@ def _from_temperatures(
     A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
     have begun the day before, where the logger's clock was set. A step has the evapotranspiration
     of the day that it begins in on the record's own clock. A day without temperatures, or with
-    those of part of it, takes the line between its neighbours', where it counts over three days at
-    most.
+    temperatures of a part of it, has the line between its neighbours', where it counts over three
+    days at most.
 
     Args:
         record: its times.

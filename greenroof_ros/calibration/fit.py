@@ -209,8 +209,8 @@ def fit(
     """Fit a measured roof to some steps of a record.
 
     Sums of what ran off, and means of the level, are brought near to what was measured, by least
-    squares within bounds: those of hours, or of eight steps where that is longer, or of four days
-    where that is shorter, as rain comes evenly in a simulated step. The loss grows only in
+    squares within bounds: over an hour, or eight steps where that is longer, or four days where
+    that is shorter, as rain comes evenly in a simulated step. The loss grows only in
     proportion beyond ten standard deviations of what was measured ("soft_l1"), so that a broken
     sensor does not decide. The simulation counts as the record's meter would show it. The
     search begins at the best of a coarse grid.
@@ -218,7 +218,7 @@ def fit(
     Parameters that the record cannot tell stay as the site has them: the drainage time where steps
     are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
     sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
-    Intervals are those of :func:`half_intervals` with weeks as groups. They are wider by how far a
+    Intervals are by :func:`half_intervals`, with weeks as groups. They are wider by how far a
     parameter would follow others that cannot be told apart from it, anywhere in their ranges.
 
     Args:

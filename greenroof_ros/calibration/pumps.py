@@ -29,7 +29,7 @@ _FEWEST_RUNS = 10
 # 1977, doi:10.1080/03610927708827533). It begins at Huber's weights, which have one solution.
 _BIWEIGHT = 4.685
 _HUBER_ROUNDS, _MOST_ROUNDS, _SETTLED = 5, 50, 1e-3
-# Of shares: the step by which a derivative is taken, and the least.
+# Of shares: the step of a derivative, and the least.
 _SHARE, _LEAST_SHARE = 1e-4, 1e-3
 # No level is known better (m).
 _LEAST_M = 1e-4
@@ -229,8 +229,8 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     late or early is fitted, too: the levels before and after show when the cistern falls.
 
     Runs in which the cistern rises by more than its noise are left out, and others count less the
-    less they fit (Tukey's biweight, of a run's residuals over those of the median run). Intervals
-    are those of :func:`.fit.half_intervals`, with runs as groups, and as many
+    less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals
+    are by :func:`.fit.half_intervals`, with runs as groups, and as many
     degrees of freedom as the runs have together.
 
     A cistern that falls by nothing like what the pumps can lift, or at another time than they run,

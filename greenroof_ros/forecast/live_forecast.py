@@ -140,7 +140,7 @@ class LiveForecast:
         Raises:
             NoForecastError: it ends before the look-ahead does.
         """
-        assert issue.evapotranspiration is not None  # such a file is not taken
+        assert issue.evapotranspiration is not None  # a file without it is refused
         end = issue.issued + issue.hours * HOUR
         if now + timedelta(seconds=float(self._ends[-1])) > end:
             raise NoForecastError(

@@ -187,7 +187,7 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
 
     Args:
         name: of the variable.
-        leads: 0, and those of the sums (h), shape (n + 1,).
+        leads: 0, and the sums' leads (h), shape (n + 1,).
         sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
             last.
     """

@@ -36,7 +36,7 @@ def recognises(_file: Path, head: bytes, /) -> bool:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read a bulk file; times are local standard time, at the site's offset from UTC.
 
-    A record is taken as of the hour that starts at its time, as in the paper. Rain is of the hour
+    A record is of the hour that starts at its time, as in the paper. But rain is of the hour
     before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
     ``Weather`` it rains at a wet row's time and an hour before about as often, and less often an
     hour after. So rain stands an hour late, ``rain_late`` of the records, by which forecasts are

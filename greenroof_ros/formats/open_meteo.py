@@ -438,8 +438,8 @@ def _known_of(previous: Records) -> list[Issue]:
 def _daily(previous: Records) -> list[Issue]:
     """Return one issue a day, at 00 UTC, with each hour from its own N alone.
 
-    The hours from 24 (N - 1) to 24 N after it are those of N, so that each value of the file is in
-    one issue, by the day that it stands for; missing ones are NaN. They are for verification: of
+    The hours from 24 (N - 1) to 24 N after it have the values of N, so that each value of the file
+    is in one issue, by the day that it stands for; missing ones are NaN. For verification: of
     :func:`_known_of` four have the same value, and some the value of another N.
     """
     issues = []

@@ -39,9 +39,9 @@ def worth(
 ) -> list[Worth]:
     """Score an archive's issues by a record: as issued, dressed, and by climatology.
 
-    Climatology is all that fell after all issues of the dressing that the issue's analogs may be
-    taken from. Sums are over 12, 48 and 120 h, and none is longer than the forecasts; one with an
-    hour that the record lacks is left out.
+    Climatology is all that fell after every issue that may be an analog. Sums are over 12, 48 and
+    120 h, and none is longer than the forecasts; a sum with an hour that the record lacks is left
+    out.
 
     Args:
         archive: of forecasts, as issued.

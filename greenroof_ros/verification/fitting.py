@@ -46,7 +46,7 @@ def fit_skill(
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
     The constants that no score shows, ``amount``, ``persistence`` and ``evapotranspiration``, are
-    those of skill ``real``.
+    as in skill ``real``.
 
     Args:
         tallies: what adds up in each class.

@@ -77,7 +77,7 @@ def issued_forecasts(
         horizon: how far a forecast is looked at (h); a model makes them as long.
 
     Raises:
-        ConfigurationError: an archive is wrong, or its hours are not those of the records.
+        ConfigurationError: an archive is wrong, or not of whole hours of the records.
     """
     if choice.file is None:
         return _modelled(choice, weather, site, horizon)

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 # pressure follow the air mass, which changes within days. Rain is never guessed.
 LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
 
-# Hours from a missing one to those of the same time of day whose mean stands for it.
+# From a missing hour to the hours of the same time of day whose mean stands for it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 

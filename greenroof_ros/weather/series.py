@@ -126,7 +126,7 @@ class PerTick(Sequence[float]):
     def __getitem__(self, key: slice) -> array[float]: ...
 
     def __getitem__(self, key: int | slice) -> float | array[float]:
-        """Return the value of a tick, or those of several."""
+        """Return the value of a tick, or the values of several."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
             return float(self.hourly[self.clock.hour(ticks)])

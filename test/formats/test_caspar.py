@@ -77,6 +77,7 @@ def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> Non
     (issue,) = archive.issues
     assert issue.issued.isoformat() == "2021-07-08T00:00:00+00:00"
     assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+    assert issue.rain.min() == 0.0
     # Without that hour, and with two beyond the variable's last, which are not forecast.
     other = write(tmp_path / "2021070806.nc", [*SUMS[1:], np.nan, np.nan], range(1, 8))
     (issue,) = read_archive(other, TORONTO).issues
@@ -167,8 +168,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         f"{PLACES}(rlat, rlon) and longitude (rlat, rlon) have them, not (time, rlat, rlon) with t",
     ),
     "places turned": (  # as many points, in another order
-        {"edit": instead("lat", np.tile([43.62, 43.63, 43.64, 43.65], (3, 1)).T, "rlon", "rlat")},
-        f"{PLACES}(rlon, rlat) and longitude (rlat, rlon) have them, not (time, rlat, rlon)",
+        {"edit": lambda dataset: [
+            instead(name, degrees.T, "rlon", "rlat")(dataset)
+            for name, degrees in (("lat", LATITUDES), ("lon", LONGITUDES))
+        ]},
+        f"{PLACES}(rlon, rlat) and longitude (rlon, rlat) have them, not (time, rlat, rlon)",
     ),
 }
 
