@@ -25,7 +25,7 @@ from greenroof_ros.calibration.record import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.records import Limits, Table, Unit, gaps, read_table
+from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
@@ -40,7 +40,6 @@ _COURSE, _LEAST, _GREATEST = "temperature", "least temperature", "greatest tempe
 # sensor's zero may be off, or its noise go.
 _WATER: Limits = ("mm/h", 0.0, 1900.0)
 _LEVEL: Limits = ("m", -0.1, 100.0)
-_TEMPERATURE: Limits = ("degC", -90.0, 60.0)
 _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "rain": (_WATER, "mm mm/h mm/5min"),
     "runoff": (_WATER, "mm mm/5min l l/s m3/h"),
@@ -49,9 +48,7 @@ _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "level": (_LEVEL, "m mm cm"),
     "cistern level": (_LEVEL, "m mm cm"),
     "pump state": (("1", 0.0, 1.0), "1 %"),
-    _COURSE: (_TEMPERATURE, "degC"),
-    _LEAST: (_TEMPERATURE, "degC"),
-    _GREATEST: (_TEMPERATURE, "degC"),
+    **dict.fromkeys((_COURSE, _LEAST, _GREATEST), (QUANTITIES[_COURSE], "degC")),
 }
 # How many of a unit are one m, 1 or degC.
 _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}

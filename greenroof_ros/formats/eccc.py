@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from datetime import timedelta, timezone
 from pathlib import Path
 
@@ -79,11 +78,8 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 def _check_zone(table: Table, utc_offset: float) -> None:
     """Refuse a station at which the sun is not near the site's standard time."""
-    try:
-        longitude = float(table.columns[_LONGITUDE][0])
-    except ValueError:
-        longitude = math.nan
-    if not abs(longitude / 15 - utc_offset) <= _MOST_FROM_SOLAR_TIME:
+    longitude = table.numbers(_LONGITUDE, ("degrees", -180.0, 180.0))[0]
+    if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"belongs to a longitude of about {15 * utc_offset:g}",

@@ -235,10 +235,7 @@ def _check_place(place: Table, site: Site) -> timezone:
         ConfigurationError: it is not near, or not a place; or the offset is not one.
     """
     place.require([_OFFSET, *_PLACE], _WHOSE)
-    text = place.columns[_OFFSET][0]
-    # From UTC-12 to UTC+14.
-    if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
-        raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET, 0)
+    offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
     for name, (most, end) in _PLACE.items():
         # The service writes an elevation that it does not know as NaN.
         missing = ["NaN"] if name == "elevation" else []
@@ -254,7 +251,7 @@ def _check_place(place: Table, site: Site) -> timezone:
             raise place.refuse(
                 f"must be within {most:g} {unit} of the site's {name}, {own:g}", name, 0
             )
-    return timezone(timedelta(seconds=int(text)))
+    return timezone(timedelta(seconds=float(offset)))
 
 
 # --- past weather ------------------------------------------------------------------------------

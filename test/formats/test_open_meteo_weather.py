@@ -137,7 +137,7 @@ def test_missing_cells(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "old", "new", "reason"),
     [
-        (2, "-18000", "-99999", "utc_offset_seconds = '-99999': must be a whole number of seconds"),
+        (2, "-18000", "-99999", "utc_offset_seconds = '-99999': must be a number from -43200 to"),
         (2, "-79.41748", "79.4", "longitude = '79.4': must be within 0.5 degrees of the site's"),
         (2, ",77.0,", ",900.0,", "elevation = '900.0': must be within 300 m of the site's elevat"),
         (2, "43.620384", "north", "latitude = 'north': must be a number from -90 to 90"),

@@ -165,13 +165,10 @@ def test_models_of_the_package(tmp_path: Path) -> None:
     assert float(hourly["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of an ensemble."""
-    directory = tmp_path_factory.mktemp("verified")
+def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
+    """Of an ensemble six panels by lead, then four of reliability and four of ranks."""
     done = verify(
-        directory, "ensemble", "--forecast-members", "5", "--weather", str(JULY),
-        "-o", "page.html",
+        tmp_path, "ensemble", "--forecast-members", "5", "--weather", str(JULY), "-o", "page.html"
     )
     assert done.returncode == 0, done.stderr
     assert "written: page.html" in done.stdout
@@ -180,12 +177,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "lead", "sum", "of", "event", "n", "bias", "r", "POD", "FAR", "ETS", "Brier", "CRPS", "mm",
     ]
     assert max(map(len, done.stdout.splitlines())) <= 80
-    return directory / "page.html"
-
-
-def test_the_page_draws_everything_and_asks_for_nothing(page: Path) -> None:
-    """Six panels by lead, then four of reliability and four of ranks."""
-    with drawn_page(page, 14) as opened:
+    with drawn_page(tmp_path / "page.html", 14) as opened:
         assert opened.locator("tbody tr").count() == 20
         assert "124 issues of 5 members" in opened.inner_text("header")
 
@@ -200,10 +192,6 @@ WRONG = {
         ["errors", "--lead", "6", "--sums", "12", "--events", "3"],
         "--sums = 12: must each divide --lead, 6 h, and be given once",
     ),
-    "option": (
-        ["perfect", "--forecast-seed", "3"],
-        "--forecast-seed: is an option of errors and ensemble; the forecast is perfect",
-    ),
     "lead": (
         [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
         f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
@@ -212,22 +200,14 @@ WRONG = {
         [str(GEM)],
         f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these are of ",
     ),
-    "between": (
-        ["half.csv"],
-        "half.csv, line 2: issued = '2021-07-07T01:30+00:00': must be a whole number of hours fr",
-    ),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_use(tmp_path: Path, name: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
-    half = tmp_path / "half.csv"
-    half.write_text(
-        "issued,time,precipitation [mm/h]\n2021-07-07T01:30Z,2021-07-07T01:30Z,1.0\n"
-    )
     arguments, reason = WRONG[name]
     done = verify(tmp_path, *arguments, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {reason}")
-    assert list(tmp_path.iterdir()) == [half]
+    assert list(tmp_path.iterdir()) == []
