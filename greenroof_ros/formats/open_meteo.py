@@ -209,18 +209,16 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
         if not isinstance(value, dict):
             raise refuse("must be a mapping, as in answers for hours", key=key)
     hourly = {"time": [], **hourly}
-    header = [name if name == "time" else f"{name} ({units.get(name, '')})" for name in hourly]
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
-    return (
-        Table(file, list(about), lambda: list(about.values())),
-        Table(
-            file, header, lambda: [list(map(_cell, series)) for series in hourly.values()],
-            key="hourly.",
-        ),
-    )
+    hours = {
+        name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
+        for name, series in hourly.items()
+    }
+    return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
+
 
 
 def _cell(value: Any, missing: str = "") -> str:

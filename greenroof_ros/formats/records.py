@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -357,44 +356,33 @@ class Unit:
     zero: float = 0.0
 
 
+@dataclass(frozen=True)
 class Table:
     """A header and columns of cells, without space around them.
 
     Attributes:
         file: that it is from.
         header: the names of the columns.
-        lines: number of each row's line; empty where there are none, as in JSON.
+        columns: the cells of each column, by its name.
+        line: number of the header's line; None where there are no lines, as in JSON.
+        lines: number of each row's line; empty likewise.
+        key: under which the columns are in JSON, such as ``hourly.``
     """
 
-    def __init__(
-        self, file: Path, header: list[str], read: Callable[[], list[list[str]]],
-        line: int | None = None, lines: Sequence[int] = (), key: str = "",
-    ) -> None:
-        """Take the header; the rows are read when a column is asked for.
-
-        Args:
-            file: that it is from.
-            header: the names of the columns.
-            read: returns the cells of each column.
-            line: number of the header's line; None where there are no lines, as in JSON.
-            lines: of each row.
-            key: under which the columns are in JSON, such as ``hourly.``
-        """
-        self.file, self.header = file, header
-        self.lines, self._read, self._line, self._key = lines, read, line, key
-
-    @cached_property
-    def columns(self) -> dict[str, list[str]]:
-        """The cells of each column, by its name."""
-        return dict(zip(self.header, self._read(), strict=True))
+    file: Path
+    header: Sequence[str]
+    columns: dict[str, list[str]]
+    line: int | None = None
+    lines: Sequence[int] = ()
+    key: str = ""
 
     def refuse(
         self, expected: str, column: str | None = None, row: int | None = None
     ) -> ConfigurationError:
         """Return an error that names the place and text of a cell, or of the header's cell."""
         if column is None or row is None:
-            return ConfigurationError(expected, file=self.file, line=self._line, value=column)
-        key = f"{self._key}{column.partition(' ')[0]}[{row}]" if self._key else column
+            return ConfigurationError(expected, file=self.file, line=self.line, value=column)
+        key = f"{self.key}{column.partition(' ')[0]}[{row}]" if self.key else column
         return ConfigurationError(
             expected, file=self.file, line=self.lines[row] if self.lines else None, key=key,
             value=self.columns[column][row],
@@ -543,22 +531,10 @@ def numbered_lines(text: str) -> list[tuple[int, str]]:
     ]
 
 
-def split_cells(file: Path, line: int, text: str) -> list[str]:
-    """Split a line of CSV into cells without space around them; a quoted cell ends in its line.
-
-    Raises:
-        ConfigurationError: a quote is left open, or something follows a closed one.
-    """
-    try:
-        return [cell.strip() for cell in next(csv.reader([text], strict=True))]
-    except csv.Error as error:
-        raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
-
-
 def table_of(
     file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
 ) -> Table:
-    """Return lines of CSV as a table.
+    """Return lines of CSV as a table; a quoted cell ends in its line.
 
     Args:
         file: that the lines are from.
@@ -567,29 +543,32 @@ def table_of(
             missing: its further cells are empty.
 
     Raises:
-        ConfigurationError: there is no header; and when a column is asked for: there is no row, or
-            one has more or fewer cells than the header.
+        ConfigurationError: there is no header or no row, a row has more or fewer cells than the
+            header, or a quote is left open or followed by something.
     """
     if not lines:
         raise ConfigurationError("holds comments only; a header and records must follow", file=file)
-    (header_line, text), *rest = lines
-    header = split_cells(file, header_line, text)
-    first = next((index for index, name in enumerate(header) if name in observed), 0)
-
-    def read() -> list[list[str]]:
-        if not rest:
-            raise ConfigurationError("has a header but no records", file=file)
-        rows = []
-        for line, text in rest:
-            cells = split_cells(file, line, text)
-            if len(cells) <= first:
-                cells += [""] * (len(header) - len(cells))
-            if len(cells) != len(header):
-                raise ConfigurationError(
-                    f"must have {len(header)} cells as the header has, not {len(cells)}",
-                    file=file, line=line,
-                )
-            rows.append(cells)
-        return [list(column) for column in zip(*rows, strict=True)]
-
-    return Table(file, header, read, header_line, [line for line, _ in rest])
+    rows: list[list[str]] = []
+    first = 0
+    for line, text in lines:
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
+        except csv.Error as error:
+            raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
+        if not rows:
+            first = next((index for index, name in enumerate(cells) if name in observed), 0)
+        elif len(cells) <= first:
+            cells += [""] * (len(rows[0]) - len(cells))
+        rows.append(cells)
+        if len(cells) != len(rows[0]):
+            raise ConfigurationError(
+                f"must have {len(rows[0])} cells as the header has, not {len(cells)}",
+                file=file, line=line,
+            )
+    if len(rows) == 1:
+        raise ConfigurationError("has a header but no records", file=file)
+    columns = map(list, zip(*rows[1:], strict=True))
+    return Table(
+        file, rows[0], dict(zip(rows[0], columns, strict=True)), lines[0][0],
+        [line for line, _ in lines[1:]],
+    )

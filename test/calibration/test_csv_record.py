@@ -145,7 +145,7 @@ def steps(since: np.ndarray) -> tuple[list[int], float]:
     """Steps of rows at some seconds since the first."""
     times = [START + timedelta(seconds=float(second)) for second in since]
     texts = [time.isoformat() for time in times]
-    table = Table(Path("roof.csv"), ["time"], lambda: [texts], 1, range(2, len(times) + 2))
+    table = Table(Path("roof.csv"), ["time"], {"time": texts}, 1, range(2, len(times) + 2))
     slots, step_s = steps_of_rows(table, times)
     return slots.tolist(), step_s
 

@@ -35,7 +35,7 @@ def test_cells_numbers_and_times() -> None:
 
 
 def test_what_is_no_table() -> None:
-    """Named with file and line, when the first column is asked for."""
+    """Named with file and line."""
     for rows, reason in (
         ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
          ", line 5: must have 3 cells as the header has, not 2"),
@@ -43,7 +43,7 @@ def test_what_is_no_table() -> None:
          ", line 5: is not valid CSV: unexpected end of data"),
         ([], ": has a header but no records"),
     ):
-        assert refusal(lambda rows=rows: table(*rows).columns) == f"{FILE}{reason}"
+        assert refusal(table, *rows) == f"{FILE}{reason}"
     assert refusal(table_of, FILE, []) == (
         f"{FILE}: holds comments only; a header and records must follow"
     )
@@ -109,7 +109,7 @@ def test_columns_that_must_be_there() -> None:
 
 def test_cells_of_json_are_named_by_their_key() -> None:
     """There are no lines."""
-    read = Table(Path("a.json"), ["rain (mm)"], lambda: [["1", "wet"]], key="hourly.")
+    read = Table(Path("a.json"), ["rain (mm)"], {"rain (mm)": ["1", "wet"]}, key="hourly.")
     assert refusal(read.numbers, "rain (mm)", RAIN) == (
         "a.json: hourly.rain[1] = 'wet': must be a number from 0 to 500 mm/h"
     )
