@@ -320,14 +320,14 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
 
 
 @contextmanager
-def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+def _bar(task: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; yield what is called with how many more are done."""
     done = 0
     with progress_bar() as tell:
         def advance(more: int) -> None:
             nonlocal done
             done += more
-            tell(f"{what}: {done} of {total} {unit}", done / total)
+            tell(f"{task}: {done} of {total} {unit}", done / total)
 
         yield advance
 

@@ -309,8 +309,8 @@ def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
 
     That is what a watered roof may leave, as long as its soil can hold the rest.
     """
-    both = ~np.isnan(runoff) & ~np.isnan(record.rain)
-    came, gone = float(np.sum(record.came[both])), float(np.sum(runoff[both]))
+    known = ~np.isnan(runoff) & ~np.isnan(record.rain)
+    came, gone = float(np.sum(record.came[known])), float(np.sum(runoff[known]))
     if gone < 0.001 * came and (
         not _watered(record).any() or greatest_rise(_to_hold(record, site)) > _most_held(site)
     ):
@@ -325,7 +325,7 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
     From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
     make room for the storm.
     """
-    water, watered, held = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
+    water, watered, capacity = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
     balances = []
     for storm in storms(record):
         span = slice(storm.first, storm.end)
@@ -340,10 +340,10 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
             excess=excess, storms=len(balances),
         )
     for over, gone, came, first in balances:
-        if over < -held - _HELD_BESIDES:
+        if over < -capacity - _HELD_BESIDES:
             yield FINDINGS.make(
                 "unit-error", "held", "runoff", gone=gone, came=came, when=record.time(first),
-                held=held,
+                held=capacity,
             )
             return
     shares = [
@@ -368,9 +368,9 @@ _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """A flow meter that shows none of more water than soil and evapotranspiration can take."""
-    most, held = _most_held(site), _to_hold(record, site)
+    most, gained = _most_held(site), _to_hold(record, site)
     for low, high in gaps(runoff == 0):
-        if greatest_rise(held[low:high + 1]) > most:
+        if greatest_rise(gained[low:high + 1]) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
                 days=(high - low) * record.step_s / DAY_S, since=record.time(low),
@@ -456,9 +456,9 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
         return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
-    what = "worse than the mean of what was measured" if worse else "wrong by much"
+    verdict = "worse than the mean of what was measured" if worse else "wrong by much"
     why = ", ".join(worse + off)
-    return [FINDINGS.make("poor-fit", "poor", "fit", what=what, why=why, look=_LOOK_AT)]
+    return [FINDINGS.make("poor-fit", "poor", "fit", what=verdict, why=why, look=_LOOK_AT)]
 
 
 # --- level sensors --------------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
                 "brackets", name,
             )
         columns[quantity] = name, unit
-    for there, what in (
+    for there, message in (
         ("rain" in columns, "there must be a column 'rain [mm]'"),
         ("runoff" in columns or "level" in columns,
          "there must be a column 'runoff [mm]' or 'level [m]'"),
@@ -175,7 +175,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
          "depends; or 'pumped [l]' in its place"),
     ):
         if not there:
-            raise table.refuse(what)
+            raise table.refuse(message)
     return columns
 
 
@@ -301,9 +301,9 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
         gap_s = float(since[after + 1] - since[row]) - record.step_s
         if gap_s > HOUR_S and counts[low:high].any():
             empty = rows.steps[row] == low
-            what = "is empty" if empty else f"there is no row of {record.times[low]}"
+            reason = "is empty" if empty else f"there is no row of {record.times[low]}"
             raise ConfigurationError(
-                f"{what}, and none has a value for {time_name(gap_s)}: it may be missing for an "
+                f"{reason}, and none has a value for {time_name(gap_s)}: it may be missing for an "
                 "hour at most, as a roof dries in gaps of the sensors, too; write a day's value "
                 "into each of its rows, and add missing rows with time and this value, their other "
                 "cells empty", file=record.source, line=rows.table.lines[row], key=column,

@@ -337,8 +337,8 @@ def _comparison(
     spread = [float(np.std(series)) or 1.0 for series in measured]
 
     def residuals(simulated: Simulated) -> Values:
-        both = zip(together(simulated._asdict()), measured, spread, strict=True)
-        return np.concatenate([(ours - theirs) / scale for ours, theirs, scale in both])
+        pairs = zip(together(simulated._asdict()), measured, spread, strict=True)
+        return np.concatenate([(shown - due) / scale for shown, due, scale in pairs])
 
     begin = np.unique(seconds // over_s) * over_s
     return residuals, np.tile(begin // _WEEK_S, len(measured))

@@ -98,8 +98,8 @@ def _figure(
     )
     name = f"calibration-{quantity}"
     adds_up = TOGETHER[quantity] is sums
-    both = [float(row[series]) for row in points for series in (MEASURED, SIMULATED)]
-    ends = (0.0 if adds_up else min(both), max(both))
+    values = [float(row[series]) for row in points for series in (MEASURED, SIMULATED)]
+    ends = (0.0 if adds_up else min(values), max(values))
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
         f"Above: {'sums' if adds_up else 'means'} of days, and what is simulated too much "

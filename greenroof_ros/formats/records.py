@@ -181,16 +181,16 @@ def join(parts: Sequence[Records]) -> Records:
 
 def _check_alike(first: Records, part: Records) -> None:
     """Refuse to join what cannot be one series."""
-    for what, ours, theirs in (
+    for aspect, expected, present in (
         ("quantities", sorted(first.values), sorted(part.values)),
         ("method of evapotranspiration", [first.method], [part.method]),
         ("quantities of the hour before their time", first.shifted, part.shifted),
         ("hours by which rain is late", [str(first.rain_late)], [str(part.rain_late)]),
     ):
-        if ours != theirs:
+        if expected != present:
             raise ConfigurationError(
-                f"must have the same {what} as {first.source}, {', '.join(ours) or 'none'}; "
-                f"it has {', '.join(theirs) or 'none'}",
+                f"must have the same {aspect} as {first.source}, {', '.join(expected) or 'none'}; "
+                f"it has {', '.join(present) or 'none'}",
                 file=part.source,
             )
     if (part.first - first.first) % HOUR:
@@ -436,8 +436,8 @@ class Table:
         Raises:
             ConfigurationError: a cell is not a number, or not a believable one.
         """
-        ours, low, high = limits
-        unit = unit or Unit(ours)
+        own_unit, low, high = limits
+        unit = unit or Unit(own_unit)
         values = np.full(len(self.columns[column]), np.nan)
         for row, text in enumerate(self.columns[column]):
             if text in missing:
@@ -502,12 +502,12 @@ class Table:
         return first
 
     def check_due(
-        self, column: str, row: int, time: datetime, due: datetime, what: str = "the records"
+        self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
     ) -> None:
         """Refuse a time that is not the hour that must follow."""
         if time != due:
             raise self.refuse(
-                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {what} must be hour after "
+                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must be hour after "
                 "hour, without gap or repetition",
                 column, row,
             )

@@ -139,11 +139,11 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
     correlation_of = {}
     for lag in _LAGS:
         pairs = np.concatenate([(spell > 0)[:-lag] & (spell > 0)[lag:] for spell in spells])
-        both = float(pairs.sum()) / max(len(pairs), 1)
+        joint = float(pairs.sum()) / max(len(pairs), 1)
 
-        def more_often(rho: float, both: float = both) -> float:
+        def more_often(rho: float, joint: float = joint) -> float:
             pair = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-            return float(pair.cdf([-threshold, -threshold])) - both
+            return float(pair.cdf([-threshold, -threshold])) - joint
 
         if more_often(_LEAST_RHO) < 0 < more_often(_MOST_RHO):
             correlation_of[lag] = brentq(more_often, _LEAST_RHO, _MOST_RHO)

@@ -182,13 +182,13 @@ def tally(
             begin = max(hour + reach, 0)
             fallen[0, place] = padded[begin : begin + reach]
         for key, total in tallies.items():
-            said, fell = (
+            predicted, fell = (
                 np.round(
                     hours[:, :, key.low : key.high].reshape(len(hours), -1, key.sum.hours).sum(2),
                     _DIGITS,
                 )
                 for hours in (rain, fallen)
             )
-            total.add(said, fell[0])
+            total.add(predicted, fell[0])
         done(len(batch))
     return tallies
