@@ -177,9 +177,9 @@ def _nearest(
 
 
 def _numbers(values: Any) -> NDArray[np.float64]:
-    """Return values of a variable; NaN is a missing one."""
+    """Return values of a variable; NaN is a missing one, or not finite."""
     numbers: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
-    return numbers
+    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -158,6 +158,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "falls": ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 before 2 h after it"),
     "hole": ({"sums": [0.0, np.nan, 0.001]}, f"{RAIN}: is missing 1 h after the issue"),
+    "infinite": (
+        {"edit": lambda dataset: dataset[RAIN].__setitem__((2, *NEAREST), np.inf)},
+        f"{RAIN}: is missing 2 h after the issue",
+    ),
     "millimetres": ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 before 1 h after it"),
     "step": (
         {"hours": [0, 1, 2, 3, 4, 28]},
