@@ -198,8 +198,8 @@ def _calibrate(
     site = pumps.site
     if pumps.parameters:
         record = read(site)  # the pumps' state is now another flow
-    seen = record.only(counts)
-    doubts = accept([*pumps.findings, *check_record(seen, site)], arguments.accept, measured)
+    counted = record.only(counts)
+    doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, halves)
     with progress_bar() as tell:
@@ -221,12 +221,12 @@ def _calibrate(
             holds=fitted.site.roof_level(fitted.site.z_cap),
         ))
     if record.level is not None:
-        findings.append(level_sensor(seen, fitted.simulated.level))
+        findings.append(level_sensor(counted, fitted.simulated.level))
     findings += doubts
     spans = {part: _span(record, steps) for part, steps in halves.items()}
     entries = fit_entries(fitted, site.z_veg, sheet)
     text = edited_site_file(site_file, entries, _heading(measured, spans, rows, findings))
-    page = render(seen, halves, fitted, rows, text, spans, findings)
+    page = render(counted, halves, fitted, rows, text, spans, findings)
     _print_fit(fitted, rows)
     _print(findings)
     return text, page
@@ -236,7 +236,7 @@ def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
     """Refuse a record if one half has nothing measured, or no water."""
     for part, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(
-            np.ptp(series[steps]) == 0 for series in record.measured.values()
+            np.ptp(values[steps]) == 0 for values in record.measured.values()
         ):
             raise ConfigurationError(
                 f"in the {part} half of its rain nothing that was measured changes; a longer "

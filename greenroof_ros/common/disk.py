@@ -1,4 +1,4 @@
-"""Writing to disks by a thread of its own, so that nobody who must be in time waits for one."""
+"""Writing to disks by a thread of its own, so that nobody who must be in time waits for a disk."""
 
 from __future__ import annotations
 
@@ -175,8 +175,8 @@ class Kept:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Have numbers written."""
-        kept = dict(values)
-        self.write_text(lambda: json.dumps(kept, indent=1))
+        copy = dict(values)
+        self.write_text(lambda: json.dumps(copy, indent=1))
 
     def write_text(self, text: Callable[[], str]) -> None:
         """Have a text written, which the disk's thread asks for."""

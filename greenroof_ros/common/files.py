@@ -44,10 +44,10 @@ def shared_directory() -> Path:
     )
 
 
-def unique_name(file: Path, taken: Container[str]) -> str:
+def unique_name(file: Path, existing: Container[str]) -> str:
     """Return a name by which a file can lie beside others: its own, or one with -2, -3, ..."""
     name, number = file.name, 1
-    while name in taken:
+    while name in existing:
         number += 1
         name = f"{file.stem}-{number}{file.suffix}"
     return name
