@@ -102,7 +102,7 @@ def judge(roof, directory, scratch):
         }
         notes += [
             f"{roof.name}, fitted on the {half} half: {one.name} = {one.value:.4g}"
-            + (f" ({one.low:.4g} to {one.high:.4g})" if one.told else "")
+            + (f" ({one.interval})" if one.interval else "")
             + (f"; {one.words}" if one.words else "")
             for one in fitted.parameters
         ]
