@@ -167,6 +167,8 @@ class Storm(NamedTuple):
     """one after its last step"""
     dry: int
     """one after its last rain"""
+    rain: float
+    """mm"""
 
 
 def storms(record: Record) -> list[Storm]:
@@ -177,7 +179,7 @@ def storms(record: Record) -> list[Storm]:
     dries = (wet[np.diff(wet, append=np.inf) > apart] + 1).tolist()
     after = math.ceil(_AFTER_S / record.step_s)
     return [
-        Storm(first, min(dry + after, following), dry)
+        Storm(first, min(dry + after, following), dry, float(np.nansum(record.rain[first:dry])))
         for first, dry, following in zip(firsts, dries, [*firsts[1:], record.steps], strict=False)
     ]
 

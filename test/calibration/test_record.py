@@ -38,12 +38,12 @@ def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
         20 + 13 * HOUR: 4.0,  # more than six hours later: the next
     })
     assert storms(record) == [
-        Storm(10, 20 + 13 * HOUR, 11 + 6 * HOUR),
-        Storm(20 + 13 * HOUR, 21 + 13 * HOUR + DAY, 21 + 13 * HOUR),
+        Storm(10, 20 + 13 * HOUR, 11 + 6 * HOUR, 3.0),
+        Storm(20 + 13 * HOUR, 21 + 13 * HOUR + DAY, 21 + 13 * HOUR, 4.0),
     ]
     days = a_record(np.array([0, 2.0, 3, 0, 4, 0, 0, 1, 0]), step_s=86400.0)
-    assert storms(days) == [Storm(1, 4, 3), Storm(4, 6, 5), Storm(7, 9, 8)]
-    assert storms(of_rain(1, {DAY - 5: 3.0})) == [Storm(DAY - 5, DAY, DAY - 4)]
+    assert storms(days) == [Storm(1, 4, 3, 5.0), Storm(4, 6, 5, 4.0), Storm(7, 9, 8, 1.0)]
+    assert storms(of_rain(1, {DAY - 5: 3.0})) == [Storm(DAY - 5, DAY, DAY - 4, 3.0)]
     assert storms(of_rain(1, {})) == []
 
 
