@@ -28,7 +28,7 @@ LONGITUDES = np.array([[-79.47, -79.44, -79.41, -79.38], [-79.46, -79.43, -79.39
                        [-79.45, -79.42, -79.39, -79.35]])
 NEAREST = (1, 2)
 # The sums of the issue of 2021-07-08 00 UTC at the point (m), from hour 0 on.
-SUMS = [np.nan, 0.0, 0.001, 0.0015, 0.0015 - 2e-12, 0.004]
+SUMS = [np.nan, 0.0, 0.001, 0.0015, 0.0015 - 2e-8, 0.004]
 
 
 def write(
@@ -76,12 +76,12 @@ def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> Non
     assert (archive.kind, archive.delay, archive.members) == ("CaSPAr, HRDPS", 5.0, 1)
     (issue,) = archive.issues
     assert issue.issued.isoformat() == "2021-07-08T00:00:00+00:00"
-    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)
     assert issue.rain.min() == 0.0
     # Without that hour, and with two beyond the variable's last, which are not forecast.
     other = write(tmp_path / "2021070806.nc", [*SUMS[1:], np.nan, np.nan], range(1, 8))
     (issue,) = read_archive(other, TORONTO).issues
-    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)
 
 
 def test_members_and_steps_of_three_and_six_hours(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_longitudes_to_the_east_and_axes_of_their_own(tmp_path: Path) -> None:
         dataset["rlon"][:] = [279.5, 280.0, 280.5, 281.0]
 
     (issue,) = read_archive(write(tmp_path / "2021070800.nc", edit=regular), TORONTO).issues
-    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)
 
 
 def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset], None]:
