@@ -278,10 +278,10 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
     for name in ("parameter", "value", "95 % interval", ""):
         table.add_column(name)
     for parameter in fitted.parameters:
-        interval = (
-            f"{parameter.low:.4g} to {parameter.high:.4g}" if parameter.told else "not fitted"
+        table.add_row(
+            parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
+            parameter.words,
         )
-        table.add_row(parameter.name, f"{parameter.value:.4g}", interval, parameter.words)
     times = list(rows[0].nse)
     scores = Table(title="Scores", title_justify="left")
     scores.add_column("of")

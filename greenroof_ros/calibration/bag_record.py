@@ -29,10 +29,10 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     Evapotranspiration that the run computed (``fao56``, as it wrote beside its bag) is divided by
     the crop coefficient of the run's site, which is in it. It is not in a weather file's own
-    column, nor in the forecasts of a live site: where nothing says that it was computed it is taken
+    column, nor in the forecasts of a live site: where nothing says that it was computed it stays
     as it is.
 
-    What the pumps were told counts while they deliver, in steps in which it is never above 1, which
+    The pumps' command counts while they deliver, in steps in which it is never above 1, which
     is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
     through gaps, too: the value of a day before, or in the first day the last before the gap.
 

@@ -113,7 +113,7 @@ def _stuck(record: Record) -> Iterator[Finding]:
 
 # Water reaches a level sensor within minutes and leaves a roof within hours; more is a clock. So is
 # an answer that comes before the rain by more than so many steps, and two hours at most: clocks
-# differ by minutes, and the rises of a level are those of half an hour's means.
+# differ by minutes, and a level's rises are between means of half an hour.
 _LONGEST_DELAY_S, _MOST_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
 _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 # A correlation that says something, and how many times that without a shift it must be. A roof that
@@ -226,8 +226,8 @@ def _to_hold(record: Record, site: Site) -> Values:
     it no more than that.
     """
     rate = max(_FULL_RATE, site.crop_coefficient)
-    taken = np.where(_watered(record), rate * record.reference, 0.0)
-    return np.concatenate(([0.0], np.cumsum(record.came - taken)))
+    evaporated = np.where(_watered(record), rate * record.reference, 0.0)
+    return np.concatenate(([0.0], np.cumsum(record.came - evaporated)))
 
 
 def _most_held(site: Site) -> float:
@@ -296,7 +296,7 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
         rise = 1000 * float(np.mean(level[storm.dry:storm.dry + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             rises.append((came, rise))
-    came, risen = (sum(one) for one in zip(*rises, strict=True)) if rises else (1.0, 1.0)
+    came, risen = (sum(depths) for depths in zip(*rises, strict=True)) if rises else (1.0, 1.0)
     if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / came < _MOST_RISE:
         yield FINDINGS.make(
             "unit-error", "rises", "level",
@@ -309,8 +309,8 @@ def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
 
     That is what a watered roof may leave, as long as its soil can hold the rest.
     """
-    both = ~np.isnan(runoff) & ~np.isnan(record.rain)
-    came, gone = float(np.sum(record.came[both])), float(np.sum(runoff[both]))
+    known = ~np.isnan(runoff) & ~np.isnan(record.rain)
+    came, gone = float(np.sum(record.came[known])), float(np.sum(runoff[known]))
     if gone < 0.001 * came and (
         not _watered(record).any() or greatest_rise(_to_hold(record, site)) > _most_held(site)
     ):
@@ -325,7 +325,7 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
     From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
     make room for the storm.
     """
-    water, watered, held = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
+    water, watered, capacity = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
     balances = []
     for storm in storms(record):
         span = slice(storm.first, storm.end)
@@ -340,10 +340,10 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
             excess=excess, storms=len(balances),
         )
     for over, gone, came, first in balances:
-        if over < -held - _HELD_BESIDES:
+        if over < -capacity - _HELD_BESIDES:
             yield FINDINGS.make(
                 "unit-error", "held", "runoff", gone=gone, came=came, when=record.time(first),
-                held=held,
+                held=capacity,
             )
             return
     shares = [
@@ -368,9 +368,9 @@ _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
     """A flow meter that shows none of more water than soil and evapotranspiration can take."""
-    most, held = _most_held(site), _to_hold(record, site)
+    most, gained = _most_held(site), _to_hold(record, site)
     for low, high in gaps(runoff == 0):
-        if greatest_rise(held[low:high + 1]) > most:
+        if greatest_rise(gained[low:high + 1]) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
                 days=(high - low) * record.step_s / DAY_S, since=record.time(low),
@@ -404,7 +404,7 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
         return
     at = np.arange(before, record.steps - count)
     there, rained = (
-        np.concatenate(([0], np.cumsum(one))) for one in (~np.isnan(level), _wet(record))
+        np.concatenate(([0], np.cumsum(marks))) for marks in (~np.isnan(level), _wet(record))
     )
     known = there[at + count] - there[at - count] == 2 * count
     dry = known & (rained[at + count] == rained[at - before])
@@ -439,26 +439,26 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     is wrong by more than half.
     """
     lines, best, worse, off = [], [], [], []
-    for one in scores:
+    for row in scores:
         nses = {
-            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in one.nse.items()
+            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in row.nse.items()
             if over_s >= HOUR_S and not math.isnan(nse)
         }
-        lines.append(f"{one.quantity}, {one.part}: {' and '.join(nses)}")
+        lines.append(f"{row.quantity}, {row.part}: {' and '.join(nses)}")
         best.append(max(nses.values(), default=0.0))
-        if one.part == "validation":
+        if row.part == "validation":
             name, nse = [*nses.items()][-1] if nses else ("", 0.0)
             if nse < 0:
-                worse.append(f"NSE of {one.quantity} {name}")
-            if one.quantity == "runoff" and abs(one.volume_error) > _VOLUME_OFF:
-                off.append(f"volume of runoff {100 * one.volume_error:+.0f} %")
+                worse.append(f"NSE of {row.quantity} {name}")
+            if row.quantity == "runoff" and abs(row.volume_error) > _VOLUME_OFF:
+                off.append(f"volume of runoff {100 * row.volume_error:+.0f} %")
     if max(best) < 0:
         return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
-    what = "worse than the mean of what was measured" if worse else "wrong by much"
+    verdict = "worse than the mean of what was measured" if worse else "wrong by much"
     why = ", ".join(worse + off)
-    return [FINDINGS.make("poor-fit", "poor", "fit", what=what, why=why, look=_LOOK_AT)]
+    return [FINDINGS.make("poor-fit", "poor", "fit", what=verdict, why=why, look=_LOOK_AT)]
 
 
 # --- level sensors --------------------------------------------------------------------------------

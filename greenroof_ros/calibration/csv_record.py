@@ -24,16 +24,8 @@ from greenroof_ros.calibration.record import (
     time_name,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.formats.records import (
-    Limits,
-    Table,
-    Unit,
-    gaps,
-    numbered_lines,
-    read_table,
-)
+from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
@@ -48,7 +40,6 @@ _COURSE, _LEAST, _GREATEST = "temperature", "least temperature", "greatest tempe
 # sensor's zero may be off, or its noise go.
 _WATER: Limits = ("mm/h", 0.0, 1900.0)
 _LEVEL: Limits = ("m", -0.1, 100.0)
-_TEMPERATURE: Limits = ("degC", -90.0, 60.0)
 _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "rain": (_WATER, "mm mm/h mm/5min"),
     "runoff": (_WATER, "mm mm/5min l l/s m3/h"),
@@ -57,9 +48,7 @@ _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "level": (_LEVEL, "m mm cm"),
     "cistern level": (_LEVEL, "m mm cm"),
     "pump state": (("1", 0.0, 1.0), "1 %"),
-    _COURSE: (_TEMPERATURE, "degC"),
-    _LEAST: (_TEMPERATURE, "degC"),
-    _GREATEST: (_TEMPERATURE, "degC"),
+    **dict.fromkeys((_COURSE, _LEAST, _GREATEST), (QUANTITIES[_COURSE], "degC")),
 }
 # How many of a unit are one m, 1 or degC.
 _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}
@@ -99,7 +88,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
     no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
     begins at its time; levels are of that moment. An amount without ``/`` is the sum of its
-    step; ``mm`` are over the roof, ``l`` and ``m3`` those of the whole roof of ``a2``. Rows are a
+    step; ``mm`` are a depth on the roof, ``l`` and ``m3`` the whole roof's, of ``a2``. Rows are a
     regular step apart, of at most a day; where a clock was set, each is of the step that begins
     nearest to its time, amounts of two rows of one step add up, and all else of them is averaged.
     Missing rows and empty cells are gaps. Lines that begin with ``#`` are comments.
@@ -119,7 +108,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     Raises:
         ConfigurationError: the file breaks any of this; the message names line, column and value.
     """
-    table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)))
+    table = read_table(file)
     columns = _columns(table)
     clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
 
@@ -174,7 +163,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
                 "in brackets", name,
             )
         columns[quantity] = name, unit
-    for there, what in (
+    for there, message in (
         ("rain" in columns, "there must be a column 'rain [mm]'"),
         ("runoff" in columns or "level" in columns,
          "there must be a column 'runoff [mm]' or 'level [m]'"),
@@ -186,7 +175,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
          "depends; or 'pumped [l]' in its place"),
     ):
         if not there:
-            raise table.refuse(what)
+            raise table.refuse(message)
     return columns
 
 
@@ -205,7 +194,7 @@ def _unit(
         return (ours, low, high), Unit(text, per_ours), False
     rate = _RATE.fullmatch(text)
     if ours != "mm/h" or rate is None or not (rate["amount"] == "mm" or "l/s" in examples):
-        units = ", ".join(f"[{one}]" for one in examples.split())
+        units = ", ".join(f"[{example}]" for example in examples.split())
         raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
     per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
     if rate["time"]:
@@ -261,7 +250,7 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
             "must be later than the time of the row before", TIME, int(back[0]) + 1
         )
     step_s = float(np.median(spacing))
-    # A roof's drainage is of hours; of longer sums nothing can be told that rain does not say.
+    # A roof drains within hours; longer sums show nothing that rain does not.
     if step_s > DAY_S:
         raise table.refuse(
             f"the rows are {time_name(step_s)} apart; they must be a day apart at most", TIME, 1
@@ -308,13 +297,13 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
     # Before the first row and after the last as if there were one more, so that gaps there count.
     since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
     for low, high in gaps(missing):
-        row, after = (int(one) for one in np.searchsorted(rows.steps, (low, high)))
+        row, after = np.searchsorted(rows.steps, (low, high)).tolist()
         gap_s = float(since[after + 1] - since[row]) - record.step_s
         if gap_s > HOUR_S and counts[low:high].any():
             empty = rows.steps[row] == low
-            what = "is empty" if empty else f"there is no row of {record.times[low]}"
+            reason = "is empty" if empty else f"there is no row of {record.times[low]}"
             raise ConfigurationError(
-                f"{what}, and none has a value for {time_name(gap_s)}: it may be missing for an "
+                f"{reason}, and none has a value for {time_name(gap_s)}: it may be missing for an "
                 "hour at most, as a roof dries in gaps of the sensors, too; write a day's value "
                 "into each of its rows, and add missing rows with time and this value, their other "
                 "cells empty", file=record.source, line=rows.table.lines[row], key=column,
@@ -331,8 +320,8 @@ def _from_temperatures(
     A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
     have begun the day before, where the logger's clock was set. A step has the evapotranspiration
     of the day that it begins in on the record's own clock. A day without temperatures, or with
-    those of part of it, takes the line between its neighbours', where it counts over three days at
-    most.
+    temperatures of a part of it, has the line between its neighbours', where it counts over three
+    days at most.
 
     Args:
         record: its times.

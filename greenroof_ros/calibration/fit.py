@@ -22,7 +22,7 @@ Tell = Callable[[str, float], None]
 falls."""
 
 _STAGES = (
-    "what the record tells", "where to begin", "search", "what the record tells there",
+    "what the record identifies", "where to begin", "search", "what it identifies there",
     "last search",
 )
 # Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks (s).
@@ -47,7 +47,7 @@ _GRID = {
 }
 _STEP = 1e-3
 _MOST_EVALUATIONS = 60
-# Of longer steps (s) the drainage time cannot be told: it would make up for rain that comes evenly.
+# Of longer steps (s) the drainage time is not fitted: it would make up for rain that comes evenly.
 _TELLS_DRAINAGE_S = 3600
 # A half of its interval this large, as a share of the parameter or of its range, says little.
 _HARDLY = 0.5
@@ -139,7 +139,7 @@ def reachable_target(site: Site) -> Site:
 
     What is above field capacity drains, so that a target there would be pumped for without end. A
     record says nothing of the target: it is set half-way between wilting point and field capacity,
-    and its owner is told to choose another.
+    and its owner is asked to choose another.
 
     Args:
         site: of a measured roof.
@@ -163,9 +163,9 @@ class Parameter(NamedTuple):
     """empty where the data tell it, otherwise why not"""
 
     @property
-    def told(self) -> bool:
-        """Whether the data say what it is."""
-        return not np.isnan(self.low)
+    def interval(self) -> str:
+        """Its 95 % interval for people; empty where the data do not determine it."""
+        return "" if np.isnan(self.low) else f"{self.low:.4g} to {self.high:.4g}"
 
 
 class Fit(NamedTuple):
@@ -209,17 +209,17 @@ def fit(
     """Fit a measured roof to some steps of a record.
 
     Sums of what ran off, and means of the level, are brought near to what was measured, by least
-    squares within bounds: those of hours, or of eight steps where that is longer, or of four days
-    where that is shorter, as rain comes evenly in a simulated step. The loss grows only in
+    squares within bounds: over an hour, or eight steps where that is longer, or four days where
+    that is shorter, as rain comes evenly in a simulated step. The loss grows only in
     proportion beyond ten standard deviations of what was measured ("soft_l1"), so that a broken
-    sensor does not decide. What is simulated is taken as the record's meter would show it. The
+    sensor does not decide. The simulation counts as the record's meter would show it. The
     search begins at the best of a coarse grid.
 
     Parameters that the record cannot tell stay as the site has them: the drainage time where steps
     are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
     sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
-    Intervals are those of :func:`half_intervals` with weeks as groups. They are wider by how far a
-    parameter would follow those that cannot be told apart from it, anywhere in their ranges.
+    Intervals are by :func:`half_intervals`, with weeks as groups. They are wider by how far a
+    parameter would follow others that cannot be told apart from it, anywhere in their ranges.
 
     Args:
         site: where the search begins, and what is held.
@@ -229,14 +229,14 @@ def fit(
     """
     site = measured_roof(site)
     every = ranges(site, record)
-    as_it_was = np.array([one.share(getattr(site, one.name, _HALF_FILLED)) for one in every])
+    as_it_was = np.array([span.share(getattr(site, span.name, _HALF_FILLED)) for span in every])
     at = np.clip(as_it_was, 0.01, 0.99)
     residuals, weeks = _comparison(record, steps)
     stages = _Stages(tell)
     least = least_reading(record)
 
     def simulated(shares: Values, least: float) -> tuple[Site, Simulated]:
-        values = {one.name: one.value(share) for one, share in zip(every, shares, strict=True)}
+        values = {span.name: span.value(share) for span, share in zip(every, shares, strict=True)}
         filled = values.pop(FILLED)
         z_cap = site.a2 * site.z_soil * values["field_capacity"]
         fitted = replace(site, z_cap=z_cap, **values)  # type: ignore[arg-type]
@@ -250,7 +250,7 @@ def fit(
         """Return how residuals change along the whole of each range, shape (n, ranges).
 
         It is of a meter without a least reading. That makes steps of a smooth simulation: a short
-        difference sees a few of them, and takes one parameter for well told, or equal columns for
+        difference sees a few of them, and takes a parameter for identified, or equal columns for
         different ones.
         """
         base = differences(at, 0.0)
@@ -263,7 +263,7 @@ def fit(
 
     def tell_apart() -> tuple[Steps, list[str]]:
         stages.begin(1 + len(every))
-        return _tell_apart([one.name for one in every], jacobian())
+        return _tell_apart([span.name for span in every], jacobian())
 
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
@@ -273,19 +273,19 @@ def fit(
 
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
         stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
-        found = least_squares(
+        solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
         )
-        at[free] = found.x
-        return found
+        at[free] = solution.x
+        return solution
 
     free, _ = tell_apart()
     # A large store that evaporates little and a small one that evaporates much leave a ridge
     # between them that no search from one side crosses.
     grid = itertools.product(*(
-        _GRID.get(one.name, (share,)) if is_free else (share,)
-        for one, share, is_free in zip(every, at, free, strict=True)
+        _GRID.get(span.name, (share,)) if is_free else (share,)
+        for span, share, is_free in zip(every, at, free, strict=True)
     ))
     tried = [at, *map(np.array, grid)]
     stages.begin(len(tried))
@@ -294,14 +294,14 @@ def fit(
     # Once more where the roof now is: what tells there may differ from where the search began.
     free, why = tell_apart()
     at[~free] = as_it_was[~free]
-    found = solve()
+    solution = solve()
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
-    robust = 1 + (found.fun / _ROBUST_FROM) ** 2
+    robust = 1 + (solution.fun / _ROBUST_FROM) ** 2
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
     half[free] = np.hypot(
-        half_intervals(moves(rows[:, free], found.fun * robust**0.25, weeks)),
+        half_intervals(moves(rows[:, free], solution.fun * robust**0.25, weeks)),
         _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
     )
     parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
@@ -337,8 +337,8 @@ def _comparison(
     spread = [float(np.std(series)) or 1.0 for series in measured]
 
     def residuals(simulated: Simulated) -> Values:
-        both = zip(together(simulated._asdict()), measured, spread, strict=True)
-        return np.concatenate([(ours - theirs) / scale for ours, theirs, scale in both])
+        pairs = zip(together(simulated._asdict()), measured, spread, strict=True)
+        return np.concatenate([(shown - due) / scale for shown, due, scale in pairs])
 
     begin = np.unique(seconds // over_s) * over_s
     return residuals, np.tile(begin // _WEEK_S, len(measured))
@@ -364,41 +364,41 @@ def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str
     return free, why
 
 
-def _moved_by_held(own: Values, others: Values, shares: Values) -> Values:
-    """Return by how much the told parameters move if those held are anywhere in their ranges.
+def _moved_by_held(own: Values, held: Values, shares: Values) -> Values:
+    """Return by how much the fitted parameters move if the held ones are elsewhere in their ranges.
 
     Args:
-        own: Jacobian of what is told, shape (n, told).
-        others: of what is held, shape (n, held).
+        own: Jacobian of what is fitted, shape (n, fitted).
+        held: Jacobian of what is held, shape (n, held).
         shares: at which each is held, shape (held,).
 
     Returns:
-        Shares of the ranges, shape (told,): of each the root of the sum of squares over those held,
+        Shares of the ranges, shape (fitted,): of each the root of the sum of squares over the held,
         each at the end of its range that is further away.
     """
-    follows = np.linalg.lstsq(own, others, rcond=None)[0]
+    follows = np.linalg.lstsq(own, held, rcond=None)[0]
     return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
-def _judged(one: Range, share: float, half: float, why: str) -> Parameter:
+def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
     """Return a parameter with its interval, and in words what is wrong with it.
 
     Args:
-        one: the parameter.
+        parameter: which, and its range.
         share: of its range, where it is.
-        half: of its interval, likewise; NaN where the data do not tell it.
+        half: of its interval, likewise; NaN where the data do not determine it.
         why: they do not.
     """
-    value = one.value(share)
+    value = parameter.value(share)
     if math.isnan(half):
-        return Parameter(one.name, value, half, half, why)
-    low, high = (one.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
+        return Parameter(parameter.name, value, half, half, why)
+    low, high = (parameter.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
     words = ""
     if not _END < share < 1 - _END:
-        words = f"at the end of what it may be ({one.low:.3g} to {one.high:.3g})"
+        words = f"at the end of what it may be ({parameter.low:.3g} to {parameter.high:.3g})"
     elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
-        words = "the data hardly tell it"
-    return Parameter(one.name, value, low, high, words)
+        words = "the data hardly constrain it"
+    return Parameter(parameter.name, value, low, high, words)
 
 
 def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
@@ -440,10 +440,10 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
         jacobian[groups == group].T @ jacobian[groups == group] for group in np.unique(groups)
     ])
     without = np.linalg.pinv(normal - own)
-    # Moves are linear in the residuals: covariances of those of all groups, for each parameter.
-    told = own @ without
-    alone = np.einsum("gkp,gkp->gp", without, told)
-    shared = np.einsum("gkp,kl,hlp->pgh", told, np.linalg.pinv(normal), told)
+    # Moves are linear in the residuals: their covariances between all groups, for each parameter.
+    shares = own @ without
+    alone = np.einsum("gkp,gkp->gp", without, shares)
+    shared = np.einsum("gkp,kl,hlp->pgh", shares, np.linalg.pinv(normal), shares)
     covariance = np.einsum("gp,gh->pgh", alone, np.eye(len(own))) - shared
     return np.asarray(
         np.einsum("pgg->p", covariance) ** 2 / np.einsum("pgh,pgh->p", covariance, covariance)

@@ -55,7 +55,7 @@ def render(
         spans: from when to when each part is.
         findings: what speaks against the fit, and what was found beside the roof's parameters.
     """
-    known = {one.name: (one.unit, one.meaning) for one in site_parameters()}
+    known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
     figures = [
         _figure(quantity, record, halves, getattr(fit.simulated, quantity))
@@ -93,13 +93,13 @@ def _figure(
 ) -> Figure:
     over_s = max(HOUR_S, round(record.step_s))
     days, points = (
-        _together(quantity, record, halves, simulated, *each)
-        for each in ((DAY_S, 0.0), (over_s, _SEEN))
+        _together(quantity, record, halves, simulated, *span)
+        for span in ((DAY_S, 0.0), (over_s, _SEEN))
     )
     name = f"calibration-{quantity}"
     adds_up = TOGETHER[quantity] is sums
-    both = [float(row[series]) for row in points for series in (MEASURED, SIMULATED)]
-    ends = (0.0 if adds_up else min(both), max(both))
+    values = [float(row[series]) for row in points for series in (MEASURED, SIMULATED)]
+    ends = (0.0 if adds_up else min(values), max(values))
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
         f"Above: {'sums' if adds_up else 'means'} of days, and what is simulated too much "

@@ -29,14 +29,14 @@ _FEWEST_RUNS = 10
 # 1977, doi:10.1080/03610927708827533). It begins at Huber's weights, which have one solution.
 _BIWEIGHT = 4.685
 _HUBER_ROUNDS, _MOST_ROUNDS, _SETTLED = 5, 50, 1e-3
-# Of shares: the step by which a derivative is taken, and the least.
+# Of shares: the step of a derivative, and the least.
 _SHARE, _LEAST_SHARE = 1e-4, 1e-3
-# No level is told better (m).
+# No level is known better (m).
 _LEAST_M = 1e-4
 # A rise of so many typical residuals is no noise: two levels of white noise are as far apart once
 # in a million times.
 _RISE = 7.0
-# Of steps: a delay that is named, and runs too short to be told from shorter ones.
+# Of steps: a delay that is named, and runs too short to be told apart from shorter ones.
 _NAMED, _SHORT = 0.5, 2
 # So many times its curve's flow no pump lifts, nor so small a part.
 _BELIEVABLE = 10.0
@@ -65,15 +65,15 @@ def find_runs(
     """
     standing = standing_steps(record.step_s)
     quiet = _quiet(site, record, command, cistern, standing)
-    found = gaps(quiet & (command > 0))
+    spans = gaps(quiet & (command > 0))
     moving = ~(quiet & (command == 0))
     runs = []
-    for place, (first, end) in enumerate(found):
+    for place, (first, end) in enumerate(spans):
         low, high = max(0, first - standing), min(end + standing, record.steps - 1)
         if place > 0:
-            low = max(low, (found[place - 1][1] + first + 1) // 2)
-        if place + 1 < len(found):
-            high = min(high, (end + found[place + 1][0] - 1) // 2)
+            low = max(low, (spans[place - 1][1] + first + 1) // 2)
+        if place + 1 < len(spans):
+            high = min(high, (end + spans[place + 1][0] - 1) // 2)
         before, after = np.flatnonzero(moving[low:first]), np.flatnonzero(moving[end:high])
         low += before[-1] + 1 if len(before) else 0
         high = end + after[0] if len(after) else high
@@ -144,8 +144,8 @@ class _Fall:
         begin, end = (
             np.interp(self._step + later + shares[0], steps, self._total) for later in (0, 1)
         )
-        taken = self.most * shares[1] * head * (end - begin) * self._step_s / self._site.a1
-        put_back = self._level + np.cumsum(taken) - taken
+        pumped = self.most * shares[1] * head * (end - begin) * self._step_s / self._site.a1
+        put_back = self._level + np.cumsum(pumped) - pumped
         means = np.bincount(self._number, put_back * self._counts) / self._sizes
         return np.where(self._counts, put_back - means[self._number], 0.0)
 
@@ -183,12 +183,12 @@ class _Fall:
         weights = np.ones(len(self._sizes))
         for rounds in range(_MOST_ROUNDS):
             root = np.sqrt(weights)[self._number]
-            found: OptimizeResult = least_squares(
+            solution: OptimizeResult = least_squares(
                 lambda near, root=root: root * self.residuals(near), at,
                 jac=lambda near, root=root: root[:, None] * self.jacobian(near),
                 bounds=(low, high),
             )
-            at = found.x
+            at = solution.x
             squares = np.bincount(self._number, self.residuals(at) ** 2)
             size = np.sqrt(squares / (self._sizes - 1))
             typical = max(float(np.median(size)), _LEAST_M)
@@ -199,10 +199,9 @@ class _Fall:
             elif np.max(np.abs(weights - before)) < _SETTLED:
                 break
         counts = root > 0
-        jacobian, groups = found.jac[counts], self._number[counts]
-        return _Solution(
-            at, at + moves(jacobian, found.fun[counts], groups), freedom(jacobian, groups), typical
-        )
+        jacobian, groups = solution.jac[counts], self._number[counts]
+        moved = moves(jacobian, solution.fun[counts], groups)
+        return _Solution(at, at + moved, freedom(jacobian, groups), typical)
 
 
 class PumpFit(NamedTuple):
@@ -230,8 +229,8 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     late or early is fitted, too: the levels before and after show when the cistern falls.
 
     Runs in which the cistern rises by more than its noise are left out, and others count less the
-    less they fit (Tukey's biweight, of a run's residuals over those of the median run). Intervals
-    are those of :func:`.fit.half_intervals`, with runs as groups, and as many
+    less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals
+    are by :func:`.fit.half_intervals`, with runs as groups, and as many
     degrees of freedom as the runs have together.
 
     A cistern that falls by nothing like what the pumps can lift, or at another time than they run,
@@ -282,23 +281,24 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     if len(runs) < _FEWEST_RUNS:
         return unseen
     fall = _Fall(site, record.step_s, command, cistern, runs, counts)
-    found = fall.solve(3, 1)
-    told = fall.derived(found.shares)[1] < 0 and found.half[2] < _HARDLY * min(found.shares[2], 1.0)
-    if not told:
-        found = fall.solve(2, 1)
-    flow, a_hat, c_hat = fall.derived(found.shares).tolist()
-    half = half_intervals(fall.derived(found.others), found.freedom[[1, -1, -1]]).tolist()
+    fitted = fall.solve(3, 1)
+    share = min(fitted.shares[2], 1.0)
+    told_apart = fall.derived(fitted.shares)[1] < 0 and fitted.half[2] < _HARDLY * share
+    if not told_apart:
+        fitted = fall.solve(2, 1)
+    flow, a_hat, c_hat = fall.derived(fitted.shares).tolist()
+    half = half_intervals(fall.derived(fitted.others), fitted.freedom[[1, -1, -1]]).tolist()
     shape = Parameter("a_hat", a_hat, a_hat - half[1], a_hat + half[1], "")
-    if not told:
+    if not told_apart:
         shape = Parameter(
             "a_hat", site.a_hat, np.nan, np.nan, "the data cannot tell it apart from c_hat"
         )
     height = Parameter("c_hat", c_hat, c_hat - half[2], c_hat + half[2], "")
-    count = len(found.others)
-    delay = late + float(found.shares[0])
+    count = len(fitted.others)
+    delay = late + float(fitted.shares[0])
     findings = [FINDINGS.make(
         "pumps", "flow", "pumps", flow=1000 * flow, half=1000 * half[0], level=fall.middle,
-        runs=count, late_s=delay * record.step_s, late_half_s=float(found.half[0] * record.step_s),
+        runs=count, late_s=delay * record.step_s, late_half_s=float(fitted.half[0] * record.step_s),
     )]
     if every > count:
         findings.append(FINDINGS.make("pumps", "left out", "pumps", runs=every - count))

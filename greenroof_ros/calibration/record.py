@@ -93,8 +93,8 @@ class Record:
     @property
     def measured(self) -> dict[str, Values]:
         """What a simulation is compared with, by name: ``runoff`` (mm) and ``level`` (m)."""
-        both = {"runoff": self.runoff, "level": self.level}
-        return {name: series for name, series in both.items() if series is not None}
+        columns = {"runoff": self.runoff, "level": self.level}
+        return {name: series for name, series in columns.items() if series is not None}
 
     def only(self, steps: Steps) -> Record:
         """Return the record with nothing measured outside of some steps: NaN is there instead."""

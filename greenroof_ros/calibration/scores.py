@@ -13,7 +13,7 @@ from greenroof_ros.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
 class Scores(NamedTuple):
     """Of one series in one half of a record.
 
-    The efficiencies are those of sums of runoff, or means of levels, over a time (s), by that time:
+    The efficiencies are of sums of runoff, or means of levels, over a time (s), by that time:
     1 is perfect, and an NSE of 0 no better than the mean of what was measured.
     """
 

@@ -22,12 +22,12 @@ CROP_NOTE = (
 """What a crop coefficient does in a run."""
 INTERVAL_NOTE = (
     "The intervals allow for what the record cannot tell apart, wherever it lies in its range. All "
-    "else is taken to be as the site file has it."
+    "else is as the site file has it."
 )
 """What the interval of a fitted parameter leaves out."""
 
 _COMMENT = 30
-_UNITS = {one.name: one.unit for one in site_parameters()}
+_UNITS = {parameter.name: parameter.unit for parameter in site_parameters()}
 _FROM_SHEET = "fitted to points of the data sheet"
 # Written in this order where the file has none of them.
 _ROOF = (
@@ -55,17 +55,17 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
     """
     entries: Entries = {name: (getattr(fit.site, name), "as it was, not fitted") for name in _ROOF}
     entries |= {} if sheet is None else sheet_entries(sheet)
-    for one in fit.parameters:
-        words = f"as it was: {one.words}"
-        if one.told:
-            interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
-            words = f"{interval}; {one.words}" if one.words else interval
-        elif one.name in entries and one.name not in _ROOF:
-            words = f"{_FROM_SHEET}; {one.words}"
-        if one.name == "crop_coefficient":
+    for parameter in fit.parameters:
+        words = f"as it was: {parameter.words}"
+        if parameter.interval:
+            interval = f"fitted, {parameter.interval} (95 %)"
+            words = f"{interval}; {parameter.words}" if parameter.words else interval
+        elif parameter.name in entries and parameter.name not in _ROOF:
+            words = f"{_FROM_SHEET}; {parameter.words}"
+        if parameter.name == "crop_coefficient":
             words += f"; {CROP_NOTE}"
-        if one.name != FILLED:
-            entries[one.name] = one.value, words
+        if parameter.name != FILLED:
+            entries[parameter.name] = parameter.value, words
     if fit.site.z_veg != target:
         entries["z_veg"] = fit.site.z_veg, "choose your own"
     return entries
@@ -87,7 +87,7 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
     yaml = site_yaml()
     values = {name: f"{value:.6g}" for name, (value, _) in entries.items()}
     missing = [name for name in entries if name not in yaml.load(edited(file, {}))]
-    site: CommentedMap = yaml.load(edited(file, {key: float(one) for key, one in values.items()}))
+    site: CommentedMap = yaml.load(edited(file, {key: float(text) for key, text in values.items()}))
     site.fa.set_block_style()
     for name, (_, words) in entries.items():
         site[name] = values[name]

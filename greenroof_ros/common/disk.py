@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import replace_text
 
 _T = TypeVar("_T")
 
@@ -34,14 +35,10 @@ class DiskThread:
         refused: how many jobs found no room, and were not done.
     """
 
-    def __init__(self, room: int = _ROOM) -> None:
-        """Do nothing yet.
-
-        Args:
-            room: how much may wait (bytes).
-        """
+    def __init__(self) -> None:
+        """Do nothing yet."""
         self.refused = 0
-        self._room = room  # that is left (bytes)
+        self._room = _ROOM  # that is left (bytes)
         # What to do, how much room it has, and when it was asked for (steady clock, s).
         self._jobs: deque[tuple[Callable[[], object], int, float]] = deque()
         self._changed = threading.Condition()
@@ -151,7 +148,7 @@ class Kept:
     def __init__(self, file: Path) -> None:
         """Take the file, which need not be there."""
         self._file = file
-        self._newest = Newest(self._replace, str)
+        self._newest = Newest[Callable[[], str]](lambda text: replace_text(file, text()), str)
 
     @property
     def problem(self) -> str:
@@ -189,11 +186,3 @@ class Kept:
         """Wait two seconds at most for what is being written."""
         DISK.wait(_CLOSE_S)
 
-    def _replace(self, text: Callable[[], str]) -> None:
-        part = self._file.with_suffix(".part")
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8") as stream:
-            stream.write(text())
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(self._file)

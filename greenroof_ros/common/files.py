@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import ctypes
 import functools
 import hashlib
 import math
+import os
 import re
 from collections.abc import Callable, Container
 from pathlib import Path
@@ -56,29 +58,18 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def read_text(path: Path, *, byte_order_mark: bool = False) -> str:
-    """Read a UTF-8 text file.
-
-    Args:
-        path: the file.
-        byte_order_mark: whether it may start with one, which is then left away.
+def read_text(path: Path) -> str:
+    """Read a UTF-8 text file; a byte order mark at its start is left away.
 
     Raises:
-        ConfigurationError: it cannot be read, is empty, is not UTF-8 text, or starts with a byte
-            order mark.
+        ConfigurationError: it cannot be read, is empty, or is not UTF-8 text.
     """
     if path.exists() and not path.is_file():
         raise ConfigurationError("must be a regular file", file=path)
     try:
-        raw = path.read_bytes()
+        raw = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
-    if byte_order_mark:
-        raw = raw.removeprefix(b"\xef\xbb\xbf")
-    elif raw.startswith(b"\xef\xbb\xbf"):
-        raise ConfigurationError(
-            "starts with a byte order mark; save it as plain UTF-8", file=path, line=1
-        )
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -221,6 +212,21 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
     if not isinstance(content, YamlMapping):
         raise ConfigurationError("must hold 'key: value' lines", file=path)
     return content
+
+
+def replace_text(file: Path, text: str) -> None:
+    """Write a file as a whole: after a power cut it is the old one or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.name}.part")
+    with part.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+    part.replace(file)
 
 
 def number(path: Path, mapping: YamlMapping, key: str) -> float:

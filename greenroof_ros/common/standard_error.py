@@ -30,16 +30,14 @@ class Lines:
     Where too many wait, the oldest are dropped, and how many is said.
     """
 
-    def __init__(self, number: int, most: int = _MOST) -> None:
+    def __init__(self, number: int) -> None:
         """Say nothing yet.
 
         Args:
             number: the file descriptor. It is written past Python's stream: a thread that hangs
                 in that holds its lock, for which the end of the interpreter would wait.
-            most: how many may wait.
         """
         self._number = number
-        self._most = most
         self._waiting: deque[str] = deque()
         self._dropped = 0
         self._lock = threading.Lock()
@@ -52,7 +50,7 @@ class Lines:
     def write(self, text: str) -> None:
         """Have a text written; with the next two this is the file of a bar of progress."""
         with self._lock:
-            if len(self._waiting) == self._most:
+            if len(self._waiting) == _MOST:
                 self._waiting.popleft()
                 self._dropped += 1
             self._waiting.append(text)

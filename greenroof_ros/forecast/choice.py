@@ -13,7 +13,7 @@ from greenroof_ros.model.look_ahead import MOST_MEMBERS
 PERFECT = "perfect"
 FILE = "file"
 
-# Each model and those of OPTIONS that it has; an archive is named by its path.
+# Each model and its OPTIONS; an archive is named by its path.
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
     "persistence": (),
@@ -80,7 +80,7 @@ class ForecastChoice:
         return _OPTIONS_OF[self.model]
 
     def options(self) -> dict[str, str | float]:
-        """Return those of :data:`OPTIONS` that the model has, with the values that they have."""
+        """Return the model's :data:`OPTIONS`, each with its value."""
         values = {name: getattr(self, name) for name in self.takes}
         return {name: value for name, value in values.items() if value is not None}
 

@@ -48,7 +48,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.formats.reading import read_archive
@@ -59,7 +58,6 @@ from greenroof_ros.formats.records import (
     Archive,
     Issue,
     Table,
-    numbered_lines,
     read_table,
 )
 from greenroof_ros.model.site import Site
@@ -348,7 +346,7 @@ def read_dressing(path: Path) -> Dressing:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(path, numbered_lines(read_text(path)))
+    table = read_table(path)
     edges, hours = _read_header(table)
     issued = [hours_since_1970(time) for time in table.times("issued")]
     for row, (above, time) in enumerate(pairwise(issued), start=1):
@@ -369,10 +367,10 @@ def _read_header(table: Table) -> tuple[tuple[int, ...], int]:
     """
     edges = [0]
     for cell in table.header[1:]:
-        found = _FORECAST.fullmatch(cell)
-        if found is None:
+        match = _FORECAST.fullmatch(cell)
+        if match is None:
             break
-        edges.append(int(found[2]))
+        edges.append(int(match[2]))
     hours = len(table.header) - len(edges)
     table.require_header(
         _columns(edges, hours), ": a file for --dressed is made by 'greenroof verify --dress "

@@ -52,8 +52,8 @@ class ForecastFile:
     def look(self) -> bool:
         """Read the file if it is another one than before, and return whether it has been."""
         try:
-            found = self._path.stat()
-            seen = (found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size)
+            status = self._path.stat()
+            seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
             if seen == self._seen:
                 return False
             self._seen = seen
@@ -140,7 +140,7 @@ class LiveForecast:
         Raises:
             NoForecastError: it ends before the look-ahead does.
         """
-        assert issue.evapotranspiration is not None  # such a file is not taken
+        assert issue.evapotranspiration is not None  # a file without it is refused
         end = issue.issued + issue.hours * HOUR
         if now + timedelta(seconds=float(self._ends[-1])) > end:
             raise NoForecastError(

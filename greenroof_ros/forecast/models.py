@@ -160,7 +160,7 @@ class FileModel(ForecastModel):
             all_members: of each issue; otherwise its member 0 only.
 
         Raises:
-            ConfigurationError: its hours are not those of the records.
+            ConfigurationError: its hours and the records' do not begin together.
         """
         super().__init__(weather)
         self._archive = archive

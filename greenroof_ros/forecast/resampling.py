@@ -208,14 +208,14 @@ class SteppedForecast:
 
     def _ask_for_all(self) -> datetime | None:
         """Ask for every hour's forecast, and return the earliest time from which one repeats."""
-        found = []
+        times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
             self._model.known(hour, hours)
             repeats_from = self._model.repeats_from(hour, hours)
             if repeats_from is not None:
-                found.append(repeats_from)
-        return min(found, default=None)
+                times.append(repeats_from)
+        return min(times, default=None)
 
     def _hours(self, hour: int) -> int:
         """Return how many hours the ticks in an hour need, that one included."""

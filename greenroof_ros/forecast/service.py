@@ -14,7 +14,6 @@ wait (``Retry-After``); without it, and after any other failure, the wait double
 from __future__ import annotations
 
 import asyncio
-import os
 import tempfile
 import threading
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
@@ -272,11 +272,10 @@ class Fetcher:
         """Fetch once and write what came; return after how long to fetch again (s)."""
         try:
             issue = self._service.fetch(datetime.now(timezone.utc))
-            _replace(self._file, write_forecasts([issue]))
+            text = f"# {ATTRIBUTION}\n{write_forecasts([issue])}"
+            replace_text(self._file, text)
             if self._archive is not None and not _says_the_same(self._kept, issue):
-                _replace(
-                    self._archive / f"{issue.issued:%Y%m%d%H}.csv", write_forecasts([issue])
-                )
+                replace_text(self._archive / f"{issue.issued:%Y%m%d%H}.csv", text)
                 self._kept = issue
         except Exception as error:  # whatever it is, the next forecast is asked for
             self.problem = str(error) or type(error).__name__
@@ -310,22 +309,8 @@ def _says_the_same(before: Issue | None, issue: Issue) -> bool:
         return False
     then, now = (
         np.vstack([
-            row for row in (one.rain, one.evapotranspiration, one.temperature) if row is not None
-        ]) for one in (before, issue)
+            series for series in (known.rain, known.evapotranspiration, known.temperature)
+            if series is not None
+        ]) for known in (before, issue)
     )
     return np.array_equal(then[:, (issue.issued - before.issued) // HOUR :], now)
-
-
-def _replace(file: Path, text: str) -> None:
-    """Write a file as a whole, with whose data it is: after a power cut it is the old or the new.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.part")
-    with part.open("w", encoding="utf-8") as stream:
-        stream.write(f"# {ATTRIBUTION}\n{text}")
-        stream.flush()
-        os.fsync(stream.fileno())
-    part.replace(file)

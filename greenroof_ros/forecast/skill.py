@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 REAL = "real"
 
-# Each skill by its name: how many times its own lead a forecast's errors are those of ``real``.
+# Each skill by its name: at how many times the lead ``real`` has the same errors.
 # ``none`` knows nothing but the climate.
 SKILLS = {
     "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
@@ -52,8 +52,8 @@ _NO_REACH = 1e-6
 class Climate:
     """The rain of a place, hour by hour.
 
-    The constants of Toronto City Centre, May to October 2015 to 2025, are those of
-    ``config/forecasts/skill.yaml``.
+    ``config/forecasts/skill.yaml`` has the constants of Toronto City Centre, May to October 2015 to
+    2025.
     """
 
     wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)

@@ -6,8 +6,8 @@ NetCDF by the conventions CF-1.6, and has a variable ``HRDPS_P_PR_SFC`` (time, r
 precipitation since the beginning of the forecast, its ``time`` the hours since then. The place is
 given by the variables of standard name ``latitude`` and ``longitude``, of each point of the grid.
 
-Taken is the point that is nearest to the site. The rain of an hour is the difference of two sums;
-where they are further apart, three hours or six, each hour between has its share of it.
+The point nearest to the site counts. The rain of an hour is the difference of two sums; where they
+are further apart, three hours or six, each hour between has its share of it.
 """
 
 from __future__ import annotations
@@ -34,14 +34,7 @@ _DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?")
-_VARIABLE = re.compile(r"(\w+)_P_PR0?_SFC")
-# What CaSPAr's numbers, which have 32 bits, can be.
-_LARGEST = float(np.finfo(np.float32).max)
-# By what values of NetCDF are unpacked and masked; where one is no number, the library leaves that
-# out, or fails.
-_PACKING = ("scale_factor", "add_offset", "valid_min", "valid_max")
-# To where a coordinate can go (degrees); longitudes are to the east or to the west.
-_ENDS = {"latitude": 90.0, "longitude": 360.0}
+_VARIABLE = re.compile(rf"({'|'.join(_DELAYS_H)})_P_PR0?_SFC")
 # How far the nearest point may be from the site: the coarsest of these grids has half a degree.
 _FURTHEST_DEG = 0.5
 # Sums are at most so far apart (h), in GEPS beyond eight days.
@@ -74,11 +67,11 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     members = [_read(file, site.latitude, site.longitude) for file in files]
     product = members[0][2]
     by_issue: dict[datetime, list[tuple[int, Issue]]] = {}
-    for issue, number, other in members:
+    for issue, number, own in members:
         by_issue.setdefault(issue.issued, []).append((number, issue))
-        if other != product:
+        if own != product:
             raise ConfigurationError(
-                f"must be of {product}, as {files[0].name} is, not of {other}", file=issue.file
+                f"must be of {product}, as {files[0].name} is, not of {own}", file=issue.file
             )
     issues = [ensemble(by_issue[issued]) for issued in sorted(by_issue)]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
@@ -88,8 +81,8 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
     """Return a file's member at the point nearest to a place (degrees), its number and product."""
     with in_extra("netcdf"):
         from netCDF4 import Dataset
+    match = _NAME.fullmatch(file.stem)
     try:
-        match = _NAME.fullmatch(file.stem)
         issued = datetime.strptime(f"{match and match[1]} +0000", "%Y%m%d%H %z")
     except ValueError:
         raise ConfigurationError(
@@ -99,60 +92,47 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
     try:
         with Dataset(file) as dataset:
             variable, product = _variable(dataset)
-            leads = _leads(dataset, issued)
-            point = _nearest(dataset, variable, latitude, longitude)
-            sums = 1000 * _numbers(variable, *point)
-            rain = _rain(variable.name, leads, sums)
+            row, column = _nearest(dataset, variable, latitude, longitude)
+            sums = 1000 * _numbers(variable[:, row, column])
+            rain = _rain(variable.name, _leads(dataset["time"], issued), sums)
     except ConfigurationError as error:
         raise ConfigurationError(error.wrong, file=file) from None
-    except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
+    # What the library or numpy says of what is not there or no number; a damaged file opens, too.
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
         raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
     return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
 
 
 def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
     """Return the variable of precipitation, and its product."""
-    found = [match for name in dataset.variables if (match := _VARIABLE.fullmatch(name))]
-    if len(found) != 1:
-        names = [match[0] for match in found] or dataset.variables
+    matches = [match for name in dataset.variables if (match := _VARIABLE.fullmatch(name))]
+    if len(matches) != 1:
         raise ConfigurationError(
-            "must have one variable of precipitation, such as HRDPS_P_PR_SFC; it has "
-            f"{', '.join(names)}"
+            f"must have one variable of precipitation, such as HRDPS_P_PR_SFC, of "
+            f"{', '.join(_DELAYS_H)}; it has {', '.join(dataset.variables)}"
         )
-    name, product = found[0][0], found[0][1]
-    if product not in _DELAYS_H:
-        raise ConfigurationError(f"must be of {', '.join(_DELAYS_H)}", value=name)
-    units = _attribute(dataset[name], "units")
-    if units != "m":
-        raise ConfigurationError(
-            "must be 'm', of the sum since the issue", key=f"{name}:units", value=units
-        )
-    return dataset[name], product
+    variable = dataset[matches[0][0]]
+    _check_units(variable, "m", "of the sum since the issue")
+    return variable, matches[0][1]
 
 
-def _leads(dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
-    """Return 0 and the leads of a file's times (h)."""
-    if "time" not in dataset.variables:
-        raise ConfigurationError("must have a variable 'time'")
-    time = dataset["time"]
-    if time.dimensions != ("time",):  # sums without a time, or times without a sum
-        dimensions = ", ".join(time.dimensions)
-        raise ConfigurationError(f"must have the dimension time, not ({dimensions})", key="time")
-    units = _attribute(time, "units")
-    due = f"hours since {issued:%Y-%m-%d %H:%M:%S}"
+def _check_units(variable: Variable[Any], due: str, why: str) -> None:
+    units = getattr(variable, "units", "")
     if units != due:
         raise ConfigurationError(
-            f"must be '{due}', by the file's name", key="time:units", value=units
+            f"must be '{due}', {why}", key=f"{variable.name}:units", value=str(units)
         )
-    times = _numbers(time)
-    leads = np.concatenate(([0.0], times if times.size and times[0] else times[1:]))
-    steps = np.diff(leads)
-    wrong = np.flatnonzero(~((steps >= 1) & (steps <= _LONGEST_STEP) & (steps % 1 == 0)))
-    if wrong.size or not steps.size:
-        after = f" after {leads[wrong[0]]:g}" if wrong.size else ""
+
+
+def _leads(time: Variable[Any], issued: datetime) -> NDArray[np.int64]:
+    """Return 0 and the leads of a file's times (h)."""
+    _check_units(time, f"hours since {issued:%Y-%m-%d %H:%M:%S}", "by the file's name")
+    times = _numbers(time[:])
+    leads = np.concatenate(([0.0], times[1:] if times[0] == 0 else times))
+    if len(leads) == 1 or not np.isin(np.diff(leads), np.arange(1, _LONGEST_STEP + 1)).all():
         raise ConfigurationError(
-            f"must have further hours, 1 to {_LONGEST_STEP} from each to the next{after}",
-            key="time",
+            f"must have further hours, 1 to {_LONGEST_STEP} from each to the next, not "
+            f"{', '.join(f'{lead:g}' for lead in leads)}", key="time",
         )
     return leads.astype(np.int64)
 
@@ -164,14 +144,20 @@ def _nearest(
 
     Nearest is the least angle between both on the sphere, by the haversine.
     """
-    (north, latitudes), (east, longitudes) = (_coordinate(dataset, name) for name in _ENDS)
-    places = north if north == east else (*north, *east)
-    if len(places) != 2 or variable.dimensions != ("time", *places):
+    coordinates = []
+    for name in ("latitude", "longitude"):
+        coordinates += dataset.get_variables_by_attributes(standard_name=name)[:1]
+        if not coordinates or coordinates[-1].standard_name != name:
+            raise ConfigurationError(f"must have a variable of standard_name '{name}'")
+    north, east = (coordinate.dimensions for coordinate in coordinates)
+    due = ("time", *(north if north == east else (*north, *east)))
+    if len(due) != 3 or variable.dimensions != due or dataset["time"].dimensions != ("time",):
         raise ConfigurationError(
             f"must have the dimensions time and two of the places, as latitude ({', '.join(north)})"
-            f" and longitude ({', '.join(east)}) have them, not "
-            f"({', '.join(variable.dimensions)})", value=variable.name,
+            f" and longitude ({', '.join(east)}) have them, not ({', '.join(variable.dimensions)}) "
+            f"with the times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
         )
+    latitudes, longitudes = (_numbers(coordinate[:]) for coordinate in coordinates)
     if latitudes.ndim == 1:  # an axis; against the other it is the grid
         latitudes = latitudes[:, np.newaxis]
     here, there = np.radians(latitude), np.radians(latitudes)
@@ -190,47 +176,10 @@ def _nearest(
     return int(row), int(column)
 
 
-def _coordinate(dataset: Dataset, name: str) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Return the dimensions and degrees of the variable of a standard name."""
-    for variable in dataset.variables.values():
-        if _attribute(variable, "standard_name") == name:
-            degrees, end = _numbers(variable), _ENDS[name]
-            if not (degrees.size and (np.abs(degrees) <= end).all()):
-                raise ConfigurationError(
-                    f"must have degrees from {-end:g} to {end:g} for every point of the grid, and "
-                    "one point or more", key=variable.name,
-                )
-            return variable.dimensions, degrees
-    raise ConfigurationError(f"must have a variable of standard_name '{name}'")
-
-
-def _attribute(variable: Variable[Any], name: str) -> str:
-    """Return an attribute, which may be there as an array of numbers, as text; or none, empty."""
-    return str(getattr(variable, name, ""))
-
-
-def _numbers(variable: Variable[Any], *point: int) -> NDArray[np.float64]:
-    """Return the values of a variable, at one point where its last dimensions are the places'.
-
-    NaN is a missing value. NetCDF also has types of text, lists and records, and text of digits
-    would become numbers.
-    """
-    kind, name = variable.datatype, variable.name
-    if not (isinstance(kind, np.dtype) and kind.kind in "iuf"):
-        raise ConfigurationError("must be of a type of numbers, such as float or int", key=name)
-    for packing in _PACKING:
-        number = getattr(variable, packing, np.float64(0.0))
-        if not isinstance(number, np.number):
-            raise ConfigurationError("must be a number", key=f"{name}:{packing}", value=str(number))
-    values: NDArray[np.float64] = np.ma.filled(variable[(..., *point)].astype(np.float64), np.nan)
-    beyond = np.argwhere(np.abs(values) > _LARGEST)
-    if beyond.size:
-        index = tuple(beyond[0].tolist())
-        raise ConfigurationError(
-            "must be finite, and a number of 32 bits",
-            key=f"{name}[{', '.join(map(str, index))}]", value=float(values[index]),
-        )
-    return values
+def _numbers(values: Any) -> NDArray[np.float64]:
+    """Return values of a variable; NaN is a missing one, or not finite."""
+    numbers: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
+    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -238,7 +187,7 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
 
     Args:
         name: of the variable.
-        leads: 0, and those of the sums (h), shape (n + 1,).
+        leads: 0, and the sums' leads (h), shape (n + 1,).
         sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
             last.
     """
@@ -248,19 +197,13 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
         raise ConfigurationError(
             f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue", key=name
         )
-    amounts, steps = np.diff(sums[:known]), np.diff(leads[:known])
-    falls = np.flatnonzero(amounts < -_ROUNDING_MM)
-    if falls.size:
-        raise ConfigurationError(
-            f"must be the sum since the issue; it falls by {-amounts[falls[0]]:.3g} mm to "
-            f"{leads[falls[0] + 1]} h after it", key=name
-        )
-    rain = np.maximum(amounts, 0.0) / steps
+    steps = np.diff(leads[:known])
+    rain = np.diff(sums[:known]) / steps
     _, low, high = QUANTITIES[PRECIPITATION]
-    beyond = np.flatnonzero(rain > high)
-    if beyond.size:
+    wrong = np.flatnonzero(~((rain * steps >= -_ROUNDING_MM) & (rain <= high)))
+    if wrong.size:
         raise ConfigurationError(
-            f"must be {low:g} to {high:g} mm/h, not {rain[beyond[0]]:.4g} before "
-            f"{leads[beyond[0] + 1]} h after the issue", key=name
+            f"must be the sum since the issue, from which follow {low:g} to {high:g} mm/h, not "
+            f"{rain[wrong[0]]:.4g} before {leads[wrong[0] + 1]} h after it", key=name
         )
-    return np.repeat(rain, steps)
+    return np.repeat(np.maximum(rain, 0.0), steps)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from datetime import timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import QUANTITIES, Records, Table, numbered_lines, read_table
+from greenroof_ros.formats.records import QUANTITIES, Records, Table, read_table
 from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"
@@ -37,7 +35,7 @@ def recognises(_file: Path, head: bytes, /) -> bool:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read a bulk file; times are local standard time, at the site's offset from UTC.
 
-    A record is taken as of the hour that starts at its time, as in the paper. Rain is of the hour
+    A record is of the hour that starts at its time, as in the paper. But rain is of the hour
     before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
     ``Weather`` it rains at a wet row's time and an hour before about as often, and less often an
     hour after. So rain stands an hour late, ``rain_late`` of the records, by which forecasts are
@@ -61,7 +59,7 @@ def read_records(file: Path, site: Site, /) -> Records:
             file=file, line=1,
         )
     observed = [name for pair in _COLUMNS.values() for name in pair]
-    table = read_table(file, numbered_lines(read_text(file, byte_order_mark=True)), observed)
+    table = read_table(file, observed)
     table.require((_TIME, _LONGITUDE, *observed), "hourly bulk files")
     _check_zone(table, site.utc_offset)
     zone = timezone(timedelta(hours=site.utc_offset))
@@ -80,11 +78,8 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 def _check_zone(table: Table, utc_offset: float) -> None:
     """Refuse a station at which the sun is not near the site's standard time."""
-    try:
-        longitude = float(table.columns[_LONGITUDE][0])
-    except ValueError:
-        longitude = math.nan
-    if not abs(longitude / 15 - utc_offset) <= _MOST_FROM_SOLAR_TIME:
+    longitude = table.numbers(_LONGITUDE, ("degrees", -180.0, 180.0))[0]
+    if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"belongs to a longitude of about {15 * utc_offset:g}",

@@ -73,7 +73,7 @@ from greenroof_ros.formats.records import (
     ensemble,
     join,
     numbered_lines,
-    read_table,
+    table_of,
 )
 from greenroof_ros.model.site import Site
 
@@ -164,18 +164,18 @@ def _read(
 
 def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     """Return the hours of a file, and what reads their times."""
-    text = read_text(file, byte_order_mark=True)
+    text = read_text(file)
     if text.lstrip().startswith(("{", "[")):
         place, table = _json_tables(file, text)
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return read_table(file, lines), _parse_saved
+            return table_of(file, lines), _parse_saved
         if len(lines) < 3:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
             )
-        place, table = read_table(file, lines[:2]), read_table(file, lines[2:])
+        place, table = table_of(file, lines[:2]), table_of(file, lines[2:])
     if "location_id" in place.header:
         raise place.refuse("must be of one place; download each by itself", "location_id", 0)
     zone = _check_place(place, site)
@@ -209,18 +209,16 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
         if not isinstance(value, dict):
             raise refuse("must be a mapping, as in answers for hours", key=key)
     hourly = {"time": [], **hourly}
-    header = [name if name == "time" else f"{name} ({units.get(name, '')})" for name in hourly]
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
-    return (
-        Table(file, list(about), lambda: list(about.values())),
-        Table(
-            file, header, lambda: [list(map(_cell, series)) for series in hourly.values()],
-            key="hourly.",
-        ),
-    )
+    hours = {
+        name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
+        for name, series in hourly.items()
+    }
+    return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
+
 
 
 def _cell(value: Any, missing: str = "") -> str:
@@ -235,10 +233,7 @@ def _check_place(place: Table, site: Site) -> timezone:
         ConfigurationError: it is not near, or not a place; or the offset is not one.
     """
     place.require([_OFFSET, *_PLACE], _WHOSE)
-    text = place.columns[_OFFSET][0]
-    # From UTC-12 to UTC+14.
-    if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
-        raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET, 0)
+    offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
     for name, (most, end) in _PLACE.items():
         # The service writes an elevation that it does not know as NaN.
         missing = ["NaN"] if name == "elevation" else []
@@ -254,7 +249,7 @@ def _check_place(place: Table, site: Site) -> timezone:
             raise place.refuse(
                 f"must be within {most:g} {unit} of the site's {name}, {own:g}", name, 0
             )
-    return timezone(timedelta(seconds=int(text)))
+    return timezone(timedelta(seconds=float(offset)))
 
 
 # --- past weather ------------------------------------------------------------------------------
@@ -438,8 +433,8 @@ def _known_of(previous: Records) -> list[Issue]:
 def _daily(previous: Records) -> list[Issue]:
     """Return one issue a day, at 00 UTC, with each hour from its own N alone.
 
-    The hours from 24 (N - 1) to 24 N after it are those of N, so that each value of the file is in
-    one issue, by the day that it stands for; missing ones are NaN. They are for verification: of
+    The hours from 24 (N - 1) to 24 N after it have the values of N, so that each value of the file
+    is in one issue, by the day that it stands for; missing ones are NaN. For verification: of
     :func:`_known_of` four have the same value, and some the value of another N.
     """
     issues = []

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
@@ -21,7 +20,6 @@ from greenroof_ros.formats.records import (
     Table,
     check_alike,
     ensemble,
-    numbered_lines,
     read_table,
 )
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
@@ -40,10 +38,6 @@ def recognises(_file: Path, _head: bytes, /) -> bool:
     return True
 
 
-def _table(file: Path) -> Table:
-    return read_table(file, numbered_lines(read_text(file)))
-
-
 # --- weather ----------------------------------------------------------------------------------
 
 
@@ -59,7 +53,7 @@ def read_records(file: Path, _site: Site, /) -> Records:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = _table(file)
+    table = read_table(file)
     columns, method = _columns(table)
     first = table.first_hour("time")
     values = {
@@ -113,11 +107,11 @@ def read_forecasts(path: Path) -> list[Issue]:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = _table(path)
+    table = read_table(path)
     columns = ["issued", "time", "member", *_FORECAST.values()]
-    optional = [one for one in columns if one in _OPTIONAL]
+    optional = [column for column in columns if column in _OPTIONAL]
     table.require_header(
-        [one for one in columns if one not in _OPTIONAL or one in table.header],
+        [column for column in columns if column not in _OPTIONAL or column in table.header],
         f"; they are {', '.join(map(repr, columns))}; {', '.join(optional)} may be left "
         "out",
     )
@@ -155,8 +149,8 @@ def read_forecasts(path: Path) -> list[Issue]:
         )
         for issue, numbered in rows_of.items()
     ]
-    for one, other in itertools.pairwise(issues):
-        check_alike(one, other)
+    for earlier, later in itertools.pairwise(issues):
+        check_alike(earlier, later)
     return issues
 
 

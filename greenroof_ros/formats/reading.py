@@ -70,8 +70,8 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             )
     archive: Archive = form.read_archive(files, site)
     issues = sorted(archive.issues, key=lambda issue: issue.issued)
-    for one, other in itertools.pairwise(issues):
-        check_alike(one, other)
+    for earlier, later in itertools.pairwise(issues):
+        check_alike(earlier, later)
     return replace(
         archive, source=source, issues=issues, delay=archive.delay if delay is None else delay
     )

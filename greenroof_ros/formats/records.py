@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
@@ -179,25 +179,25 @@ def join(parts: Sequence[Records]) -> Records:
     return replace(first, files=files, values=values)
 
 
-def _check_alike(one: Records, other: Records) -> None:
+def _check_alike(first: Records, part: Records) -> None:
     """Refuse to join what cannot be one series."""
-    for what, ours, theirs in (
-        ("quantities", sorted(one.values), sorted(other.values)),
-        ("method of evapotranspiration", [one.method], [other.method]),
-        ("quantities of the hour before their time", one.shifted, other.shifted),
-        ("hours by which rain is late", [str(one.rain_late)], [str(other.rain_late)]),
+    for aspect, expected, present in (
+        ("quantities", sorted(first.values), sorted(part.values)),
+        ("method of evapotranspiration", [first.method], [part.method]),
+        ("quantities of the hour before their time", first.shifted, part.shifted),
+        ("hours by which rain is late", [str(first.rain_late)], [str(part.rain_late)]),
     ):
-        if ours != theirs:
+        if expected != present:
             raise ConfigurationError(
-                f"must have the same {what} as {one.source}, {', '.join(ours) or 'none'}; "
-                f"it has {', '.join(theirs) or 'none'}",
-                file=other.source,
+                f"must have the same {aspect} as {first.source}, {', '.join(expected) or 'none'}; "
+                f"it has {', '.join(present) or 'none'}",
+                file=part.source,
             )
-    if (other.first - one.first) % HOUR:
+    if (part.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"its hours begin at {to_minutes(other.first)}, which must be a whole number of hours "
-            f"from {to_minutes(one.first)}, as in {one.source}",
-            file=other.source,
+            f"its hours begin at {to_minutes(part.first)}, which must be a whole number of hours "
+            f"from {to_minutes(first.first)}, as in {first.source}",
+            file=part.source,
         )
 
 
@@ -273,24 +273,24 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
     return replace(first, rain=np.concatenate([issue.rain for issue in issues]))
 
 
-def check_alike(one: Issue, other: Issue) -> None:
+def check_alike(earlier: Issue, later: Issue) -> None:
     """Refuse an issue after another one in an archive, if it is no other, or not alike.
 
     Raises:
         ConfigurationError: it is.
     """
-    wrong, when = "", to_minutes(other.issued)
-    if one.issued == other.issued:
-        wrong = f"has the issue of {when}, which {one.file.name} has already"
-    elif len(one.rain) != len(other.rain):
+    wrong, when = "", to_minutes(later.issued)
+    if earlier.issued == later.issued:
+        wrong = f"has the issue of {when}, which {earlier.file.name} has already"
+    elif len(earlier.rain) != len(later.rain):
         wrong = (
-            f"the issue of {when} must have as many members as that before it in {one.file.name}, "
-            f"{len(one.rain)}, not {len(other.rain)}"
+            f"the issue of {when} must have as many members as that before it in "
+            f"{earlier.file.name}, {len(earlier.rain)}, not {len(later.rain)}"
         )
-    elif (one.evapotranspiration is None) != (other.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or have none, as {one.file.name}"
+    elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
+        wrong = f"must have a column of evapotranspiration, or have none, as {earlier.file.name}"
     if wrong:
-        raise ConfigurationError(wrong, file=other.file, line=other.line)
+        raise ConfigurationError(wrong, file=later.file, line=later.line)
 
 
 @dataclass(frozen=True)
@@ -356,44 +356,33 @@ class Unit:
     zero: float = 0.0
 
 
+@dataclass(frozen=True)
 class Table:
     """A header and columns of cells, without space around them.
 
     Attributes:
         file: that it is from.
         header: the names of the columns.
-        lines: number of each row's line; empty where there are none, as in JSON.
+        columns: the cells of each column, by its name.
+        line: number of the header's line; None where there are no lines, as in JSON.
+        lines: number of each row's line; empty likewise.
+        key: under which the columns are in JSON, such as ``hourly.``
     """
 
-    def __init__(
-        self, file: Path, header: list[str], read: Callable[[], list[list[str]]],
-        line: int | None = None, lines: Sequence[int] = (), key: str = "",
-    ) -> None:
-        """Take the header; the rows are read when a column is asked for.
-
-        Args:
-            file: that it is from.
-            header: the names of the columns.
-            read: returns the cells of each column.
-            line: number of the header's line; None where there are no lines, as in JSON.
-            lines: of each row.
-            key: under which the columns are in JSON, such as ``hourly.``
-        """
-        self.file, self.header = file, header
-        self.lines, self._read, self._line, self._key = lines, read, line, key
-
-    @cached_property
-    def columns(self) -> dict[str, list[str]]:
-        """The cells of each column, by its name."""
-        return dict(zip(self.header, self._read(), strict=True))
+    file: Path
+    header: Sequence[str]
+    columns: dict[str, list[str]]
+    line: int | None = None
+    lines: Sequence[int] = ()
+    key: str = ""
 
     def refuse(
         self, expected: str, column: str | None = None, row: int | None = None
     ) -> ConfigurationError:
         """Return an error that names the place and text of a cell, or of the header's cell."""
         if column is None or row is None:
-            return ConfigurationError(expected, file=self.file, line=self._line, value=column)
-        key = f"{self._key}{column.partition(' ')[0]}[{row}]" if self._key else column
+            return ConfigurationError(expected, file=self.file, line=self.line, value=column)
+        key = f"{self.key}{column.partition(' ')[0]}[{row}]" if self.key else column
         return ConfigurationError(
             expected, file=self.file, line=self.lines[row] if self.lines else None, key=key,
             value=self.columns[column][row],
@@ -447,8 +436,8 @@ class Table:
         Raises:
             ConfigurationError: a cell is not a number, or not a believable one.
         """
-        ours, low, high = limits
-        unit = unit or Unit(ours)
+        own_unit, low, high = limits
+        unit = unit or Unit(own_unit)
         values = np.full(len(self.columns[column]), np.nan)
         for row, text in enumerate(self.columns[column]):
             if text in missing:
@@ -513,15 +502,24 @@ class Table:
         return first
 
     def check_due(
-        self, column: str, row: int, time: datetime, due: datetime, what: str = "the records"
+        self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
     ) -> None:
         """Refuse a time that is not the hour that must follow."""
         if time != due:
             raise self.refuse(
-                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {what} must be hour after "
+                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must be hour after "
                 "hour, without gap or repetition",
                 column, row,
             )
+
+
+def read_table(file: Path, observed: Container[str] = ()) -> Table:
+    """Read a file of CSV; see :func:`table_of`.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is no table.
+    """
+    return table_of(file, numbered_lines(read_text(file)), observed)
 
 
 def numbered_lines(text: str) -> list[tuple[int, str]]:
@@ -533,22 +531,10 @@ def numbered_lines(text: str) -> list[tuple[int, str]]:
     ]
 
 
-def split_cells(file: Path, line: int, text: str) -> list[str]:
-    """Split a line of CSV into cells without space around them; a quoted cell ends in its line.
-
-    Raises:
-        ConfigurationError: a quote is left open, or something follows a closed one.
-    """
-    try:
-        return [cell.strip() for cell in next(csv.reader([text], strict=True))]
-    except csv.Error as error:
-        raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
-
-
-def read_table(
+def table_of(
     file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
 ) -> Table:
-    """Return lines of CSV as a table.
+    """Return lines of CSV as a table; a quoted cell ends in its line.
 
     Args:
         file: that the lines are from.
@@ -557,29 +543,32 @@ def read_table(
             missing: its further cells are empty.
 
     Raises:
-        ConfigurationError: there is no header; and when a column is asked for: there is no row, or
-            one has more or fewer cells than the header.
+        ConfigurationError: there is no header or no row, a row has more or fewer cells than the
+            header, or a quote is left open or followed by something.
     """
     if not lines:
         raise ConfigurationError("holds comments only; a header and records must follow", file=file)
-    (header_line, text), *rest = lines
-    header = split_cells(file, header_line, text)
-    first = next((index for index, name in enumerate(header) if name in observed), 0)
-
-    def read() -> list[list[str]]:
-        if not rest:
-            raise ConfigurationError("has a header but no records", file=file)
-        rows = []
-        for line, text in rest:
-            cells = split_cells(file, line, text)
-            if len(cells) <= first:
-                cells += [""] * (len(header) - len(cells))
-            if len(cells) != len(header):
-                raise ConfigurationError(
-                    f"must have {len(header)} cells as the header has, not {len(cells)}",
-                    file=file, line=line,
-                )
-            rows.append(cells)
-        return [list(column) for column in zip(*rows, strict=True)]
-
-    return Table(file, header, read, header_line, [line for line, _ in rest])
+    rows: list[list[str]] = []
+    first = 0
+    for line, text in lines:
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
+        except csv.Error as error:
+            raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
+        if not rows:
+            first = next((index for index, name in enumerate(cells) if name in observed), 0)
+        elif len(cells) <= first:
+            cells += [""] * (len(rows[0]) - len(cells))
+        rows.append(cells)
+        if len(cells) != len(rows[0]):
+            raise ConfigurationError(
+                f"must have {len(rows[0])} cells as the header has, not {len(cells)}",
+                file=file, line=line,
+            )
+    if len(rows) == 1:
+        raise ConfigurationError("has a header but no records", file=file)
+    columns = map(list, zip(*rows[1:], strict=True))
+    return Table(
+        file, rows[0], dict(zip(rows[0], columns, strict=True)), lines[0][0],
+        [line for line, _ in lines[1:]],
+    )

@@ -9,8 +9,7 @@ import altair as alt
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
-from greenroof_ros.formats.records import numbered_lines, read_table
+from greenroof_ros.formats.records import read_table
 from greenroof_ros.model.plant import head_loss, maximum_pump_flow, pump_flow
 from greenroof_ros.model.pump_curve import fit_pump_curve
 from greenroof_ros.model.site import Site
@@ -28,7 +27,7 @@ def read_pump_data(path: Path) -> list[tuple[float, float]]:
     Raises:
         ConfigurationError: the file is wrong, or no curve can be fitted to it.
     """
-    table = read_table(path, numbered_lines(read_text(path)))
+    table = read_table(path)
     table.require_header(_HEADER, f" (the first line is '{','.join(_HEADER)}')")
     flows, heads = (
         table.numbers(column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?")

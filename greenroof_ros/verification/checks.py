@@ -31,14 +31,17 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
         tallies: what adds up in each class.
         previous_runs: whether these are previous runs, whose leads may lack water.
     """
-    scores = {one: tally.scores() for one, tally in tallies.items()}
+    scores = {key: tally.scores() for key, tally in tallies.items()}
     findings = [
         _FINDINGS.make("odd-lead", "water", "forecasts", lead=lead, ratio=ratio)
         for lead, ratio in (_odd_leads(scores) if previous_runs else {}).items()
     ]
     # Classes of few pairs tell nothing, nor do those in which forecast or rain is always the same.
-    told = [one.r for one in scores.values() if one.n >= _LEAST_PAIRS and not math.isnan(one.r)]
-    if told and max(told) < _LEAST_R:
+    known = [
+        score.r for score in scores.values()
+        if score.n >= _LEAST_PAIRS and not math.isnan(score.r)
+    ]
+    if known and max(known) < _LEAST_R:
         findings.append(_FINDINGS.make("unrelated", "r", "forecasts", bound=_LEAST_R))
     return findings
 
@@ -55,12 +58,12 @@ def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
         scores: of previous runs, where each pair of a lead is of other hours.
     """
     water: dict[str, float] = {}
-    for one, of_class in scores.items():
-        if of_class.n * one.sum.hours >= _LEAST_HOURS and not math.isnan(of_class.bias):
-            water.setdefault(one.lead, of_class.bias)
+    for key, of_class in scores.items():
+        if of_class.n * key.sum.hours >= _LEAST_HOURS and not math.isnan(of_class.bias):
+            water.setdefault(key.lead, of_class.bias)
     odd = {}
     for lead, bias in water.items() if len(water) > 2 else ():
-        usual = median(other for name, other in water.items() if name != lead)
+        usual = median(share for name, share in water.items() if name != lead)
         if not _LEAST_SHARE * usual <= bias <= usual / _LEAST_SHARE:
             odd[lead] = bias / usual if usual else math.inf
     return odd

@@ -39,9 +39,9 @@ def worth(
 ) -> list[Worth]:
     """Score an archive's issues by a record: as issued, dressed, and by climatology.
 
-    Climatology is all that fell after all issues of the dressing that the issue's analogs may be
-    taken from. Sums are over 12, 48 and 120 h, and none is longer than the forecasts; one with an
-    hour that the record lacks is left out.
+    Climatology is all that fell after every issue that may be an analog. Sums are over 12, 48 and
+    120 h, and none is longer than the forecasts; a sum with an hour that the record lacks is left
+    out.
 
     Args:
         archive: of forecasts, as issued.
@@ -56,13 +56,13 @@ def worth(
         ConfigurationError: an issue has too few analogs.
     """
     rain, longest = weather.precipitation, dressing.edges[-1]
-    found: dict[int, list[list[float]]] = {
+    rows_of: dict[int, list[list[float]]] = {
         hours: [] for hours in sorted({min(hours, longest) for hours in _SUMS})
     }
     for issue in archive.issues:
         begin = (issue.issued - weather.rain_from) // HOUR
         known = [
-            hours for hours in found
+            hours for hours in rows_of
             if hours <= issue.hours and 0 <= begin <= len(rain) - hours
             and not np.isnan(rain[begin : begin + hours]).any()
         ]
@@ -74,14 +74,14 @@ def worth(
             )
         for hours in known:
             fell = float(rain[begin : begin + hours].sum())
-            sums = [each[:, :hours].sum(axis=1) for each in ensembles]
-            found[hours].append([
-                fell, *(each.mean() for each in sums),
-                *(crps(each[:, None], np.array([fell]))[0] for each in sums),
+            sums = [rain_ahead[:, :hours].sum(axis=1) for rain_ahead in ensembles]
+            rows_of[hours].append([
+                fell, *(members.mean() for members in sums),
+                *(crps(members[:, None], np.array([fell]))[0] for members in sums),
             ])
         done(1)
     results = []
-    for hours, rows in found.items():
+    for hours, rows in rows_of.items():
         if rows:
             fallen, *means = np.mean(rows, axis=0).tolist()
             bias = [mean / fallen if fallen else np.nan for mean in means[:3]]

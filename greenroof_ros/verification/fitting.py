@@ -46,7 +46,7 @@ def fit_skill(
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
     The constants that no score shows, ``amount``, ``persistence`` and ``evapotranspiration``, are
-    those of skill ``real``.
+    as in skill ``real``.
 
     Args:
         tallies: what adds up in each class.
@@ -58,17 +58,17 @@ def fit_skill(
         ConfigurationError: there are too few records, or forecasts of less than two classes of
             leads have scores, or wet hours never follow one another.
     """
-    step = max(one.high - one.low for one in tallies)
+    step = max(key.high - key.low for key in tallies)
     spells = _spells(observed, step)
     if sum(map(len, spells)) < _LEAST_HOURS:
         raise ConfigurationError(
             f"needs at least {_LEAST_HOURS} h of records, in pieces of {step} h and more",
             key="--fit",
         )
-    sums = list(dict.fromkeys(one.sum for one in tallies))
+    sums = list(dict.fromkeys(key.sum for key in tallies))
     goals = {}
-    for low in dict.fromkeys(one.low for one in tallies):
-        of_lead = [tally for one, tally in tallies.items() if one.low == low]
+    for low in dict.fromkeys(key.low for key in tallies):
+        of_lead = [tally for key, tally in tallies.items() if key.low == low]
         scores = np.array([tally.scores()[2:5] for tally in of_lead])
         if not np.isnan(scores).any():
             goals[low + step / 2 + older] = scores[None]
@@ -136,23 +136,23 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
     )
     scale, growth = np.exp(likeliest.x)
     threshold = Climate(share, float(scale), float(growth), 1.0).threshold
-    found = {}
+    correlation_of = {}
     for lag in _LAGS:
-        pairs = np.concatenate([(one > 0)[:-lag] & (one > 0)[lag:] for one in spells])
-        both = float(pairs.sum()) / max(len(pairs), 1)
+        pairs = np.concatenate([(spell > 0)[:-lag] & (spell > 0)[lag:] for spell in spells])
+        joint = float(pairs.sum()) / max(len(pairs), 1)
 
-        def more_often(rho: float, both: float = both) -> float:
+        def more_often(rho: float, joint: float = joint) -> float:
             pair = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-            return float(pair.cdf([-threshold, -threshold])) - both
+            return float(pair.cdf([-threshold, -threshold])) - joint
 
         if more_often(_LEAST_RHO) < 0 < more_often(_MOST_RHO):
-            found[lag] = brentq(more_often, _LEAST_RHO, _MOST_RHO)
-    if not found:
+            correlation_of[lag] = brentq(more_often, _LEAST_RHO, _MOST_RHO)
+    if not correlation_of:
         raise ConfigurationError(
             "needs records with more rain: wet hours must follow one another within a day",
             key="--fit",
         )
-    lags, correlations = np.array(list(found)), np.array(list(found.values()))
+    lags, correlations = np.array(list(correlation_of)), np.array(list(correlation_of.values()))
     fitted = minimize_scalar(
         lambda hours: ((np.exp(-lags / hours) - correlations) ** 2).sum(),
         bounds=limits["memory"], method="bounded",
@@ -231,20 +231,20 @@ def fit_errors(
             return _INVALID
         total = 0.0
         for lead, goal in goals.items():
-            found = sample.scores(errors_of(values), lead)
-            beyond = np.maximum(0, np.maximum(goal.min(axis=0) - found, found - goal.max(axis=0)))
-            total += float(((found - goal.mean(axis=0)) ** 2 + _BEYOND * beyond**2).sum())
+            scores = sample.scores(errors_of(values), lead)
+            beyond = np.maximum(0, np.maximum(goal.min(axis=0) - scores, scores - goal.max(axis=0)))
+            total += float(((scores - goal.mean(axis=0)) ** 2 + _BEYOND * beyond**2).sum())
         return total
 
     begin = np.array([getattr(start, name) for name in _STEPS])
-    found = minimize(
+    solution = minimize(
         loss, begin, method="Nelder-Mead",
         options={
             "initial_simplex": np.vstack([begin, begin + np.diag(list(_STEPS.values()))]),
             "maxfev": MOST_TRIALS, "xatol": 1e-3, "fatol": 1e-4,
         },
     )
-    return errors_of(found.x)
+    return errors_of(solution.x)
 
 
 def skill_text(skill: Skill, source: str) -> str:

@@ -52,20 +52,20 @@ def render(
         figures += [_reliability(tallies), _ranks(tallies)]
     return page_of(
         __package__, figures, forecasts=forecasts, records=records, findings=findings, shown=SHOWN,
-        rows=[(one, tally.scores()) for one, tally in tallies.items()],
+        rows=[(key, tally.scores()) for key, tally in tallies.items()],
     )
 
 
 def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
-    scores = {one: tally.scores() for one, tally in tallies.items()}
-    names = list(dict.fromkeys(f"{one.sum.hours} h" for one in tallies))
-    leads = list(dict.fromkeys(one.lead for one in tallies))
+    scores = {key: tally.scores() for key, tally in tallies.items()}
+    names = list(dict.fromkeys(f"{key.sum.hours} h" for key in tallies))
+    leads = list(dict.fromkeys(key.lead for key in tallies))
     data: dict[str, Rows] = {}
     panels = []
     for name, title, axis in _BY_LEAD:
         data[f"verification-{name}"] = [
-            {"lead": one.lead, "sum": f"{one.sum.hours} h", "v": short(getattr(values, name))}
-            for one, values in scores.items() if not math.isnan(getattr(values, name))
+            {"lead": key.lead, "sum": f"{key.sum.hours} h", "v": short(getattr(values, name))}
+            for key, values in scores.items() if not math.isnan(getattr(values, name))
         ]
         base = alt.Chart(alt.NamedData(f"verification-{name}"))
         lines = base.mark_line(point=True, strokeWidth=1.5).encode(
@@ -75,7 +75,7 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
         )
         panels.append(series_panel(lines, "sum", names, title, legend="sum of"))
     events = ", ".join(
-        dict.fromkeys(f"{one.sum.event:g} mm in {one.sum.hours} h" for one in tallies)
+        dict.fromkeys(f"{key.sum.event:g} mm in {key.sum.hours} h" for key in tallies)
     )
     caption = (
         f"By lead, a line for each length of sums. An event has at least {events}. A "
@@ -94,7 +94,7 @@ def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
             for count, total, events in tally.reliability.tolist() if count
         ]
 
-    def panel(data: alt.Chart, one: Sum, leads: list[str]) -> Panel:
+    def panel(data: alt.Chart, length: Sum, leads: list[str]) -> Panel:
         lines = data.mark_line(point=True, strokeWidth=1.5).encode(
             x=alt.X("p:Q", title="probability that was forecast", scale=scale),
             y=alt.Y("o:Q", title="share of events", scale=scale),
@@ -103,7 +103,7 @@ def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
                             alt.Tooltip("n:Q", title="forecasts")),
         )
         return series_panel(
-            lines, "lead", leads, f"{one.hours} h, {one.event:g} mm and more", legend="lead",
+            lines, "lead", leads, f"{length.hours} h, {length.event:g} mm and more", legend="lead",
             below=[perfect], height=280,
         )
 
@@ -123,7 +123,7 @@ def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
         shares = (tally.ranks * len(tally.ranks) / total).tolist() if total else []
         return [{"rank": rank, "v": short(share)} for rank, share in enumerate(shares)]
 
-    def panel(data: alt.Chart, one: Sum, leads: list[str]) -> Panel:
+    def panel(data: alt.Chart, length: Sum, leads: list[str]) -> Panel:
         steps = data.mark_line(interpolate="step", strokeWidth=1.5).encode(
             x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
             y=alt.Y("v:Q", title="over an even share", scale=alt.Scale(zero=True)),
@@ -131,7 +131,7 @@ def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
                 "lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")
             ),
         )
-        title = f"Sums of {one.hours} h"
+        title = f"Sums of {length.hours} h"
         return series_panel(steps, "lead", leads, title, legend="lead", below=[even])
 
     caption = (
@@ -158,12 +158,12 @@ def _by_sum(
     """
     data: dict[str, Rows] = {}
     panels = []
-    for one in dict.fromkeys(each.sum for each in tallies):
-        leads = [(each.lead, tally) for each, tally in tallies.items() if each.sum == one]
+    for length in dict.fromkeys(key.sum for key in tallies):
+        leads = [(key.lead, tally) for key, tally in tallies.items() if key.sum == length]
         places = np.linspace(0, len(leads) - 1, _MOST_LEADS).round().astype(int)
         shown = [leads[place] for place in np.unique(places)]
-        dataset = f"verification-{name}-{one.hours}"
+        dataset = f"verification-{name}-{length.hours}"
         data[dataset] = [{"lead": lead, **row} for lead, tally in shown for row in rows(tally)]
         base = alt.Chart(alt.NamedData(dataset))
-        panels.append(panel(base, one, [lead for lead, _ in shown]))
+        panels.append(panel(base, length, [lead for lead, _ in shown]))
     return Figure(f"verification-{name}", title, caption, tuple(panels), 2, data)

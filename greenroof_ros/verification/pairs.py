@@ -77,7 +77,7 @@ def issued_forecasts(
         horizon: how far a forecast is looked at (h); a model makes them as long.
 
     Raises:
-        ConfigurationError: an archive is wrong, or its hours are not those of the records.
+        ConfigurationError: an archive is wrong, or not of whole hours of the records.
     """
     if choice.file is None:
         return _modelled(choice, weather, site, horizon)
@@ -167,9 +167,9 @@ def tally(
     """
     classes = math.ceil(forecasts.hours / lead)
     reach = classes * lead
-    found = {
-        Class(number * lead, (number + 1) * lead, one): Tally(one.event, forecasts.members)
-        for number in range(classes) for one in sums
+    tallies = {
+        Class(number * lead, (number + 1) * lead, length): Tally(length.event, forecasts.members)
+        for number in range(classes) for length in sums
     }
     unknown = np.full(reach, np.nan)
     padded = np.concatenate((unknown, observed, unknown))
@@ -181,14 +181,14 @@ def tally(
             rain[:, place, :length] = issue[:, :length]
             begin = max(hour + reach, 0)
             fallen[0, place] = padded[begin : begin + reach]
-        for one, total in found.items():
-            said, fell = (
+        for key, total in tallies.items():
+            predicted, fell = (
                 np.round(
-                    hours[:, :, one.low : one.high].reshape(len(hours), -1, one.sum.hours).sum(2),
+                    hours[:, :, key.low : key.high].reshape(len(hours), -1, key.sum.hours).sum(2),
                     _DIGITS,
                 )
                 for hours in (rain, fallen)
             )
-            total.add(said, fell[0])
+            total.add(predicted, fell[0])
         done(len(batch))
-    return found
+    return tallies

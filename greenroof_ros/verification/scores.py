@@ -52,7 +52,7 @@ def event_scores(
 class Scores(NamedTuple):
     """Of pairs of forecast and observed sums; NaN where there is nothing that it could be.
 
-    Bias, r and those of the events are of member 0, which controllers that take a single forecast
+    Bias, r and the scores of events are of member 0, which controllers that use a single forecast
     are given; Brier score and CRPS of all members.
     """
 

@@ -1,7 +1,7 @@
 """Evapotranspiration by FAO-56: of hours by Penman-Monteith (``fao56``), of days by Hargreaves.
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
-Rome 1998; the equations are those of the package ``eto``, the numbers here are its equations'.
+Rome 1998; the package ``eto`` has the equations, whose numbers in that paper stand here.
 Hargreaves' equation needs a day's least and greatest temperature, where nothing else was measured.
 """
 
@@ -45,7 +45,7 @@ def hourly(
 
     Net radiation is by Eqs. 37-40 from shortwave radiation: measured, or Eq. 50's
     ``k_Rs sqrt(Tmax - Tmin) Ra`` with the day's extremes, spread over the hours as the
-    extraterrestrial radiation Ra. At night the ratio Rs/Rso that stands for the clouds is taken
+    extraterrestrial radiation Ra. At night the ratio Rs/Rso, which stands for the clouds, is as
     two to three hours before sunset. Below 0 (dew) it is 0.
 
     Where FAO-56 leaves a choice the package takes: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
@@ -125,7 +125,7 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
         values["Tmin"], values["Tmax"] = _daily_extremes(records, site)
     unknown = np.isnan(sum(values.values()))  # a sum with a NaN is one
     result = np.full(records.hours, np.nan)
-    # One gap-free stretch after the other: the clouds of a night are those of the evening before.
+    # One gap-free stretch after the other: a night is as cloudy as the evening before.
     for low, high in gaps(~unknown):
         stretch = {name: series[low:high] for name, series in values.items()}
         result[low:high] = hourly(site, records.first + low * HOUR, stretch)

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 # pressure follow the air mass, which changes within days. Rain is never guessed.
 LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
 
-# Hours from a missing one to those of the same time of day whose mean stands for it.
+# From a missing hour to the hours of the same time of day whose mean stands for it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 
@@ -116,7 +116,7 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     Raises:
         ConfigurationError: a pattern matches no file, or there are no names.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for name in names:
         path = directory / name
         matches = [path]
@@ -124,21 +124,21 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
             matches = [Path(match) for match in sorted(glob.glob(str(path)))]  # noqa: PTH207
             if not matches:
                 raise ConfigurationError("matches no file", key=key, value=name)
-        found += [match for match in matches if match not in found]
-    if not found:
+        files += [match for match in matches if match not in files]
+    if not files:
         raise ConfigurationError("must name at least one file", key=key)
-    return found
+    return files
 
 
 def bridged(series: Array, longest: int) -> Array:
     """Return hourly values in which gaps of so many hours at most are a straight line."""
-    found = series.copy()
+    filled = series.copy()
     for low, high in gaps(np.isnan(series)):
         if high - low <= longest and low > 0 and high < len(series):
-            found[low:high] = np.interp(
+            filled[low:high] = np.interp(
                 np.arange(low, high), [low - 1, high], series[[low - 1, high]]
             )
-    return found
+    return filled
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:

@@ -126,7 +126,7 @@ class PerTick(Sequence[float]):
     def __getitem__(self, key: slice) -> array[float]: ...
 
     def __getitem__(self, key: int | slice) -> float | array[float]:
-        """Return the value of a tick, or those of several."""
+        """Return the value of a tick, or the values of several."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
             return float(self.hourly[self.clock.hour(ticks)])
@@ -316,7 +316,7 @@ def suspicious_rain(records: Records, hours: range) -> list[str]:
     days = day_of_year((first + wet).astype("datetime64[D]"))
     temperature = records.values.get(TEMPERATURE, np.full_like(rain, np.nan))
     there = (wet >= hours.start) & (wet < hours.stop)
-    found = []
+    suspicious = []
     for day in np.unique(days[there]):
         apart = np.abs(days - day)
         near = rain[wet[np.minimum(apart, _YEAR - apart) <= _DAYS]]
@@ -326,10 +326,10 @@ def suspicious_rain(records: Records, hours: range) -> list[str]:
         for hour in wet[there & (days == day)]:
             factor = _FROST_FACTOR if temperature[hour] < 0 else _FACTOR
             if rain[hour] >= factor * usual:
-                found.append((int(hour), usual))
+                suspicious.append((int(hour), usual))
     return [
         f"{rain[hour]:g} mm at {to_minutes(records.first + hour * HOUR)}, "
         f"{rain[hour] / usual:.1f} times what 95 % of the wet hours at that time of the year "
         f"have at most, {usual:.3g} mm"
-        for hour, usual in sorted(found)
+        for hour, usual in sorted(suspicious)
     ]

@@ -37,11 +37,12 @@ def true_value(name: str) -> float:
     return FILLED_AT_FIRST if name == FILLED else float(getattr(TWIN, name))
 
 
-def told(parameters: list[Parameter]) -> dict[str, float]:
-    """What is told, each with the truth in its interval."""
-    for one in parameters:
-        assert not one.told or one.low <= true_value(one.name) <= one.high, one
-    return {one.name: one.value for one in parameters if one.told}
+def values_of(parameters: list[Parameter]) -> dict[str, float]:
+    """The values that the record identifies; the truth is in each interval."""
+    known = [parameter for parameter in parameters if parameter.interval]
+    for parameter in known:
+        assert parameter.low <= true_value(parameter.name) <= parameter.high, parameter
+    return {parameter.name: parameter.value for parameter in known}
 
 
 @cache
@@ -60,8 +61,8 @@ def test_a_twin_is_recovered() -> None:
     """
     record = twin(0, 45)
     progress: list[tuple[str, float]] = []
-    found = fit(ELSEWHERE, record, record.known, lambda *step: progress.append(step))
-    values = told(found.parameters)
+    fitted = fit(ELSEWHERE, record, record.known, lambda *step: progress.append(step))
+    values = values_of(fitted.parameters)
     assert values.keys() == {
         "field_capacity", "wilting_point", "depletion_fraction", "drainage_time",
         "crop_coefficient", "filled",
@@ -85,22 +86,22 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
     So the interval of the field capacity allows for any wilting point, also for the true one.
     """
     record = replace(twin(1, 100), level=None)
-    found = fit(ELSEWHERE, record, record.known)
-    by_name = {one.name: one for one in found.parameters}
-    assert not by_name["wilting_point"].told
+    fitted = fit(ELSEWHERE, record, record.known)
+    by_name = {parameter.name: parameter for parameter in fitted.parameters}
+    assert not by_name["wilting_point"].interval
     assert "cannot tell it apart from field_capacity" in by_name["wilting_point"].words
     assert by_name["wilting_point"].value == pytest.approx(0.02)
     true = TWIN.field_capacity - TWIN.wilting_point
     capacity = by_name["field_capacity"]
     assert capacity.value - 0.02 == pytest.approx(true, rel=0.05)
     assert capacity.low < TWIN.field_capacity < capacity.high
-    highest = next(one.high for one in ranges(ELSEWHERE, record) if one.name == "wilting_point")
+    highest = next(span.high for span in ranges(ELSEWHERE, record) if span.name == "wilting_point")
     assert capacity.high - capacity.value == pytest.approx(highest - 0.02, rel=0.15)
 
 
 def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
     record = replace(twin(1, 100), runoff=None)
-    by_name = {one.name: one for one in fit(ELSEWHERE, record, record.known).parameters}
+    by_name = {row.name: row for row in fit(ELSEWHERE, record, record.known).parameters}
     assert by_name["drainage_time"].words == "the data do not depend on it"
     assert by_name["drainage_time"].value == pytest.approx(300.0)
     assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.03)
@@ -123,13 +124,13 @@ def test_longer_steps_do_not_make_more_runoff() -> None:
     """
     record = twin(6, 150)
     site = replace(ELSEWHERE, drainage_time=TWIN.drainage_time)
-    found = fit(site, record, record.known)
-    values = told(found.parameters)
+    fitted = fit(site, record, record.known)
+    values = values_of(fitted.parameters)
     assert values["field_capacity"] == pytest.approx(TWIN.field_capacity, rel=0.02)
     assert values["crop_coefficient"] == pytest.approx(TWIN.crop_coefficient, rel=0.05)
     assert "drainage_time" not in values
     simulated, measured = (
-        series[record.known].sum() for series in (found.simulated.runoff, record.runoff)
+        series[record.known].sum() for series in (fitted.simulated.runoff, record.runoff)
     )
     assert simulated == pytest.approx(measured, rel=0.02)
 
@@ -137,21 +138,21 @@ def test_longer_steps_do_not_make_more_runoff() -> None:
 def test_of_daily_sums_the_soil_is_found() -> None:
     """Of 110 days' sums and morning levels; how fast the roof drains they cannot tell."""
     record = twin(24, 110, seed=1)
-    found = fit(ELSEWHERE, record, record.known)
-    values = told(found.parameters)
+    fitted = fit(ELSEWHERE, record, record.known)
+    values = values_of(fitted.parameters)
     assert {"wilting_point", "depletion_fraction"} <= values.keys()
     assert values["field_capacity"] == pytest.approx(TWIN.field_capacity, rel=0.1)
     assert values["crop_coefficient"] == pytest.approx(TWIN.crop_coefficient, rel=0.15)
-    drainage = next(one for one in found.parameters if one.name == "drainage_time")
-    assert not drainage.told
+    drainage = next(row for row in fitted.parameters if row.name == "drainage_time")
+    assert not drainage.interval
     assert drainage.words == "steps of 1 day are too long to tell it"
-    assert drainage.value == found.site.drainage_time == ELSEWHERE.drainage_time
+    assert drainage.value == fitted.site.drainage_time == ELSEWHERE.drainage_time
     # Of twelve days' runoff there are four sums of four days at most, and of the roof five
     # parameters that could be fitted.
     few = {name: getattr(record, name)[:12] for name in ("rain", "reference", "pumped", "runoff")}
-    found = fit(ELSEWHERE, replace(record, **few, level=None), np.full(12, True))
-    assert sum(one.told for one in found.parameters) <= 4
-    assert all(one.words for one in found.parameters if not one.told)
+    fitted = fit(ELSEWHERE, replace(record, **few, level=None), np.full(12, True))
+    assert len(values_of(fitted.parameters)) <= 4
+    assert all(row.words for row in fitted.parameters if not row.interval)
 
 
 def test_the_interval_of_a_mean_is_that_of_students_t() -> None:

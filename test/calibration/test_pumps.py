@@ -61,14 +61,14 @@ def later(record: Record, steps: int) -> Record:
     return replace(record, command=np.roll(record.command, steps))
 
 
-def cases(found: PumpFit) -> list[str]:
-    return [one.case for one in found.findings]
+def cases(pumps: PumpFit) -> list[str]:
+    return [finding.case for finding in pumps.findings]
 
 
-def hits(found: PumpFit, true: Site) -> bool:
+def hits(pumps: PumpFit, true: Site) -> bool:
     """Whether the flow of the true pumps (l/s) lies in the interval."""
-    assert cases(found)[0] == "flow"
-    figures = found.findings[0].figures
+    assert cases(pumps)[0] == "flow"
+    figures = pumps.findings[0].figures
     flow = 1000 * maximum_pump_flow(true, figures["level"] * SITE.a1)
     return abs(figures["flow"] - flow) <= figures["half"]
 
@@ -79,27 +79,27 @@ WORN = replace(SITE, c_hat=48.0)
 
 def test_the_flow_of_worn_pumps_is_found() -> None:
     """With a refill a week, of a fifth to all of what a run takes."""
-    found = fit_pumps(SITE, twin(WORN, 60, refills=True))
-    assert cases(found) == ["flow", "left out"] and hits(found, WORN)
-    figures = found.findings[0].figures
+    pumps = fit_pumps(SITE, twin(WORN, 60, refills=True))
+    assert cases(pumps) == ["flow", "left out"] and hits(pumps, WORN)
+    figures = pumps.findings[0].figures
     assert figures["runs"] > 20
     assert figures["half"] < 0.01 * figures["flow"]
-    shape, height = found.parameters
-    assert (shape.name, shape.value, shape.told) == ("a_hat", SITE.a_hat, False)
+    shape, height = pumps.parameters
+    assert (shape.name, shape.value, shape.interval) == ("a_hat", SITE.a_hat, "")
     assert shape.words == "the data cannot tell it apart from c_hat"
     assert height.name == "c_hat"
     assert height.low <= 48.0 <= height.high
-    assert found.site == replace(SITE, c_hat=height.value)
+    assert pumps.site == replace(SITE, c_hat=height.value)
 
 
 @pytest.mark.parametrize("steps", [-2, 1])
 def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
-    found = fit_pumps(SITE, later(twin(WORN, 30), steps))
-    assert cases(found) == ["flow", "shifted"] and hits(found, WORN)
-    figures = found.findings[0].figures
+    pumps = fit_pumps(SITE, later(twin(WORN, 30), steps))
+    assert cases(pumps) == ["flow", "shifted"] and hits(pumps, WORN)
+    figures = pumps.findings[0].figures
     assert figures["half"] < 0.02 * figures["flow"]
     assert figures["late_s"] == pytest.approx(steps * STEP_S, abs=max(figures["late_half_s"], 5.0))
-    assert found.findings[1].text == (
+    assert pumps.findings[1].text == (
         f"pumps: the pump state is {5 * abs(steps)} min {'late' if steps > 0 else 'early'} against "
         "the cistern's fall"
     )
@@ -107,8 +107,8 @@ def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
 
 def test_short_runs_are_said_to_tell_less() -> None:
     """Runs of one step, with a pump state that is a step late."""
-    found = fit_pumps(SITE, later(twin(SITE, 30, shortest=True), 1))
-    assert cases(found)[-1] == "short" and hits(found, SITE)
+    pumps = fit_pumps(SITE, later(twin(SITE, 30, shortest=True), 1))
+    assert cases(pumps)[-1] == "short" and hits(pumps, SITE)
 
 
 def test_intervals_of_one_week_hold_the_truth() -> None:
@@ -116,22 +116,22 @@ def test_intervals_of_one_week_hold_the_truth() -> None:
     inside, fits, seed = 0, 0, 0
     while fits < 12:
         seed += 1
-        found = fit_pumps(SITE, later(twin(WORN, 7, seed, refills=True), 1))
-        if found.parameters:
+        pumps = fit_pumps(SITE, later(twin(WORN, 7, seed, refills=True), 1))
+        if pumps.parameters:
             fits += 1
-            inside += hits(found, WORN)
+            inside += hits(pumps, WORN)
     assert inside >= 10
 
 
 def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
     """A lift of 2 to 4 m, as the cistern stands."""
     low = replace(SITE, d=3.0, c_hat=4.0, a_hat=-9e4)
-    found = fit_pumps(replace(low, c_hat=5.0, a_hat=-6e4), twin(low, 60))
-    assert hits(found, low)
-    for one in found.parameters:
-        assert one.low <= getattr(low, one.name) <= one.high
-        assert one.value == pytest.approx(getattr(low, one.name), rel=0.1)
-        assert one.words == ""
+    pumps = fit_pumps(replace(low, c_hat=5.0, a_hat=-6e4), twin(low, 60))
+    assert hits(pumps, low)
+    for fitted in pumps.parameters:
+        assert fitted.low <= getattr(low, fitted.name) <= fitted.high
+        assert fitted.value == pytest.approx(getattr(low, fitted.name), rel=0.1)
+        assert fitted.words == ""
 
 
 def test_where_no_run_is_seen_nothing_is_said() -> None:
@@ -145,8 +145,8 @@ def test_where_no_run_is_seen_nothing_is_said() -> None:
         (replace(SITE, mains_level=2.9, mains_flow=0.001), record),
         (SITE, replace(record, cistern=level)),
     ):
-        found = fit_pumps(site, seen)
-        assert (cases(found), found.site, found.parameters) == (["unseen"], site, ())
+        pumps = fit_pumps(site, seen)
+        assert (cases(pumps), pumps.site, pumps.parameters) == (["unseen"], site, ())
     for unknown in ("command", "cistern"):
         assert cases(fit_pumps(SITE, replace(record, **{unknown: None}))) == []
 
@@ -160,8 +160,8 @@ def test_what_no_pumps_do_is_refused() -> None:
         (replace(record, command=record.command * 100), "unit-error", "as if they lifted 0.07"),
         (later(record, 3), "clock-shifted", "pump state: is more than 10 min after the"),
     ):
-        found = fit_pumps(SITE, wrong)
-        (one,) = found.findings
-        assert (one.code, one.severity) == (code, Severity.REFUSAL)
-        assert text in one.text
-        assert (found.site, found.parameters) == (SITE, ())
+        pumps = fit_pumps(SITE, wrong)
+        (finding,) = pumps.findings
+        assert (finding.code, finding.severity) == (code, Severity.REFUSAL)
+        assert text in finding.text
+        assert (pumps.site, pumps.parameters) == (SITE, ())

@@ -7,6 +7,7 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from refusals import refusal
 from twins import a_record
 
 from greenroof_ros.calibration.record import (
@@ -18,7 +19,6 @@ from greenroof_ros.calibration.record import (
     month_numbers,
     storms,
 )
-from greenroof_ros.common.errors import ConfigurationError
 
 HOUR = 12
 DAY = 24 * HOUR
@@ -89,12 +89,7 @@ def test_steps_of_months(text: str, days: int, first: str) -> None:
     assert str(SINCE_JULY.times[steps][0]) == f"{first}T00:00:00"
 
 
-@pytest.mark.parametrize("text", ["4", "0-3", "4-13", "april-october"])
-def test_what_is_no_span_of_months_is_refused(text: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"^--months = '{text}': must be the first and"):
-        month_numbers(text)
-
-
-def test_a_record_of_other_months_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"^roof.csv: has no row in the months 6-10"):
-        in_months(of_rain(20, {}), "6-10")
+def test_months_that_cannot_be() -> None:
+    for text in ("4", "0-3", "4-13", "april-october"):
+        refusal(month_numbers, text, match=f"^--months = '{text}': must be the first and")
+    refusal(in_months, of_rain(20, {}), "6-10", match=r"^roof.csv: has no row in the months 6-10")

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.record import Record
-from greenroof_ros.common.errors import ConfigurationError
 
 NAME = "reference evapotranspiration [mm/day]"
 
@@ -41,25 +41,28 @@ def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
     def without(missing: int) -> Record:
         gone = (row >= 30) & (row < 30 + missing)
         kept = row if what == EMPTY else row[~gone]
-        return read(file, 5 * kept, ["" if gone[one] else f"{values[one]:.2f}" for one in kept])
+        return read(file, 5 * kept, ["" if gone[at] else f"{values[at]:.2f}" for at in kept])
 
     assert without(12).reference == pytest.approx(values / 288)
-    with pytest.raises(ConfigurationError) as error:
-        without(13)
-    assert str(error.value).startswith(
+    assert refusal(without, 13).startswith(
         f"{file}, line 32: {NAME}: {what}, and none has a value for 65 min: it may be missing "
         "for an hour at most"
     )
 
 
 def test_at_the_ends_an_hour_may_be_missing_too(tmp_path: Path) -> None:
+    """And 0 throughout is no evapotranspiration."""
     cells = [""] * 12 + ["3"] * 96 + [""] * 12
     record = read(tmp_path / "record.csv", 5 * np.arange(120), cells)
     assert record.reference == pytest.approx(np.full(120, 3 / 288))
     for more in (12, 107):
         longer = [*cells[:more], "", *cells[more + 1:]]
-        with pytest.raises(ConfigurationError, match="is empty, and none has a value for 65 min"):
-            read(tmp_path / "record.csv", 5 * np.arange(120), longer)
+        refusal(
+            read, tmp_path / "record.csv", 5 * np.arange(120), longer,
+            match="is empty, and none has a value for 65 min",
+        )
+    nothing = ["0"] * 120
+    refusal(read, tmp_path / "record.csv", 5 * np.arange(120), nothing, match="is 0 throughout")
 
 
 def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
@@ -70,11 +73,6 @@ def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
     record = read(tmp_path / "record.csv", minutes, ["3"] * 500, month=4)
     assert np.flatnonzero(np.isnan(record.level)).tolist() == [400]
     assert record.reference == pytest.approx(np.full(record.steps, 3 * 360 / 1440))
-
-
-def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="is 0 throughout"):
-        read(tmp_path / "record.csv", 5 * np.arange(120), ["0"] * 120)
 
 
 def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:
@@ -89,31 +87,25 @@ def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:
     return file
 
 
-def test_temperatures_that_end_are_refused_and_may_be_missing_in_other_months(
-    tmp_path: Path,
-) -> None:
-    """None after ten days; none in the first half of April, as of a logger out in winter."""
-    file = with_temperatures(tmp_path / "record.csv", dict.fromkeys(range(10), "5,15"))
-    with pytest.raises(ConfigurationError, match="no temperature within 3 days of 2021-04-14"):
-        read_csv_record(file, TWIN)
-    file = with_temperatures(tmp_path / "record.csv", dict.fromkeys(range(15, 60), "5,15"))
-    with pytest.raises(ConfigurationError, match="has no temperature within 3 days"):
-        read_csv_record(file, TWIN)
-    assert np.all(read_csv_record(file, TWIN, "5-6").reference >= 0)
-    with pytest.raises(ConfigurationError, match="no day has its temperatures"):
-        read_csv_record(with_temperatures(tmp_path / "record.csv", {}), TWIN)
-
-
 def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
-    """Those of every sixth hour; and a day whose least is above its greatest."""
-    minutes = 360 * np.arange(120)
-    with pytest.raises(ConfigurationError, match="temperature: its rows are 6 h apart, and show a"):
-        read(tmp_path / "record.csv", minutes, ["12"] * 120, column="temperature [degC]")
-    days = dict.fromkeys(range(60), "5,15") | {0: "40,15"}
-    with pytest.raises(
-        ConfigurationError, match="on 2021-04-01 the least temperature, 40 degC, is above the great"
+    """None after ten days; none in the first half of April, as of a logger out in winter; none.
+
+    Those of every sixth hour show no extremes; and a day's least may be above its greatest.
+    """
+    file = tmp_path / "record.csv"
+    for extremes, message in (
+        (dict.fromkeys(range(10), "5,15"), "no temperature within 3 days of 2021-04-14"),
+        ({}, "no day has its temperatures"),
+        (dict.fromkeys(range(60), "5,15") | {0: "40,15"},
+         "on 2021-04-01 the least temperature, 40 degC, is above the great"),
+        (dict.fromkeys(range(15, 60), "5,15"), "has no temperature within 3 days"),
     ):
-        read_csv_record(with_temperatures(tmp_path / "record.csv", days), TWIN)
+        refusal(read_csv_record, with_temperatures(file, extremes), TWIN, match=message)
+    assert np.all(read_csv_record(file, TWIN, "5-6").reference >= 0)
+    refusal(
+        read, file, 360 * np.arange(120), ["12"] * 120, 6, "temperature [degC]",
+        match="temperature: its rows are 6 h apart, and show a",
+    )
 
 
 LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)

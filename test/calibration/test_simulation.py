@@ -83,7 +83,7 @@ def test_a_flow_meter_shows_nothing_below_its_least() -> None:
     least = least_reading(of_runoff(readings))
     assert least == pytest.approx(0.00605509)
     record = a_record(np.where(np.arange(600) == 5, 20.0, 0.0))
-    runoff, shown = (simulate(TWIN, record, 1.0, each).runoff for each in (0.0, least))
+    runoff, shown = (simulate(TWIN, record, 1.0, reading).runoff for reading in (0.0, least))
     small = (runoff > 0) & (runoff < least)
     assert small.any()
     assert not shown[small].any()

@@ -31,15 +31,15 @@ class Newest:
 
 
 def test_what_waits_is_done_in_order_and_what_finds_no_room_is_counted() -> None:
-    disk, hangs, done = DiskThread(room=2000), threading.Event(), list[int]()
+    disk, hangs, done = DiskThread(), threading.Event(), list[int]()
     assert disk.do(hangs.wait)
-    accepted = [disk.do(partial(done.append, number), 300) for number in range(5)]
+    accepted = [disk.do(partial(done.append, number), 9_000_000) for number in range(5)]
     assert accepted == [True, True, True, False, False]
     assert disk.refused == 2
     assert not disk.wait(0.1) and done == []
     hangs.set()
     assert disk.wait(TOO_LONG_S) and done == [0, 1, 2]
-    assert disk.do(partial(done.append, 5), 1500)  # there is room again
+    assert disk.do(partial(done.append, 5), 31_000_000)  # there is room again
     assert disk.wait(TOO_LONG_S) and done == [0, 1, 2, 5]
 
 
@@ -78,7 +78,7 @@ def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) 
 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     """A pipe that nobody reads: the end waits two seconds, and what is newest is written later."""
-    os.mkfifo(tmp_path / "numbers.part")
+    os.mkfifo(tmp_path / ".numbers.json.part")
     numbers = Kept(tmp_path / "numbers.json")
     began = time.monotonic()
     numbers.write({"a": 1.0})
@@ -88,7 +88,7 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     assert time.monotonic() - began < 5.0
     time.sleep(max(0.0, began + 2.5 - time.monotonic()))
     assert numbers.problem == "the disk takes nothing"
-    woken = (tmp_path / "numbers.part").rename(tmp_path / "pipe")
+    woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
     with woken.open() as pipe:  # the disk wakes up
         assert '"a": ' in pipe.read()
     numbers.close()
@@ -97,7 +97,7 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
 
 def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
     """Within what its end waits for at most, two seconds, and what a busy machine takes."""
-    os.mkfifo(tmp_path / "numbers.part")
+    os.mkfifo(tmp_path / ".numbers.json.part")
     program = (
         "import sys; from pathlib import Path; from greenroof_ros.common.disk import Kept; "
         "kept = Kept(Path(sys.argv[1])); kept.write({'a': 1.0}); kept.close()"
@@ -115,7 +115,7 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
     contents = []
 
     def fsync(number: int) -> None:
-        part = tmp_path / "numbers.part"
+        part = tmp_path / ".numbers.json.part"
         assert part.samefile(f"/dev/fd/{number}")
         contents.append((part.read_text(), file.read_text()))
 

@@ -29,20 +29,20 @@ def test_lines_come_in_order(capfd: pytest.CaptureFixture[str]) -> None:
 def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
     """The oldest; what is said is whole again when somebody reads."""
     with full_pipe() as (reading, writing):
-        lines = Lines(writing, most=10)
+        lines = Lines(writing)
         began = time.monotonic()
         lines.say("first")
         time.sleep(0.2)  # it is being written
-        for number in range(100):
+        for number in range(1090):
             lines.say(f"line {number}")
         assert not lines.wait(0.0)
         assert time.monotonic() - began < 2.0
         printed = b""
-        while not printed.endswith(b"line 99\n"):
+        while not printed.endswith(b"line 1089\n"):
             printed += os.read(reading, 1 << 20)
     assert printed.lstrip(b"\0").decode().splitlines() == [
         "first", "90 lines were dropped: standard error took nothing",
-        *(f"line {number}" for number in range(90, 100)),
+        *(f"line {number}" for number in range(90, 1090)),
     ]
 
 

@@ -12,7 +12,6 @@ from archives import write_runs
 from paper import PAPER_SITE, weather_of
 from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.study.grid import read_grid
@@ -42,21 +41,16 @@ def test_an_issue_is_known_when_it_is_available(
         assert model.known(hour, 3)[0][0].tolist() == pytest.approx(expected, abs=1e-12)
 
 
-def test_delay_in_half_hour_zones(tmp_path: Path) -> None:
-    """Records must begin whole hours from the issues, whichever offset they have."""
+def test_hours_of_records_and_issues(tmp_path: Path) -> None:
+    """They begin together, in any time zone; before the first issue is known there is none."""
     archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 0.0)
     first = datetime.fromisoformat("2021-07-07T11:30+05:30")
     model = FileModel(archive, weather_from(first), False)
     assert model.known(0, 2)[0][0].tolist() == [2.0, 2.01]  # 06:00 UTC
-    with pytest.raises(ConfigurationError, match="must be a whole number of hours from 2021"):
-        FileModel(archive, weather_from(first.replace(minute=0)), False)
-
-
-def test_before_the_first_is_known(tmp_path: Path) -> None:
-    """The message says from when on there is one."""
-    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE)
-    first = datetime.fromisoformat("2021-07-06T00:00+00:00")
-    model = FileModel(archive, weather_from(first), False)
+    between = weather_from(first.replace(minute=0))
+    refusal(FileModel, archive, between, False, match="must be a whole number of hours from 2021")
+    late = read_archive(tmp_path / "runs", PAPER_SITE)
+    model = FileModel(late, weather_from(datetime.fromisoformat("2021-07-06T00:00+00:00")), False)
     needed = "known from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
     refusal(model.known, 23, 1, match=needed)
     assert model.known(24, 1)[0].shape == (1, 1)
@@ -115,11 +109,8 @@ def test_a_study_by_an_archive(tmp_path: Path) -> None:
     carried = tmp_path / usual.forecast_files["file"].name
     carried.write_bytes(usual.forecast_files["file"].content)
     weather = weather_from(datetime.fromisoformat("2021-07-07T06:00+00:00"))
-    one, other = (
-        FileModel(archive, weather, False).known(20, 12)[0]
-        for archive in (
-            read_archive(tmp_path / "runs", PAPER_SITE),
-            read_archive(carried, PAPER_SITE, usual.forecast.delay),
-        )
+    directory, file = (
+        FileModel(read_archive(source, PAPER_SITE, 6.0), weather, False).known(20, 12)[0]
+        for source in (tmp_path / "runs", carried)
     )
-    assert one.tobytes() == other.tobytes()
+    assert directory.tobytes() == file.tobytes()

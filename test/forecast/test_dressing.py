@@ -95,25 +95,25 @@ def by_definition(issues: dict[int, Array], rain: Array, start: int, hours: int)
         if len(chosen) < 10 and all(abs(at - other) >= 48 for other in chosen):
             chosen.append(at)
     factors = [np.repeat(np.clip(ratios[at], 0.25, 4.0), np.diff(edges)) for at in chosen]
-    return [rain[at : at + hours] * each for at, each in zip(chosen, factors, strict=True)]
+    return [rain[at : at + hours] * factor for at, factor in zip(chosen, factors, strict=True)]
 
 
 def test_analogs_are_as_by_definition() -> None:
     """Lines, distances, choice and corrected members of an ensemble's issues."""
     rain = showers(120 * 24, 1)
-    single, other = (forecasts(rain, 12, 60, seed, skill=0.6) for seed in (2, 3))
+    single, second = (forecasts(rain, 12, 60, seed, skill=0.6) for seed in (2, 3))
     # No two are alike: which of such are taken is a lot.
     rng = np.random.default_rng(4)
     issues = {
-        start: np.vstack([one, other[start]]) + rng.uniform(0, 0.01, (2, 60))
-        for start, one in single.items()
+        start: np.vstack([rain, second[start]]) + rng.uniform(0, 0.01, (2, 60))
+        for start, rain in single.items()
     }
     dressing = learn(archive(issues), record(rain), 60)
     assert dressing.edges == (0, 6, 12, 24, 48, 60)
     for start in (0, 1200, 2784):
-        found = dressing.members(hours_since_1970(FIRST) + start, issues[start])
+        members = dressing.members(hours_since_1970(FIRST) + start, issues[start])
         expected = by_definition(issues, rain, start, 60)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(members, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_no_skill_is_climatology() -> None:
@@ -144,8 +144,12 @@ def test_gaps_and_ends() -> None:
     np.testing.assert_allclose(row[:12], 1 + np.arange(1, 13) / 13)
     # What follows the forecast's end is as it was, and a short issue has as many hours.
     assert dressing.edges == (0, 6, 12, 24)
-    short = dressing.members(hours_since_1970(FIRST) + 48, np.ones((1, 5)))
-    assert short.shape == (MEMBERS, 36)
+    short = Issue(FIRST + 48 * HOUR, Path("live.csv"), None, np.ones((1, 5)), np.arange(5.0))
+    dressed = dress_issue(short, dressing)
+    assert dressed.rain.shape == (MEMBERS, 36)
+    assert dressed.evapotranspiration is not None
+    day = [*range(5), *[4] * 19]  # an hour that the issue lacks is as its last
+    assert dressed.evapotranspiration.tolist() == [*day, *day][:36]
 
 
 def test_rain_that_stands_an_hour_late() -> None:
@@ -156,25 +160,16 @@ def test_rain_that_stands_an_hour_late() -> None:
     assert dressing.fell[:, 0].tolist() == [1.0, 25.0, 49.0]
 
 
-def test_evapotranspiration_goes_on() -> None:
-    """It stays that of the issue, and after its end that of its last day."""
-    issue = Issue(FIRST, Path("live.csv"), None, np.ones((1, 24)), np.arange(24.0))
-    dressed = dress_issue(issue, learnt())
-    assert dressed.evapotranspiration is not None
-    assert dressed.evapotranspiration.tolist() == [*range(24), *range(6)]
-    assert dressed.rain.shape == (MEMBERS, 30)
-
-
 def test_a_file_is_read_as_written(tmp_path: Path) -> None:
     """All but the last digits."""
     dressing = learnt()
     path = tmp_path / "dressed.csv"
     path.write_text(dressing_text(dressing))
-    found = read_dressing(path)
-    assert (found.edges, found.hours, found.source) == (dressing.edges, 30, str(path))
-    assert found.issued.tolist() == dressing.issued.tolist()
-    np.testing.assert_allclose(found.forecast, dressing.forecast, rtol=1e-5)
-    np.testing.assert_allclose(found.fell, dressing.fell, rtol=1e-5)
+    again = read_dressing(path)
+    assert (again.edges, again.hours, again.source) == (dressing.edges, 30, str(path))
+    assert again.issued.tolist() == dressing.issued.tolist()
+    np.testing.assert_allclose(again.forecast, dressing.forecast, rtol=1e-5)
+    np.testing.assert_allclose(again.fell, dressing.fell, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -266,6 +261,6 @@ def test_too_few_issues() -> None:
     given = archive(forecasts(rain, 24, 24, 16))
     refusal(dress, given, learn(given, record(rain), 24), match="has 8 issues two days")
     late = replace(given, issues=tuple(
-        replace(one, issued=one.issued + 1000 * HOUR) for one in given.issues
+        replace(issue, issued=issue.issued + 1000 * HOUR) for issue in given.issues
     ))
     refusal(learn, late, record(rain), 24, match=r"has no issue after which drawn.csv has 24 h")

@@ -53,9 +53,9 @@ def file(tmp_path: Path) -> Path:
 
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
-    found = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
-    found.file.look()
-    return found
+    forecasts = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
+    forecasts.file.look()
+    return forecasts
 
 
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
@@ -90,11 +90,11 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> N
         FileModel(read_archive(file, site), weather, all_members=True), weather, site, SIX,
         growing_steps(12.0), 60 * 6 - 1, all_members=True,
     )
-    found = LiveForecast(ForecastFile(file), site, 12.0, 86_400.0, all_members=True)
-    found.file.look()
+    forecasts = LiveForecast(ForecastFile(file), site, 12.0, 86_400.0, all_members=True)
+    forecasts.file.look()
     for minute in range(0, 60 * 6, 7):
         reading = float(fell[minute // 60]) / 3.6e6
-        outlook = found.at(SIX + timedelta(minutes=minute), observed_rain=reading)
+        outlook = forecasts.at(SIX + timedelta(minutes=minute), observed_rain=reading)
         assert np.array(run.precipitation(minute)) == pytest.approx(np.array(outlook.rain))
         assert np.array(run.precipitation(minute))[:, 0] == pytest.approx(reading)
         assert outlook.rain_now == reading
@@ -120,50 +120,46 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     """By another one, in place, or within the resolution of its time: once each."""
     write(file, SIX, [0.0] * 4)
-    found = ForecastFile(file)
-    assert found.look() and not found.look()
+    forecasts = ForecastFile(file)
+    assert forecasts.look() and not forecasts.look()
     stamp = file.stat().st_mtime_ns
     write(file, SIX + timedelta(hours=1), [0.0] * 4)
     os.utime(file, ns=(stamp, stamp))
-    assert found.look() and not found.look()
-    assert found.issues[0].issued == SIX + timedelta(hours=1)
+    assert forecasts.look() and not forecasts.look()
+    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
     file.write_text(file.read_text() + "# a comment\n")
-    assert found.look() and not found.look()
+    assert forecasts.look() and not forecasts.look()
 
 
 def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
     """The problem names file and line, and is over with the next good file."""
     write(file, SIX, [0.0] * 4)
-    found = ForecastFile(file)
-    found.look()
+    forecasts = ForecastFile(file)
+    forecasts.look()
     write(file, SIX + timedelta(hours=1), [0.0, -1.0])
-    assert not found.look()
-    assert f"{file}, line 3" in found.problem and "'-1.0'" in found.problem
-    assert found.issues[0].issued == SIX
+    assert not forecasts.look()
+    assert f"{file}, line 3" in forecasts.problem and "'-1.0'" in forecasts.problem
+    assert forecasts.issues[0].issued == SIX
     file.unlink()
-    assert not found.look()
-    assert f"{file}: cannot be read: No such file" in found.problem
-    assert found.issues[0].issued == SIX
+    assert not forecasts.look()
+    assert f"{file}: cannot be read: No such file" in forecasts.problem
+    assert forecasts.issues[0].issued == SIX
     write(file, SIX + timedelta(hours=1), [0.0])
-    assert found.look()
-    assert found.problem == ""
-    assert found.issues[0].issued == SIX + timedelta(hours=1)
+    assert forecasts.look()
+    assert forecasts.problem == ""
+    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
 
 
-def test_a_file_must_have_evapotranspiration(file: Path) -> None:
-    """There is no other record of it on a live site; and a file may be missing at the start."""
-    found = ForecastFile(file)
-    assert not found.look()
-    assert "cannot be read" in found.problem and found.issues == []
+def test_columns_that_may_be_left_out(file: Path) -> None:
+    """Temperature may; evapotranspiration may not, of which a live site has no other record."""
+    forecasts = ForecastFile(file)
+    assert not forecasts.look()
+    assert "cannot be read" in forecasts.problem and forecasts.issues == []
     with pytest.raises(NoForecastError, match="there is no forecast"):
-        LiveForecast(found, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
+        LiveForecast(forecasts, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
     write(file, SIX, [0.0] * 4, header="issued,time,precipitation [mm/h]")
-    assert not found.look()
-    assert "must have a column 'evapotranspiration [mm/day]'" in found.problem
-
-
-def test_temperature_may_be_left_out(file: Path) -> None:
-    """And so may be evapotranspiration beside it."""
+    assert not forecasts.look()
+    assert "must have a column 'evapotranspiration [mm/day]'" in forecasts.problem
     write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
     assert np.isnan(live(file).at(SIX).temperature)
     file.write_text(
@@ -184,16 +180,16 @@ def dressed(
     fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
     record.write_text(dressing_text(Dressing("given", (0, 3), issued, fell[:, :1] * 3, fell)))
     dressing = LiveDressing(record, PAPER_SITE.tau)
-    found = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
-    return file, found, dressing
+    forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
+    return file, forecasts, dressing
 
 
 def test_a_dressed_forecast(tmp_path: Path) -> None:
     """Members are what fell after issues like it; temperature and evapotranspiration stay."""
-    file, found, _ = dressed(tmp_path)
+    file, forecasts, _ = dressed(tmp_path)
     write(file, SIX, [5.0, 5.0, 5.0])
-    found.file.look()
-    outlook = found.at(SIX + timedelta(minutes=30))
+    forecasts.file.look()
+    outlook = forecasts.at(SIX + timedelta(minutes=30))
     # The ten nearest that are two days apart, each multiplied to mean as much rain: 5 mm/h.
     assert np.array(outlook.rain)[:, 0] == pytest.approx([5e-3 / 3600] * 10)
     assert outlook.temperature == 15.0
@@ -202,34 +198,34 @@ def test_a_dressed_forecast(tmp_path: Path) -> None:
 
 def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     """Without an issue that counts, members are spells of the record, the same all day."""
-    _, found, _ = dressed(tmp_path)
+    _, forecasts, _ = dressed(tmp_path)
     with pytest.raises(NoForecastError):
-        found.at(SIX)
+        forecasts.at(SIX)
     usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day off the bed
     rains = []
     for hours in (0, 5, 24):
-        outlook = found.of_record(SIX + timedelta(hours=hours), usual)
+        outlook = forecasts.of_record(SIX + timedelta(hours=hours), usual)
         assert outlook is not None
         assert np.array(outlook.evapotranspiration) == pytest.approx(
             np.full(len(outlook.evapotranspiration), usual)
         )
         rains.append(np.array(outlook.rain))
-    spells = {round(one / 10, 1) for one in range(100)}
+    spells = {round(day / 10, 1) for day in range(100)}
     assert {round(value * 3.6e6, 1) for value in rains[0].ravel()} <= spells
     assert np.array_equal(rains[0], rains[1])
     assert not np.array_equal(rains[0], rains[2])
-    assert found.of_record(SIX, None) is None
+    assert forecasts.of_record(SIX, None) is None
     # One member alone would be a draw of a single spell.
-    _, found, _ = dressed(tmp_path, all_members=False)
-    assert found.of_record(SIX, usual) is None
+    _, forecasts, _ = dressed(tmp_path, all_members=False)
+    assert forecasts.of_record(SIX, usual) is None
 
 
 def test_a_live_site_learns(tmp_path: Path) -> None:
     """An issue and the hours after it are in the file; an hour whose gauge failed is not known."""
-    file, found, dressing = dressed(tmp_path)
+    file, forecasts, dressing = dressed(tmp_path)
     write(file, SIX, [5.0, 5.0, 5.0])
-    found.file.look()
-    found.at(SIX)
+    forecasts.file.look()
+    forecasts.at(SIX)
     tick = timedelta(seconds=PAPER_SITE.tau)
     fell = []
     for hour, (rain, gaps) in enumerate([(2.0, 0.0), (4.0, 0.2), (8.0, 0.05), (0.0, 0.0)]):
@@ -250,10 +246,10 @@ def test_a_live_site_learns(tmp_path: Path) -> None:
 
 def test_too_few_to_dress(tmp_path: Path) -> None:
     """An issue is then used as it was issued, is learned from all the same, and it is said."""
-    file, found, dressing = dressed(tmp_path, days=5)
+    file, forecasts, dressing = dressed(tmp_path, days=5)
     write(file, SIX, [5.0, 5.0, 5.0])
-    found.file.look()
-    outlook = found.at(SIX)
+    forecasts.file.look()
+    outlook = forecasts.at(SIX)
     assert np.array(outlook.rain).shape[0] == 1
     assert np.array(outlook.rain)[0, 0] == pytest.approx(5e-3 / 3600)
     assert "are needed: take more months" in dressing.few

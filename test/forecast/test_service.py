@@ -188,10 +188,10 @@ def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
     archive = read_archive(kept, SITE)
     (issue,) = read_forecasts(tmp_path / "forecast.csv")
     assert archive.delay == 0.0
-    for one in (archive.issues[0], issue):
-        assert np.array_equal(one.rain, fetcher.newest.rain)
-        assert np.array_equal(one.temperature, fetcher.newest.temperature)
-        assert np.array_equal(one.evapotranspiration, fetcher.newest.evapotranspiration)
+    for kept_issue in (archive.issues[0], issue):
+        assert np.array_equal(kept_issue.rain, fetcher.newest.rain)
+        assert np.array_equal(kept_issue.temperature, fetcher.newest.temperature)
+        assert np.array_equal(kept_issue.evapotranspiration, fetcher.newest.evapotranspiration)
     assert len({tuple(member) for member in issue.rain.tolist()}) == 11
     assert np.array_equal(issue.rain[0], _service(server).fetch(_now()).rain[0])
 

@@ -9,14 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import paper_run
 from places import DATA
 from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -88,41 +84,33 @@ def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "quantity", "hours"),
+    ("column", "quantity", "longest"),
     [
-        ("Precip. Amount (mm)", "precipitation", [8]),
-        ("Temp (°C)", "temperature", range(6, 13)),
-        ("Wind Spd (km/h)", "wind speed", range(6, 13)),
-        ("Dew Point Temp (°C)", "dew point", [22, 23]),
+        ("Precip. Amount (mm)", "precipitation", 0), ("Temp (°C)", "temperature", 6),
+        ("Wind Spd (km/h)", "wind speed", 6), ("Dew Point Temp (°C)", "dew point", 24),
+        ("Stn Press (kPa)", "station pressure", 24),
     ],
 )
-def test_longer_gap_is_refused_by_who_needs_it(
-    tmp_path: Path, column: str, quantity: str, hours: list[int] | range
+def test_gaps_are_filled_up_to_so_many_hours(
+    tmp_path: Path, column: str, quantity: str, longest: int
 ) -> None:
-    """Rain is never guessed, temperature and wind for six hours, nothing at the file's ends."""
-    changes = {f"h{hour}": {column: ""} for hour in hours}
-    weather = read_weather([write(tmp_path, day(**changes))], TORONTO)
-    with pytest.raises(ConfigurationError) as caught:
-        run(weather, "2021-07-01T00:00-05:00", 24)
-    message = str(caught.value)
-    assert message.startswith(str(tmp_path / "en_climate_hourly.csv"))
-    assert quantity in message
-    assert f"2021-07-01T{hours[0]:02}:00-05:00" in message
-    assert f"2021-07-01T{hours[-1]:02}:00-05:00" in message
-    if quantity != "temperature":  # of which each hour's radiation needs the whole day
-        run(weather, "2021-07-01T16:00-05:00", 4)
-
-
-def test_six_hours_of_temperature_and_a_day_of_dew_point(tmp_path: Path) -> None:
-    """The longest gaps that are filled."""
-    changes: dict[str, dict[str, str]] = {
-        f"h{hour}": {"Dew Point Temp (°C)": "", "Stn Press (kPa)": ""} for hour in range(1, 23)
-    }
-    for hour in range(6, 12):
-        changes[f"h{hour}"] |= {"Temp (°C)": "", "Wind Spd (km/h)": ""}
-    weather = read_weather([write(tmp_path, day(**changes))], TORONTO)
-    series = run(weather, "2021-07-01T00:00-05:00", 24)
-    assert sorted(series.filled) == ["dew point", "station pressure", "temperature", "wind speed"]
+    """Rain is never guessed. A gap at an end, or an hour longer, is refused by who needs it."""
+    hours = [hour for hour in range(48) if not 6 <= hour < 6 + longest]
+    rows = [row(hour % 24, **{"Date/Time (LST)": f"2021-07-0{1 + hour // 24} {hour % 24}:00"} | (
+        {} if hour in hours else {column: ""}
+    )) for hour in range(48)]
+    weather = read_weather([write(tmp_path, rows)], TORONTO)
+    series = run(weather, "2021-07-01T00:00-05:00", 48)
+    assert list(series.filled) == [quantity] * (longest > 0)
+    for first, last in ((0, 0), (6, 6 + longest), (47, 47)):
+        longer = [cells.copy() for cells in rows]
+        for cells in longer[first : last + 1]:
+            cells[COLUMNS.index(column)] = ""
+        weather = read_weather([write(tmp_path, longer)], TORONTO)
+        said = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
+        assert said.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in said
+        times = [f"2021-07-0{1 + hour // 24}T{hour % 24:02}:00-05:00" for hour in (first, last)]
+        assert all(time in said for time in times)
 
 
 def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
@@ -161,18 +149,16 @@ def test_frost(tmp_path: Path) -> None:
     ],
 )
 def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
-    """Named with the line, the service's own column, and the value."""
+    """Named with the line, the service's own column, and the value; what the site lacks."""
     path = write(tmp_path, rows)
-    said = refusal(read_weather, [path], TORONTO)
-    assert said.replace(", line", ": line").startswith(f"{path}: {reason}")
+    assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
+    nowhere = replace(TORONTO, utc_offset=None)
+    refusal(read_weather, [path], nowhere, match="the site file must say its offset from UTC")
 
 
-def test_refused_with_a_site_or_a_method(tmp_path: Path) -> None:
-    """Local standard time needs an offset; the authors' figures are of their 72 hours alone."""
-    files, nowhere = [write(tmp_path, day())], replace(TORONTO, utc_offset=None)
-    refusal(read_weather, files, nowhere, match="the site file must say its offset from UTC")
+def test_the_authors_evapotranspiration_is_of_their_72_hours_alone(tmp_path: Path) -> None:
     wrong = "evapotranspiration = 'published': must be fao56"
-    refusal(read_weather, files, TORONTO, "published", match=wrong)
+    refusal(read_weather, [write(tmp_path, day())], TORONTO, "published", match=wrong)
 
 
 def test_july_2021() -> None:
@@ -238,15 +224,3 @@ def test_march_2021() -> None:
     assert series.frost_hours == 203
     assert series.filled == {}
     assert series.precipitation_in_frost == 0.0  # eight hours of snow, none of it measurable
-
-
-def test_nothing_is_pumped_in_frost() -> None:
-    """A night in March with a dry roof, until the thaw at 23:00: on/off would pump at once."""
-    run = paper_run(
-        "--controller", "onoff", "--weather", str(DATA / "en_climate_hourly_03-2021.csv"),
-        "--start", "2021-03-02T22:00", "--hours", "2",
-    )
-    ticks = list(closed_loop(run, run.make_controller(), Metrics()))
-    assert max(tick.command for tick in ticks if tick.frost) == 0
-    assert ticks[3600].frost == 0
-    assert ticks[3600].command == 1.0

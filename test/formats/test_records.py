@@ -11,7 +11,7 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import Table, Unit, numbered_lines, read_table
+from greenroof_ros.formats.records import Table, Unit, numbered_lines, table_of
 
 FILE = Path("hours.csv")
 RAIN = ("mm/h", 0.0, 500.0)
@@ -21,7 +21,7 @@ ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
 
 def table(*rows: str, header: str = HEADER) -> Table:
     """Return a table of rows whose first is in line 4."""
-    return read_table(FILE, numbered_lines(header + "\n".join(rows) + "\n"))
+    return table_of(FILE, numbered_lines(header + "\n".join(rows) + "\n"))
 
 
 def test_cells_numbers_and_times() -> None:
@@ -34,24 +34,19 @@ def test_cells_numbers_and_times() -> None:
     assert table('"2021-07-07T03:00Z","1,5",2').columns["rain [mm/h]"] == ["1,5"]
 
 
-@pytest.mark.parametrize(
-    ("row", "reason"),
-    [
-        ("2021-07-07T04:00-05:00,3.0", "must have 3 cells as the header has, not 2"),
-        ('2021-07-07T04:00-05:00,3.0,"1.2', "is not valid CSV: unexpected end of data"),
-    ],
-)
-def test_rows_that_are_none(row: str, reason: str) -> None:
-    """Named with file and line, when the first column is asked for."""
-    assert refusal(lambda: table(ROWS[0], row).columns).startswith(f"{FILE}, line 5: {reason}")
-
-
-def test_no_rows() -> None:
-    """Comments only, a header only."""
-    assert refusal(read_table, FILE, []) == (
+def test_what_is_no_table() -> None:
+    """Named with file and line."""
+    for rows, reason in (
+        ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
+         ", line 5: must have 3 cells as the header has, not 2"),
+        ([ROWS[0], '2021-07-07T04:00-05:00,3.0,"1.2'],
+         ", line 5: is not valid CSV: unexpected end of data"),
+        ([], ": has a header but no records"),
+    ):
+        assert refusal(table, *rows) == f"{FILE}{reason}"
+    assert refusal(table_of, FILE, []) == (
         f"{FILE}: holds comments only; a header and records must follow"
     )
-    assert refusal(lambda: table().columns) == f"{FILE}: has a header but no records"
 
 
 @pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan"])
@@ -70,8 +65,8 @@ def test_missing_values_and_other_units() -> None:
     assert refusal(read.numbers, "temperature", limits, unit, ("", "NaN")) == (
         f"{FILE}, line 6: temperature = '200': must be a number from -130 to 140 °F, or empty"
     )
-    found = read.numbers("temperature", ("degC", -90.0, 100.0), unit, ("", "NaN"))
-    assert found[0] == pytest.approx(20.0) and np.isnan(found[1])
+    values = read.numbers("temperature", ("degC", -90.0, 100.0), unit, ("", "NaN"))
+    assert values[0] == pytest.approx(20.0) and np.isnan(values[1])
 
 
 @pytest.mark.parametrize(
@@ -114,7 +109,7 @@ def test_columns_that_must_be_there() -> None:
 
 def test_cells_of_json_are_named_by_their_key() -> None:
     """There are no lines."""
-    read = Table(Path("a.json"), ["rain (mm)"], lambda: [["1", "wet"]], key="hourly.")
+    read = Table(Path("a.json"), ["rain (mm)"], {"rain (mm)": ["1", "wet"]}, key="hourly.")
     assert refusal(read.numbers, "rain (mm)", RAIN) == (
         "a.json: hourly.rain[1] = 'wet': must be a number from 0 to 500 mm/h"
     )

@@ -14,7 +14,7 @@ def write_gauge(file: Path, rain: Iterable[object], first: datetime = FIRST) -> 
     """Write hours of rain as a weather file; an empty cell is an hour that is missing."""
     file.write_text("\n".join([
         "time,precipitation [mm/h],given evapotranspiration [mm/day]",
-        *(f"{(first + hour * HOUR).isoformat()},{one},2.0" for hour, one in enumerate(rain)), "",
+        *(f"{(first + hour * HOUR).isoformat()},{mm},2.0" for hour, mm in enumerate(rain)), "",
     ]))
 
 

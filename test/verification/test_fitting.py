@@ -12,8 +12,8 @@ from commands import run_command
 from forecast_skill.figures import TIP, begin, days_ahead, figures, seasons
 from gauges import write_gauge
 from numpy.typing import NDArray
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.verification.fitting import (
     Sample,
@@ -59,10 +59,10 @@ def test_errors_are_found_again(rain: dict[int, Array]) -> None:
     goals = {lead: sample.scores(worse, lead)[None] for lead in (26.5, 74.5)}
     before = [np.abs(sample.scores(REAL.errors, lead) - goal[0]) for lead, goal in goals.items()]
     assert np.max(before) > 0.1
-    found = fit_errors(sample, goals, REAL.errors, lambda _: None)
+    fitted = fit_errors(sample, goals, REAL.errors, lambda _: None)
     for lead, (goal,) in goals.items():
-        assert sample.scores(found, lead) == pytest.approx(goal, abs=0.02)
-    assert found.persistence == REAL.errors.persistence
+        assert sample.scores(fitted, lead) == pytest.approx(goal, abs=0.02)
+    assert fitted.persistence == REAL.errors.persistence
 
 
 def test_lags_without_two_wet_hours() -> None:
@@ -76,8 +76,8 @@ def test_lags_without_two_wet_hours() -> None:
     fitted = fit_climate([showers], TIP)
     assert fitted.wet_share == pytest.approx(0.06)
     assert 1 < fitted.memory < 12
-    with pytest.raises(ConfigurationError, match=r"^--fit: needs records with more rain"):
-        fit_climate([np.where(np.arange(1000) % 50 == 0, 1.0, 0.0)], TIP)
+    single = [np.where(np.arange(1000) % 50 == 0, 1.0, 0.0)]
+    refusal(fit_climate, single, TIP, match=r"^--fit: needs records with more rain")
 
 
 def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Array]) -> None:
@@ -88,23 +88,18 @@ def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Arra
     assert read_skill(str(file)).climate.growth == pytest.approx(climate.growth, rel=1e-4)
 
 
-@pytest.mark.parametrize("wet", [950, 0])
-def test_rain_in_more_or_fewer_hours_than_a_file_may_have(wet: int) -> None:
-    with pytest.raises(ConfigurationError, match=r"^--fit: needs records with rain in 0.01% to"):
-        fit_climate([(np.arange(1000) < wet).astype(float)], TIP)
-
-
-@pytest.mark.parametrize(
-    ("hours", "message"),
-    [
+def test_records_that_say_too_little(rain: dict[int, Array]) -> None:
+    """Rain in more or fewer hours than a file may have; few hours; forecasts of one lead."""
+    for wet in (950, 0):
+        records = [(np.arange(1000) < wet).astype(float)]
+        refusal(fit_climate, records, TIP, match=r"^--fit: needs records with rain in 0.01% to")
+    tallies = {Class(0, 24, HALF_DAY): Tally(HALF_DAY.event, 1)}
+    for hours, message in (
         (984, "needs at least 1000 h of records, in pieces of 24 h"),
         (1200, "needs forecasts of two classes of leads or more"),
-    ],
-)
-def test_what_says_nothing_of_errors(rain: dict[int, Array], hours: int, message: str) -> None:
-    tallies = {Class(0, 24, HALF_DAY): Tally(HALF_DAY.event, 1)}
-    with pytest.raises(ConfigurationError, match=f"^--fit: {message}"):
-        fit_skill(tallies, 0.0, rain[2017][:hours], lambda _: None)
+    ):
+        records = rain[2017][:hours]
+        refusal(fit_skill, tallies, 0.0, records, lambda _: None, match=f"^--fit: {message}")
 
 
 def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:

@@ -24,8 +24,8 @@ def cases(
         tally.add(share * (fell if known else elsewhere)[None], fell)
         tallies[Class(24 * day, 24 * day + 24, Sum(1, 1.0))] = tally
     findings = check_forecasts(tallies, previous_runs=previous_runs)
-    assert all(one.severity.value == "warning" for one in findings)
-    return [(one.code, dict(one.figures)) for one in findings]
+    assert all(finding.severity.value == "warning" for finding in findings)
+    return [(finding.code, dict(finding.figures)) for finding in findings]
 
 
 @pytest.mark.parametrize(

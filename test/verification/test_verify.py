@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import subprocess
 from datetime import datetime
@@ -13,9 +12,12 @@ import numpy as np
 import pytest
 from browsers import drawn_page
 from commands import run_command
-from gauges import HOUR, write_gauge, write_previous_runs
+from gauges import FIRST, HOUR, write_gauge, write_previous_runs
 from places import DATA
 from scipy import stats
+
+from greenroof_ros.formats.own_csv import write_forecasts
+from greenroof_ros.formats.records import Issue
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
@@ -39,10 +41,10 @@ def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
     """Return the sums over blocks of the clock that are whole, by when they begin."""
-    found: dict[datetime, list[float]] = {}
+    values: dict[datetime, list[float]] = {}
     for start, value in series.items():
-        found.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
-    return {start: round(sum(each), 6) for start, each in found.items() if len(each) == hours}
+        values.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
+    return {start: round(sum(rain), 6) for start, rain in values.items() if len(rain) == hours}
 
 
 def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
@@ -81,23 +83,13 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 
 def test_runs_by_lead(tmp_path: Path) -> None:
     """An ensemble of two runs: each hour's lead counts from its run, and all of its members."""
-    (tmp_path / "runs").mkdir()
-    for run, members in (("2024030100", (0.0, 2.0)), ("2024030106", (4.0, 1.0))):
-        start = datetime.strptime(f"{run}+0000", "%Y%m%d%H%z")
-        times = [f"{start + hour * HOUR:%Y-%m-%dT%H:%M}" for hour in range(13)]
-        (tmp_path / "runs" / f"gem_{run}.json").write_text(json.dumps({
-            "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 0,
-            "hourly_units": {
-                "time": "iso8601", "precipitation": "mm", "precipitation_member01": "mm",
-            },
-            "hourly": {
-                "time": times, "precipitation": [None, *[members[0]] * 12],
-                "precipitation_member01": [None, *[members[1]] * 12],
-            },
-        }))
+    (tmp_path / "runs.csv").write_text(write_forecasts([
+        Issue(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
+        for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
+    ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
     rows = scores(
-        tmp_path, "runs", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
+        tmp_path, "runs.csv", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
     )
     near, far = rows
     assert (near["lead_from_h"], near["lead_to_h"], far["lead_to_h"]) == ("0", "6", "12")
@@ -127,8 +119,8 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
         "--horizon", "24",
     )
     assert int(hourly["n"]) == len(rows) - 1  # the first row's hour was before the records
-    found = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
-    assert found == pytest.approx([1.0, 1.0, 1.0, 0.0])
+    got = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
+    assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
 
 def test_forecasts_of_another_place(tmp_path: Path) -> None:
@@ -173,13 +165,10 @@ def test_models_of_the_package(tmp_path: Path) -> None:
     assert float(hourly["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of an ensemble."""
-    directory = tmp_path_factory.mktemp("verified")
+def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
+    """Of an ensemble six panels by lead, then four of reliability and four of ranks."""
     done = verify(
-        directory, "ensemble", "--forecast-members", "5", "--weather", str(JULY),
-        "-o", "page.html",
+        tmp_path, "ensemble", "--forecast-members", "5", "--weather", str(JULY), "-o", "page.html"
     )
     assert done.returncode == 0, done.stderr
     assert "written: page.html" in done.stdout
@@ -188,12 +177,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "lead", "sum", "of", "event", "n", "bias", "r", "POD", "FAR", "ETS", "Brier", "CRPS", "mm",
     ]
     assert max(map(len, done.stdout.splitlines())) <= 80
-    return directory / "page.html"
-
-
-def test_the_page_draws_everything_and_asks_for_nothing(page: Path) -> None:
-    """Six panels by lead, then four of reliability and four of ranks."""
-    with drawn_page(page, 14) as opened:
+    with drawn_page(tmp_path / "page.html", 14) as opened:
         assert opened.locator("tbody tr").count() == 20
         assert "124 issues of 5 members" in opened.inner_text("header")
 
@@ -208,10 +192,6 @@ WRONG = {
         ["errors", "--lead", "6", "--sums", "12", "--events", "3"],
         "--sums = 12: must each divide --lead, 6 h, and be given once",
     ),
-    "option": (
-        ["perfect", "--forecast-seed", "3"],
-        "--forecast-seed: is an option of errors and ensemble; the forecast is perfect",
-    ),
     "lead": (
         [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
         f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
@@ -220,22 +200,14 @@ WRONG = {
         [str(GEM)],
         f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these are of ",
     ),
-    "between": (
-        ["half.csv"],
-        "half.csv, line 2: issued = '2021-07-07T01:30+00:00': must be a whole number of hours fr",
-    ),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_use(tmp_path: Path, name: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
-    half = tmp_path / "half.csv"
-    half.write_text(
-        "issued,time,precipitation [mm/h]\n2021-07-07T01:30Z,2021-07-07T01:30Z,1.0\n"
-    )
     arguments, reason = WRONG[name]
     done = verify(tmp_path, *arguments, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {reason}")
-    assert list(tmp_path.iterdir()) == [half]
+    assert list(tmp_path.iterdir()) == []

@@ -136,24 +136,22 @@ def test_site_matters() -> None:
     assert at_2_m == pytest.approx(standard, abs=2e-3)  # the factor at 2 m is 1.0002
 
 
-def test_part_of_a_day_has_none() -> None:
-    """Its extremes are not known; with measured radiation they need not be."""
+def test_what_is_missing_is_not_made_up() -> None:
+    """Without pressure or wind the library would take an estimate; here there is no value.
+
+    A part of a day has no extremes; with measured radiation they need not be known.
+    """
+    for name in ("temperature", "dew point", "wind speed", "station pressure"):
+        series = day_of_records().values[name].copy()
+        series[9] = np.nan
+        unknown = np.isnan(fao56(day_of_records(**{name: series}), TORONTO))
+        assert unknown[9]
+        assert unknown.sum() == (24 if name == "temperature" else 1)
     records = day_of_records()
     part = replace(records, values={key: series[1:] for key, series in records.values.items()})
     assert np.isnan(fao56(part, TORONTO)).all()
     measured = {**part.values, "solar radiation": np.full(23, 300.0)}
     assert not np.isnan(fao56(replace(part, values=measured), TORONTO)).any()
-
-
-def test_a_missing_record_is_not_made_up() -> None:
-    """Without pressure or wind the library would take an estimate; here there is no value."""
-    for name in ("temperature", "dew point", "wind speed", "station pressure"):
-        series = day_of_records().values[name].copy()
-        series[9] = np.nan
-        unknown = np.isnan(fao56(day_of_records(**{name: series}), TORONTO))
-        # Without the temperature of one hour the day has no extremes.
-        assert unknown[9]
-        assert unknown.sum() == (24 if name == "temperature" else 1)
 
 
 @pytest.mark.parametrize("key", ["latitude", "elevation"])

@@ -95,7 +95,7 @@ def test_factors_of_the_check() -> None:
     """Durre et al. (2010): 9 times the 95th percentile, 5 times below 0 degC; 20 wet hours."""
     first = datetime(2021, 1, 20, tzinfo=LST)
 
-    def found(most: float, temperature: float, wet: int = 100) -> list[str]:
+    def suspicious(most: float, temperature: float, wet: int = 100) -> list[str]:
         # Of 1 mm each but one, so that the percentile is 1 mm.
         rain = np.zeros(240)
         rain[:wet] = 1.0
@@ -103,11 +103,11 @@ def test_factors_of_the_check() -> None:
         values = {"precipitation": rain, "temperature": np.full(240, temperature)}
         return suspicious_rain(Records((JULY,), first, values), range(240))
 
-    assert found(8.9, 0.0) == []
-    assert len(found(9.0, 0.0)) == 1
-    assert found(4.9, -0.1) == []
-    assert len(found(5.0, -0.1)) == 1
-    assert found(500.0, 5.0, wet=19) == []
+    assert suspicious(8.9, 0.0) == []
+    assert len(suspicious(9.0, 0.0)) == 1
+    assert suspicious(4.9, -0.1) == []
+    assert len(suspicious(5.0, -0.1)) == 1
+    assert suspicious(500.0, 5.0, wet=19) == []
 
 
 def test_the_year_has_no_end() -> None:

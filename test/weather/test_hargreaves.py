@@ -17,31 +17,27 @@ from greenroof_ros.weather.evapotranspiration import (
 from greenroof_ros.weather.reading import read_weather
 
 
-def test_example_8() -> None:
-    """Ra on 3 September at 20 degrees south: 32.2 MJ/m2 and day, which evaporates 13.1 mm."""
-    radiation = extraterrestrial_radiation(-20.0, np.array(["1998-09-03"], dtype="datetime64[D]"))
+def days(*texts: str) -> np.ndarray:
+    return np.array(texts, dtype="datetime64[D]")
+
+
+def test_worked_examples() -> None:
+    """Example 8: Ra on 3 September at 20 degrees south, 32.2 MJ/m2 and day, evaporates 13.1 mm.
+
+    Example 9: the sun is up for 11.7 h then. Example 20: Lyon in July, 14.8 to 26.6 degC, has
+    5.0 mm/day by Eq. 52; its Ra is that of 15 July, 40.6. Hard frost has none.
+    """
+    radiation = extraterrestrial_radiation(-20.0, days("1998-09-03"))
     assert radiation == pytest.approx([32.2], abs=0.05)
     assert evaporable(radiation) == pytest.approx([13.1], abs=0.05)
-
-
-def test_example_20() -> None:
-    """Lyon in July, 14.8 to 26.6 degC, by Eq. 52: 5.0 mm/day; Ra is that of 15 July, 40.6."""
-    day = np.array(["1998-07-15"], dtype="datetime64[D]")
-    assert extraterrestrial_radiation(45 + 43 / 60, day) == pytest.approx([40.6], abs=0.05)
-    depth = hargreaves(45 + 43 / 60, day, np.array([14.8]), np.array([26.6]))
-    assert depth == pytest.approx([5.0], abs=0.05)
-
-
-def test_no_evapotranspiration_in_hard_frost() -> None:
-    day = np.array(["2019-01-20"], dtype="datetime64[D]")
-    assert hargreaves(52.5, day, np.array([-30.0]), np.array([-20.0])).tolist() == [0.0]
-
-
-def test_example_9() -> None:
-    """The sun is up for 11.7 h on 3 September at 20 degrees south."""
     seconds = (np.datetime64("1998-09-03", "s") + 60 * np.arange(1440)).astype(np.int64)
-    up = sun_height(-20.0, seconds, 0.0) > 0
-    assert up.sum() / 60 == pytest.approx(11.7, abs=0.05)
+    assert (sun_height(-20.0, seconds, 0.0) > 0).sum() / 60 == pytest.approx(11.7, abs=0.05)
+    lyon, july = 45 + 43 / 60, days("1998-07-15")
+    assert extraterrestrial_radiation(lyon, july) == pytest.approx([40.6], abs=0.05)
+    assert hargreaves(lyon, july, np.array([14.8]), np.array([26.6])) == pytest.approx(
+        [5.0], abs=0.05
+    )
+    assert hargreaves(52.5, days("2019-01-20"), np.array([-30.0]), np.array([-20.0])) == [0.0]
 
 
 def test_the_sun_stands_highest_at_noon_of_its_own_meridian() -> None:
@@ -85,8 +81,8 @@ def test_july_in_toronto_by_both_methods() -> None:
     site = read_site(CONFIG / "site.yaml")
     weather = read_weather([DATA / "en_climate_hourly_07-2021.csv"], site, "fao56")
     temperature = weather.values["temperature"].reshape(31, 24)
-    days = np.arange("2021-07-01", "2021-08-01", dtype="datetime64[D]")
+    july = np.arange("2021-07-01", "2021-08-01", dtype="datetime64[D]")
     assert site.latitude is not None
-    depth = hargreaves(site.latitude, days, temperature.min(axis=1), temperature.max(axis=1))
+    depth = hargreaves(site.latitude, july, temperature.min(axis=1), temperature.max(axis=1))
     assert depth.sum() == pytest.approx(weather.evapotranspiration.reshape(31, 24).mean(1).sum(),
                                         rel=0.01)

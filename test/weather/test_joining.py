@@ -34,16 +34,13 @@ def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
     return path
 
 
-def same(one: Weather, other: Weather) -> None:
-    """Hold two weathers equal bit for bit, but for their files."""
-    assert (one.first, one.end, one.method) == (other.first, other.end, other.method)
-    assert one.precipitation.tobytes() == other.precipitation.tobytes()
-    assert one.evapotranspiration.tobytes() == other.evapotranspiration.tobytes()
-    for quantity, series in one.values.items():
-        assert series.tobytes() == other.values[quantity].tobytes()
-        if quantity in one.filled:
-            filled = other.filled[quantity]
-            assert one.filled[quantity].tobytes() == filled.tobytes()
+def same(weather: Weather, expected: Weather) -> None:
+    """Compare two weathers bit for bit, but for their files."""
+    assert (weather.first, weather.method) == (expected.first, expected.method)
+    for own, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
+        assert {name: series.tobytes() for name, series in own.items()} == {
+            name: series.tobytes() for name, series in due.items()
+        }
 
 
 @pytest.mark.parametrize(
@@ -106,35 +103,35 @@ def own(directory: Path, first: str, column: str = COLUMN, rain: float = 0.1) ->
 
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
     """Other values, quantities, another method, hours that begin at another minute."""
-    one = own(tmp_path, "2021-07-01T00:00")
-    for other, reason in (
+    early = own(tmp_path, "2021-07-01T00:00")
+    for late, reason in (
         (own(tmp_path, "2021-07-01T02:00", "lysimeter evapotranspiration [mm/day]"),
-         f"must have the same method of evapotranspiration as {one}, published; it has lysimeter"),
+         f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
         (own(tmp_path, "2021-07-01T02:30"),
          "its hours begin at 2021-07-01T02:30-05:00, which must be a whole number of hours from "
-         f"2021-07-01T00:00-05:00, as in {one}"),
+         f"2021-07-01T00:00-05:00, as in {early}"),
         (own(tmp_path, "2021-07-01T01:00", rain=9.9),
-         f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {one}, or the files "
+         f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {early}, or the files "
          "must not overlap"),
-        (JULY, f"must have the same quantities as {one}, evapotranspiration, precipitation; it has "
-         "dew point, precipitation, station pressure, temperature, wind speed"),
+        (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
+         "has dew point, precipitation, station pressure, temperature, wind speed"),
     ):
-        assert refusal(read_weather, [one, other], TORONTO).startswith(f"{other}: {reason}")
+        assert refusal(read_weather, [early, late], TORONTO).startswith(f"{late}: {reason}")
 
 
 def test_names_and_patterns(tmp_path: Path) -> None:
     """A name as it is, a pattern sorted, each file once; what is there is no pattern."""
     for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
         (tmp_path / name).write_text("")
-    def found(*names: str) -> list[str]:
+    def files(*names: str) -> list[str]:
         return [path.name for path in find_files(names, "--weather", tmp_path)]
 
-    assert found("b-*.csv") == ["b-1.csv", "b-2.csv"]
-    assert found("b-2.csv", "b-?.csv", "a.csv") == ["b-2.csv", "b-1.csv", "a.csv"]
-    assert found("c[1].csv") == ["c[1].csv"]
-    assert found("absent.csv") == ["absent.csv"]  # which reading it refuses
+    assert files("b-*.csv") == ["b-1.csv", "b-2.csv"]
+    assert files("b-2.csv", "b-?.csv", "a.csv") == ["b-2.csv", "b-1.csv", "a.csv"]
+    assert files("c[1].csv") == ["c[1].csv"]
+    assert files("absent.csv") == ["absent.csv"]  # which reading it refuses
     assert find_files([str(tmp_path / "b-[1].csv")], "--weather") == [tmp_path / "b-1.csv"]
-    refusal(found, "a.csv", "d-*.csv", match=r"--weather = 'd-\*\.csv': matches no file")
+    refusal(files, "a.csv", "d-*.csv", match=r"--weather = 'd-\*\.csv': matches no file")
 
 
 def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
