@@ -277,7 +277,7 @@ def test_water_that_fades_is_pumped_once() -> None:
 
 
 def test_the_last_water_is_pumped() -> None:
-    """50 litres are above the suction level, and the roof lacks ten times as much: no rain comes."""
+    """The cistern has 50 litres, the roof lacks ten times as much, and no rain comes."""
     level = PAPER_SITE.suction_level + 0.05 / PAPER_SITE.a1
     assert lookahead().command(level, PAPER_SITE.roof_level(2.6), [DRY], DRY) > 0.9
 
