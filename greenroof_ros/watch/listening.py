@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import os
 import socket
 from dataclasses import dataclass
 
@@ -80,7 +81,8 @@ def listen(host: str, port: int | None) -> Place:
                 "--port", f"{ports[0]} to {ports[-1]}" if port is None else str(port)
             )
             raise ConfigurationError(
-                f"cannot be listened on: {error.strerror}", key=key, value=value
+                f"cannot be used: {os.strerror(error.errno or 0)}; choose another",
+                key=key, value=value,
             ) from error
         break
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # of its connections

@@ -202,7 +202,7 @@ def test_what_is_wrong_with_a_node(
     assert happened(alarms) == events
     for row in present_rows:
         if row["code"] == "node_failed":
-            assert row["do"] == "Mend what it says, and start it again."
+            assert row["do"] == "Remedy what it says, and start it again."
         if row["code"] == "two_processes":
             assert "Two programs" in row["do"]
 

@@ -156,12 +156,12 @@ def test_it_fits(state: str, size: tuple[int, int]) -> None:
     ("storm", ["expected in the next 12 h", "next 12 h, as expected", "will pump"]),
     ("fault", ["The drive has switched the pump off", "ros2 service call /pump/reset",
                "fault", "overcurrent (code 2310)", "Alarm  /pump: pump"]),
-    ("stale sensor", ["The sensor says nothing,", "Alarms: 5 now, 0 over",
+    ("stale sensor", ["The sensor sends nothing,", "Alarms: 5 now, 0 over",
                       "Alarm  /cistern_sensor: sensor", "no valid answer", "Live site", "held",
                       "follows from /cistern_sensor: sensor"]),
     ("stop of the page", ["r releases the pump; c clears its fault"]),
     ("nothing", ["Nothing is heard yet"]),
-    ("many alarms", ["/cistern_sensor: sensor", "The sensor says nothing,", " more"]),
+    ("many alarms", ["/cistern_sensor: sensor", "The sensor sends nothing,", " more"]),
 ])
 def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
     lines = drawn(STATES[state]())

