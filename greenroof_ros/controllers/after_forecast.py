@@ -54,6 +54,7 @@ class AfterForecast:
         edges: ends of all steps (s from now), of the forecast and of the days after it, the
             first 0, shape (steps + days_after + 1,).
         steps: of the forecast.
+        mean: evapotranspiration over the past day (m3/s); 0 before the first forecast.
     """
 
     def __init__(self, site: Site, horizon: float, days_after: float) -> None:
@@ -65,7 +66,8 @@ class AfterForecast:
         first_day = np.diff(np.minimum(edges, _DAY_S))
         self._first_day = first_day / first_day.sum()
         self._gain = -math.expm1(-site.tau / _DAY_S)
-        self._mean = math.nan
+        self.mean = 0.0
+        self._begun = False
 
     def checked(
         self, rain: Sequence[Any], evapotranspiration: Sequence[float], most: int
@@ -93,10 +95,11 @@ class AfterForecast:
 
     def pass_tick(self, evapotranspiration: Array) -> None:
         """Take a tick's forecast into the mean (m3/s, shape (steps,)); its first entry is now."""
-        if math.isnan(self._mean):
+        if not self._begun:
             # No dot product: the order of its sums may follow where in memory they lie.
-            self._mean = float((self._first_day * evapotranspiration).sum())
-        self._mean += self._gain * (float(evapotranspiration[0]) - self._mean)
+            self.mean = float((self._first_day * evapotranspiration).sum())
+            self._begun = True
+        self.mean += self._gain * (float(evapotranspiration[0]) - self.mean)
 
     def lengthen(self, rain: Array, evapotranspiration: Array) -> tuple[Array, Array]:
         """Return rain (m/s) and evapotranspiration (m3/s) of all steps.
@@ -109,5 +112,5 @@ class AfterForecast:
             Shape (members, steps + days_after) and (steps + days_after,).
         """
         no_rain = np.zeros((len(rain), self._days))
-        drying = np.full(self._days, _NET_DRYING * self._mean)
+        drying = np.full(self._days, _NET_DRYING * self.mean)
         return np.hstack((rain, no_rain)), np.concatenate((evapotranspiration, drying))

@@ -57,7 +57,8 @@ class Lookahead:
     the members' future says
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes; but what is missing for a
-    moment ends no wait for rain, since the last plan is followed until it is old.
+    moment ends no wait for rain, since the last plan is followed until it is old. Meanwhile the
+    rain is what the gauge measures, and evapotranspiration the mean of the past day.
 
     It plans again when the plan is an hour old, or a 48th of the horizon, and when a member's rain
     has become more or less. Between plans it follows the levels of the last one, which it has for
@@ -89,6 +90,7 @@ class Lookahead:
         solves: how many plans were made.
         solve_seconds: wall time of each :meth:`command` (s); most plan nothing.
         time_ns: the time (ns since 1970), at a site with quiet hours.
+        gauge_rain: what the gauge of a live site measures (m/s); 0 without one.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -162,6 +164,7 @@ class Lookahead:
         self._since_start = math.inf  # (s)
         self._quiet_when_planned = False
         self.time_ns = 0
+        self.gauge_rain = 0.0
         self.fill_to = math.nan
         self._rows: Array | Callable[[], Array] = _UNDECIDED
         self.planned_deviation = math.nan
@@ -230,7 +233,9 @@ class Lookahead:
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
         elif self._age >= self._longest or rain_counts != self._rain_counts:
             self._policy = None
-        now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
+        now = self.gauge_rain, self._after.mean
+        if evaporated.size:
+            now = float(rain[0, 0]), float(evaporated[0])
         self._fallen += now[0] * site.tau
         if self._trust.pass_tick(x2, *now):
             able = cistern_level >= site.suction_level and not quiet

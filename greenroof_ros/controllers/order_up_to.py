@@ -52,7 +52,10 @@ class Policy:
     def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
         """Return what the roof is to be filled to or held at (m3); a fuller roof is left alone.
 
-        Between two nodes it is what is best at the lower one.
+        Between two volumes on the roof it is what is best at the lower one. Between two of the
+        water it is as far between what is best at both; where one leaves the roof alone, what is
+        best with more water. The last water may be pumped, too, though at the node below there is
+        none.
 
         Args:
             step: index of a step.
@@ -62,10 +65,11 @@ class Policy:
         """
         table = self.fill_to[step]
         node = self.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
-        row = 0
-        if len(self.water) > 1:
-            row = np.abs(np.subtract.outer(water, self.water)).argmin(axis=-1)
-        return table[group, row, node]
+        if len(self.water) == 1:
+            return table[group, 0, node]
+        row, part = _between(self.water, water)
+        low, high = table[group, row, node], table[group, row + 1, node]
+        return np.where(np.minimum(low, high) < 0, high, low + part * (high - low))
 
 
 class Cistern:
@@ -430,14 +434,18 @@ class OrderUpTo:
         start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
         if rows == 1:
             return np.asarray(base.take(start) + slope.take(start) * x2)
-        row = self._water[1:-1].searchsorted(water, side="right")
-        part = (water - self._water[row]) / np.diff(self._water)[row]
-        part = np.clip(part, 0.0, 1.0)
+        row, part = _between(self._water, water)
         start = start + row * (count - 1)
         low = base.take(start) + slope.take(start) * x2
         start = start + (count - 1)
         high = base.take(start) + slope.take(start) * x2
         return np.asarray(low + part * (high - low))
+
+
+def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
+    """Return the node at or below each value, and the part of the way to the next (0 to 1)."""
+    row = nodes[1:-1].searchsorted(values, side="right")
+    return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
 
 
 def _lowest_from_here_up(values: Array) -> Indices:

@@ -15,7 +15,7 @@ class Controller(Protocol):
     to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
     check-controller package.module:Class`` holds a class to all of this.
 
-    Five more attributes of the class are optional:
+    Six more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
@@ -30,6 +30,8 @@ class Controller(Protocol):
     - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A
       class that has it is asked in quiet hours, too, where its command becomes 0; it may plan by
       ``site.quiet``. Any other class skips these ticks.
+    - ``gauge_rain``: what the gauge of a live site measures (m/s; 0 without one), set before each
+      command: the present rain where there is no forecast, whose first entry says it otherwise.
 
     Attributes:
         parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as
@@ -121,3 +123,9 @@ def set_time(controller: Any, time_ns: int) -> None:
     """Let a controller that asks for it know the time (ns since 1970)."""
     if knows_time(controller):
         controller.time_ns = time_ns
+
+
+def set_gauge_rain(controller: Any, rain: float) -> None:
+    """Let a controller that asks for it know what the gauge measures (m/s)."""
+    if hasattr(controller, "gauge_rain"):
+        controller.gauge_rain = rain

@@ -26,7 +26,13 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import knows_time, learned_by, set_learned, set_time
+from greenroof_ros.controllers.protocol import (
+    knows_time,
+    learned_by,
+    set_gauge_rain,
+    set_learned,
+    set_time,
+)
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.link import LinkedNode
@@ -142,6 +148,8 @@ class ControllerNode(LinkedNode):
         usable = allowed and self._rain.good and self._evapotranspiration.good
         if self._site.quiet is not None:
             set_time(self._controller, self._time_ns)
+        if self.live:
+            set_gauge_rain(self._controller, self._measured_rain())
         return decide(
             self._controller, allowed, self._cistern.value, self._roof.value,
             self._rain_forecast() if usable else (),
@@ -251,7 +259,12 @@ class ControllerNode(LinkedNode):
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(site, *volumes, min(command, 1.0))
-        self._levels.expect(flow, self._gauge.value if self._gauge.good else 0.0)
+        self._levels.expect(flow, self._measured_rain())
+
+    def _measured_rain(self) -> float:
+        """Return what the gauge measures (m/s); 0 without a good reading."""
+        rain: float = self._gauge.value if self._gauge.good else 0.0
+        return rain
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty where the controller can decide."""

@@ -141,6 +141,25 @@ def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
         assert controller._trust.losses[shadow] == pytest.approx((off * weights).sum(), rel=0.1)
 
 
+@pytest.mark.parametrize("site", SITES)
+def test_without_a_forecast_the_shadows_have_the_rain_of_the_gauge(site: str) -> None:
+    """And dry as on the day before: for two days they hold what the roof holds, hour by hour."""
+    of, choice = SITES[site], find_controller("lookahead")
+    controller = choice.make(of, {**choice.defaults(of), "horizon": HORIZON})
+    assert isinstance(controller, Lookahead)
+    plant, evaporates = Plant(of, 57.0, of.x2_star), EVAPORATES * of.a2
+    forecast = [dry(0.0)], np.full(len(ENDS) - 1, evaporates)
+    fullest = 0.0
+    for hour in range(48):
+        controller.gauge_rain = 2e-3 / HOUR_S if 1 <= hour < 7 else 0.0
+        command = controller.command(*plant.levels(), *(([], []) if hour else forecast))
+        flows = plant.flows(controller.gauge_rain, evaporates, plant.pump_flow(command))
+        plant.step(controller.gauge_rain, flows)
+        assert controller._trust.roofs == pytest.approx(plant.x2, abs=3e-4 * of.a2)  # 0.3 mm
+        fullest = max(fullest, of.roof_level(plant.x2))
+    assert fullest > of.z_veg + 0.002
+
+
 def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
     """Of trust and of the budget; all of it, or nothing."""
     controller, _, trust = season("paper", three_days, 8.0, falls=np.zeros_like)

@@ -214,7 +214,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
     Rain comes on two roofs, one of them wetter, and more of it percolates there; so the difference
     is right only if that is followed. In ticks of ten seconds a tenth of the full flow.
     """
-    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
+    site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0, z_veg=0.0457)
     options = (
         "--controller", "onoff", "--site", str(site), "--start", "2021-07-08T05:00",
         "--hours", "12",

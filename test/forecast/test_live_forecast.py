@@ -80,7 +80,7 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> N
 
     Both take that reading for the rest of the hour, and the issue for all hours after it. Records
     are hourly, so that in a run the reading never changes within the hour: what that is worth is in
-    doc/running/real-seasons.md.
+    doc/reference/issued-forecasts.md.
     """
     chance = np.random.default_rng(4)
     rain, fell = chance.gamma(0.2, 3.0, size=(3, 24)), chance.gamma(0.2, 3.0, size=24)

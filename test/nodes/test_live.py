@@ -205,6 +205,10 @@ class Learner(Counting):
     def learned(self): return {"asked": float(self.asked)}
     @learned.setter
     def learned(self, values): self.asked = int(values["asked"])
+
+class Gauged(Waiting):
+    needs_forecast, gauge_rain = False, 0.0
+    def command(self, *inputs): return 0.1 + 1e4 * self.gauge_rain
 """
 
 
@@ -277,6 +281,20 @@ def test_classes_of_a_users_own(site: Site) -> None:
         without = site.says("/lookahead: forecast", WARN, "commands without a forecast")
         site.until(without, LATE, "that it has none")
         site.until(lambda: newest(commands), LATE, "its commands")
+
+
+def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> None:
+    """Without a forecast, too; 0 while nothing is measured."""
+    commands = site.be_dry()
+    for name in FORECASTS:
+        del site.values[name]
+    (site.cwd / "mine.py").write_text(MINE)
+    with site.live("controller --controller mine:Gauged", recovery_time=0.2, gauge_limit=1.0):
+        site.until(lambda: newest(commands) == 0.1, LATE, "a command without a gauge")
+        site.values["/gauge/precipitation"] = 5e-6
+        site.until(lambda: newest(commands) == pytest.approx(0.15), LATE, "the rain")
+        del site.values["/gauge/precipitation"]
+        site.until(lambda: newest(commands) == 0.1, LATE, "no rain of a gauge that fell silent")
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
