@@ -6,11 +6,11 @@ from typing import Any
 
 import altair as alt
 import vl_convert
-from result_tables import LEAST, Figure, Mark
+from result_tables import LEAST, Figure, Mark, numbers_of
 
 from greenroof_ros.report.drawing import COLOURS, CONFIG
 
-_COLOURS = dict(zip(("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST), COLOURS))
+_CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST)
 # Of a figure, a letter of its rows' names, and a row (px).
 _WIDTH, _LETTER, _ROW = 600, 6.5, 20
 _INK = "#222222"
@@ -67,11 +67,11 @@ def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.L
 
 def _domain(figure: Figure) -> list[float]:
     """Return the ends of all horizontal axes, with room for a number beside the last mark."""
-    low, high = min(map(min, map(_ends, figure.marks))), max(map(max, map(_ends, figure.marks)))
-    if not figure.ratio:
-        return [0.0, high * (1 + 0.13 * figure.columns)]
-    low, high = min(low, 1.0), max(high, 1.0)
-    return [low - 0.05 * (high - low), high + 0.15 * figure.columns * (high - low)]
+    ends = [end for mark in figure.marks for end in _ends(mark)]
+    low, high = (min(*ends, 1.0), max(*ends, 1.0)) if figure.ratio else (0.0, max(ends))
+    margin = 0.05 * (high - low) if figure.ratio else 0.0
+    letters = max(len(numbers_of(figure, mark)) for mark in figure.marks)
+    return [low - margin, high + 0.035 * letters * figure.columns * (high - low)]
 
 
 def _ends(mark: Mark) -> list[float]:
@@ -80,7 +80,8 @@ def _ends(mark: Mark) -> list[float]:
 
 
 def _values(figure: Figure, mark: Mark) -> dict[str, Any]:
+    colours = dict(zip(_CONTROLLERS, COLOURS, strict=False))
     return {
-        **mark._asdict(), "colour": _COLOURS.get(mark.controller, COLOURS[0]),
-        "end": max(_ends(mark)), "label": f"{mark.value:{figure.form}}",
+        **mark._asdict(), "colour": colours.get(mark.controller, COLOURS[0]),
+        "end": max(_ends(mark)), "label": numbers_of(figure, mark),
     }

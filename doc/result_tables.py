@@ -9,15 +9,14 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.report.intervals import worst_tenth
 
 _RESULTS = Path(__file__).resolve().parent / "results"
 _DEVIATION = "mean deviation (mm)"
@@ -107,43 +106,30 @@ def _least(row: Row) -> float:
     return _mm(row) * float(row["bound_m3"]) / float(row["total_deviation_m3"])
 
 
-def paper() -> Result:
-    """Return the paper's runs beside the authors' totals."""
+def methods() -> Result:
+    """Return the paper's settings beside the authors' totals, and with the other method."""
     path = shared_directory() / "config" / "paper" / "totals.csv"
     with path.open(newline="", encoding="utf-8") as stream:
         authors = {
-            (row["initial"], row["controller"], float(row["parameter"])):
-                float(row["total_deviation_m3"])
-            for row in csv.DictReader(stream)
+            (row["controller"], float(row["parameter"])): float(row["total_deviation_m3"])
+            for row in csv.DictReader(stream) if row["initial"] == "low-low"
         }
-    marks = []
-    for row in read("paper"):
-        parameter = float(row["parameter:weight"] or row["parameter:fraction"])
-        marks.append(Mark(
-            f"from {row['initial']}", _setting(row, "weight", "fraction"), row["controller"],
-            float(row["total_deviation_m3"]),
-            authors[row["initial"], row["controller"], parameter],
-        ))
-    shown = ("from low-low", "from high-low")
+    marks, cells = [], {}
+    for row in read("methods"):
+        total, name = float(row["total_deviation_m3"]), _setting(row, "weight", "fraction")
+        mark = Mark(row["evapotranspiration"], name, row["controller"], _mm(row))
+        if mark.panel == "published":
+            parameter = float(row["parameter:weight"] or row["parameter:fraction"])
+            theirs = authors[row["controller"], parameter]
+            cells[name] = [f"{total:.0f}", f"{theirs:.0f}"]
+            mark = mark._replace(beside=mark.value * theirs / total)
+        cells[name].append(f"{mark.value:.2f}")
+        marks.append(mark)
     figure = Figure(
-        "Total deviation of each setting; black: the authors' value", "total deviation (m³)",
-        tuple(mark for mark in marks if mark.panel in shown), 2, form=".0f",
+        "By setting", _DEVIATION, tuple(marks), 2
     )
-    heads = [text for panel in shown for text in (panel, "the authors'")]
-    return Result(
-        ("setting", *heads),
-        _by_row(figure, lambda mark: (f"{mark.value:.0f}", f"{mark.beside:.0f}")), figure,
-    )
-
-
-def methods() -> Result:
-    """Return the paper's settings with both methods of evapotranspiration."""
-    figure = Figure("Mean deviation of each setting", _DEVIATION, tuple(
-        Mark(row["evapotranspiration"], _setting(row, "weight", "fraction"), row["controller"],
-             _mm(row))
-        for row in read("methods")
-    ), 2)
-    return _one_number("setting", figure)
+    heads = ("setting", "total (m³)", "the authors' (m³)", "mean (mm)", "mean, `fao56` (mm)")
+    return Result(heads, [(name, *row) for name, row in cells.items()], figure)
 
 
 _WINDOWS = {
@@ -160,7 +146,7 @@ def windows() -> Result:
     """Return all controllers beside the least possible deviation."""
     rows = read("windows")
     least = {_window(row): _least(row) for row in rows}
-    figure = Figure("Mean deviation of each controller", _DEVIATION, (
+    figure = Figure("By controller", _DEVIATION, (
         *(Mark(window, LEAST, LEAST, value) for window, value in least.items()),
         *(Mark(_window(row), _setting(row), row["controller"], _mm(row)) for row in rows),
     ), 3)
@@ -175,26 +161,15 @@ def windows() -> Result:
 def forecasts() -> Result:
     """Return mean and worst tenth over the seeds of forecasts with errors."""
     rows = read("forecasts")
-    skills = list(dict.fromkeys(row["forecast_skill"] for row in rows if row["forecast_skill"]))
-    marks = []
-    for controller in dict.fromkeys(row["controller"] for row in rows):
-        for skill in skills:
-            values = np.array([
-                _mm(row) for row in rows
-                if row["controller"] == controller and row["forecast_skill"] in ("", skill)
-            ])
-            marks.append(Mark(
-                f"skill {skill}", _NAMES.get(controller, controller), controller,
-                float(values.mean()), worst_tenth(values),
-            ))
+    skills = dict.fromkeys(row["forecast_skill"] for row in rows if row["forecast_skill"])
     figure = Figure(
-        "Mean deviation of each controller; black: the mean of the worst tenth of seeds",
-        _DEVIATION, tuple(marks), 3,
+        "By skill", _DEVIATION, tuple(
+            Mark(f"skill {skill}", _setting(row), row["controller"], _mm(row),
+                 float(row["worst_tenth_mm"]) if row["forecast_skill"] else None)
+            for skill in skills for row in rows if row["forecast_skill"] in ("", skill)
+        ), 3,
     )
-    return Result(
-        ("", *(f"skill `{skill}`" for skill in skills)),
-        _by_row(figure, lambda mark: (f"{mark.value:.2f} / {mark.beside:.2f}",)), figure,
-    )
+    return _plain("", figure)
 
 
 def useless_forecasts() -> Result:
@@ -210,37 +185,29 @@ def useless_forecasts() -> Result:
     order = [f"{window}, {words}" for window in ("the paper's hours", "a dry half day")
              for words in forecasts.values()]
     figure = Figure(
-        "Mean deviation with a useless forecast", _DEVIATION,
+        "By forecast", _DEVIATION,
         tuple(sorted(marks, key=lambda mark: order.index(mark.panel))), 2,
     )
-    return _one_number("`waiting_budget`", figure)
+    return _plain("`waiting_budget`", figure)
 
 
 def robustness() -> Result:
     """Return what errors of sensor and pump cost; the mean of the seeds of noise."""
-    values: dict[tuple[str, str, str], list[float]] = {}
+    values: dict[tuple[str, str], list[float]] = {}
     for row in read("robustness"):
-        offset = 1000 * float(row["roof_offset"])
+        offset, noise = (1000 * float(row[f"roof_{error}"]) for error in ("offset", "noise"))
         errors = (
             f"offset {offset:+.0f} mm" if offset
-            else f"noise {1000 * float(row['roof_noise']):.0f} mm" if float(row["roof_noise"])
+            else f"noise {noise:.0f} mm" if noise
             else f"{float(row['minimum_on']):.0f} s on and off" if float(row["minimum_on"])
             else "none"
         )
-        values.setdefault((row["controller"], _window(row), errors), []).append(_mm(row))
-    figure = Figure("Mean deviation with errors of sensor and pumps", _DEVIATION, tuple(
-        Mark(f"{_NAMES.get(controller, controller)}, {window}", errors, controller,
-             float(np.mean(numbers)))
-        for (controller, window, errors), numbers in values.items()
+        values.setdefault((row["controller"], errors), []).append(_mm(row))
+    figure = Figure("By error", _DEVIATION, tuple(
+        Mark(_NAMES.get(name, name), errors, name, float(np.mean(deviations)))
+        for (name, errors), deviations in values.items()
     ), 2)
-    controllers = [_NAMES.get(name, name) for name in dict.fromkeys(key[0] for key in values)]
-    rows = [
-        (errors, *(" / ".join(f"{np.mean(values[controller, window, errors]):.2f}"
-                              for window in dict.fromkeys(key[1] for key in values))
-                   for controller in dict.fromkeys(key[0] for key in values)))
-        for errors in dict.fromkeys(key[2] for key in values)
-    ]
-    return Result(("error", *controllers), rows, figure)
+    return _plain("error", figure)
 
 
 def month() -> Result:
@@ -260,7 +227,7 @@ def month() -> Result:
         for row in ahead
     ]
     marks += [Mark(panel, LEAST, LEAST, least) for panel in panels]
-    figure = Figure("Mean deviation in July 2021 by horizon", _DEVIATION, tuple(marks), 2)
+    figure = Figure("By horizon", _DEVIATION, tuple(marks), 2)
     return Result(
         ("", *(f"`{panel}`" for panel in panels)),
         _by_row(figure, lambda mark: (f"{mark.value:.2f} ({mark.value / least:.3f})",)), figure,
@@ -288,6 +255,7 @@ def _interval(mark: Mark) -> str:
 
 def seasons() -> Result:
     """Return the controllers over whole seasons on both roofs."""
+    roofs = list(_ROOFS.values())
     rows = [*read("lookahead"), *read("seasons")]
     marks: dict[tuple[str, str], Mark] = {}
     cells: dict[tuple[str, str], str] = {}
@@ -305,13 +273,13 @@ def seasons() -> Result:
         ]
         cells[case] = ", ".join(text for text in texts if text)
     figure = Figure(
-        "Deviation over on/off's in eleven seasons", _RATIO,
-        tuple(sorted(marks.values(), key=lambda mark: mark.panel)), 2, ratio=True,
+        "By controller", _RATIO,
+        tuple(sorted(marks.values(), key=lambda mark: roofs.index(mark.panel))), 2, ratio=True,
     )
     names = dict.fromkeys(name for _, name in marks)
     return Result(
-        ("controller", *_ROOFS.values()),
-        [(name, *(cells[roof, name] for roof in _ROOFS.values())) for name in names], figure,
+        ("controller", *roofs),
+        [(name, *(cells[roof, name] for roof in roofs)) for name in names], figure,
     )
 
 
@@ -323,7 +291,7 @@ def horizons() -> Result:
         for row in rows if row["forecast"] == "perfect"
     }
     figure = Figure(
-        "Deviation over on/off's by horizon; black: a perfect forecast", _RATIO, tuple(
+        "By horizon", _RATIO, tuple(
             _ratio(_roof(row), f"{float(row['parameter:horizon']):g} h", row,
                    perfect[_roof(row), row["parameter:horizon"]])
             for row in rows if row["forecast"] != "perfect"
@@ -338,7 +306,7 @@ def horizons() -> Result:
 
 def skills() -> Result:
     """Return what better and worse forecasts are worth."""
-    figure = Figure("Deviation over on/off's by skill of the forecast", _RATIO, tuple(
+    figure = Figure("By skill", _RATIO, tuple(
         _ratio(_roof(row), row["forecast_skill"], row)
         for row in read("skills") if row["forecast_skill"]
     ), 2, ratio=True)
@@ -355,21 +323,30 @@ def sizing() -> Result:
         for row in read("sizing")
     }
     figure = Figure(
-        "Mains water saved in a season by size of cistern; black: begun with a full cistern",
-        "mains water saved in a season (m³)", tuple(
-            Mark(f"{roof:g} m² of green roof", f"{cistern:g} m³", "", value,
+        "By size", "mains water saved (m³)", tuple(
+            Mark(f"{roof:g} m²", f"{cistern:g} m³", "", value,
                  saved["full", cistern, roof])
             for (initial, cistern, roof), value in saved.items() if initial == "site"
-        ), 3, form=".0f",
+        ), 3, form=".1f",
     )
-    panels = list(dict.fromkeys(mark.panel for mark in figure.marks))
-    return Result(
-        ("cistern", *panels),
-        _by_row(figure, lambda mark: (f"{mark.value:.1f} / {mark.beside:.1f}",)), figure,
-    )
+    return _plain("cistern", figure)
 
 
 # --- from marks to cells and drawings -------------------------------------------------------------
+
+
+def numbers_of(figure: Figure, mark: Mark) -> str:
+    """Return the numbers of a mark, as cells and figures show them."""
+    numbers = (mark.value,) if mark.beside is None else (mark.value, mark.beside)
+    return " / ".join(f"{number:{figure.form}}" for number in numbers)
+
+
+def _plain(corner: str, figure: Figure) -> Result:
+    """Return a table with the numbers of a figure as they are there."""
+    panels = dict.fromkeys(mark.panel for mark in figure.marks)
+    return Result(
+        (corner, *panels), _by_row(figure, lambda mark: (numbers_of(figure, mark),)), figure
+    )
 
 
 def _by_row(figure: Figure, cells: Callable[[Mark], Iterable[str]]) -> list[tuple[str, ...]]:
@@ -380,16 +357,7 @@ def _by_row(figure: Figure, cells: Callable[[Mark], Iterable[str]]) -> list[tupl
     return [(name, *row) for name, row in rows.items()]
 
 
-def _one_number(corner: str, figure: Figure) -> Result:
-    """Return a table of a figure with a number in each cell."""
-    panels = dict.fromkeys(mark.panel for mark in figure.marks)
-    return Result(
-        (corner, *panels), _by_row(figure, lambda mark: (f"{mark.value:{figure.form}}",)), figure
-    )
-
-
 RESULTS: dict[str, Callable[[], Result]] = {
-    "paper": paper,
     "methods": methods,
     "windows": windows,
     "forecasts": forecasts,
