@@ -25,16 +25,16 @@ def on_command(message):
     """Follow a command, and publish the flow (m3/s)."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
-    dry = not told["cistern/level"] > SUCTION  # a NaN, an unknown level, is dry
-    if node.commanders > 1 or dry or math.isnan(told["roof/level"]) or told["weather/frost"] != 0:
+    dry = not state["cistern/level"] > SUCTION  # a NaN, an unknown level, is dry
+    if node.commanders > 1 or dry or math.isnan(state["roof/level"]) or state["weather/frost"] != 0:
         command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))
     publisher.publish(flow)
 
 
-def on_told(topic, message):
+def on_state(topic, message):
     """Keep what speaks for or against running."""
-    told[topic] = message.data
+    state[topic] = message.data
 
 
 def on_silence():
@@ -54,9 +54,9 @@ rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
 node.commanders = 0
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-told = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)
-for topic in told:  # before the command, which comes last in a tick
-    node.create_subscription(Float64, topic, partial(on_told, topic), qos)
+state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)
+for topic in state:  # before the command, which comes last in a tick
+    node.create_subscription(Float64, topic, partial(on_state, topic), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)
 watchdog = node.create_timer(SILENCE, on_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -58,13 +58,15 @@ GROUPS = {
         "topics": Command("topics", "the topics of the graph, and what each carries"),
     },
 }
-COMMANDS = {name: each for group in GROUPS.values() for name, each in group.items()}
+COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
 
 def make_parser() -> argparse.ArgumentParser:
     """Return what prints the help and refuses what is no command."""
     groups = (
-        "\n".join([f"{title}:", *(f"  {name:20}{each.about}" for name, each in group.items())])
+        "\n".join([
+            f"{title}:", *(f"  {name:20}{entry.about}" for name, entry in group.items())
+        ])
         for title, group in GROUPS.items()
     )
     return argparse.ArgumentParser(
@@ -99,7 +101,7 @@ def _explain() -> int:
     """Print which commands there are, or that there is none of this name."""
     parser = make_parser()
     name = _name(sys.argv[1:])
-    if name and not any(each.startswith(f"{name} ") for each in COMMANDS):
+    if name and not any(entry.startswith(f"{name} ") for entry in COMMANDS):
         parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE
@@ -113,14 +115,14 @@ def _complete() -> None:
     sys.argv[1:] = words  # options of the controller that it names
     parser = make_parser()
     branches = {"": parser.add_subparsers()}
-    for name, each in COMMANDS.items():
+    for name, entry in COMMANDS.items():
         above, _, last = name.rpartition(" ")
         if above not in branches:
             branches[above] = branches[""].add_parser(above).add_subparsers()
-        own = []
+        parents = []
         if name == _name(words):
-            own = [importlib.import_module(f"greenroof_ros.{each.module}").make_parser()]
-        branches[above].add_parser(last, parents=own, add_help=not own)
+            parents = [importlib.import_module(f"greenroof_ros.{entry.module}").make_parser()]
+        branches[above].add_parser(last, parents=parents, add_help=not parents)
     argcomplete.autocomplete(parser)
 
 

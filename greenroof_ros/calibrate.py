@@ -198,8 +198,8 @@ def _calibrate(
     site = pumps.site
     if pumps.parameters:
         record = read(site)  # the pumps' state is now another flow
-    seen = record.only(counts)
-    doubts = accept([*pumps.findings, *check_record(seen, site)], arguments.accept, measured)
+    counted = record.only(counts)
+    doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, halves)
     with progress_bar() as tell:
@@ -221,12 +221,12 @@ def _calibrate(
             holds=fitted.site.roof_level(fitted.site.z_cap),
         ))
     if record.level is not None:
-        findings.append(level_sensor(seen, fitted.simulated.level))
+        findings.append(level_sensor(counted, fitted.simulated.level))
     findings += doubts
     spans = {part: _span(record, steps) for part, steps in halves.items()}
     entries = fit_entries(fitted, site.z_veg, sheet)
     text = edited_site_file(site_file, entries, _heading(measured, spans, rows, findings))
-    page = render(seen, halves, fitted, rows, text, spans, findings)
+    page = render(counted, halves, fitted, rows, text, spans, findings)
     _print_fit(fitted, rows)
     _print(findings)
     return text, page
@@ -235,7 +235,9 @@ def _calibrate(
 def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
     """Refuse a record if one half has nothing measured, or no water."""
     for part, steps in zip(("first", "second"), halves.values(), strict=True):
-        if not steps.any() or all(np.ptp(one[steps]) == 0 for one in record.measured.values()):
+        if not steps.any() or all(
+            np.ptp(values[steps]) == 0 for values in record.measured.values()
+        ):
             raise ConfigurationError(
                 f"in the {part} half of its rain nothing that was measured changes; a longer "
                 "record, with dry days in it, is needed", file=record.source,
@@ -262,8 +264,8 @@ def _heading(
         )
         volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
-    lines += [INTERVAL_NOTE, *(each.text for each in findings)]
-    return [line for each in lines for line in textwrap.wrap(each, 98)]
+    lines += [INTERVAL_NOTE, *(finding.text for finding in findings)]
+    return [line for text in lines for line in textwrap.wrap(text, 98)]
 
 
 def _volume(row: Scores) -> str:
@@ -275,9 +277,11 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
     table = Table(title="Parameters", title_justify="left")
     for name in ("parameter", "value", "95 % interval", ""):
         table.add_column(name)
-    for one in fitted.parameters:
-        interval = f"{one.low:.4g} to {one.high:.4g}" if one.told else "not fitted"
-        table.add_row(one.name, f"{one.value:.4g}", interval, one.words)
+    for parameter in fitted.parameters:
+        interval = (
+            f"{parameter.low:.4g} to {parameter.high:.4g}" if parameter.told else "not fitted"
+        )
+        table.add_row(parameter.name, f"{parameter.value:.4g}", interval, parameter.words)
     times = list(rows[0].nse)
     scores = Table(title="Scores", title_justify="left")
     scores.add_column("of")
@@ -297,9 +301,9 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
 
 def _print(findings: Sequence[Finding]) -> None:
     """Print what was found beside the roof's parameters."""
-    for each in findings:
-        style = "bold" if each.severity is Severity.WARNING else None
-        Console().print(each.text, style=style, soft_wrap=True, highlight=False)
+    for finding in findings:
+        style = "bold" if finding.severity is Severity.WARNING else None
+        Console().print(finding.text, style=style, soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

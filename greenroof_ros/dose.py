@@ -66,9 +66,9 @@ class _Progress:
 
     def take(self, name: str, message: bytes, *_: Any) -> None:
         """Take a message of the graph."""
-        if name != DIAGNOSTICS or (said := wire.statuses(message)) is None:
+        if name != DIAGNOSTICS or (statuses := wire.statuses(message)) is None:
             return
-        for status in said[1]:
+        for status in statuses[1]:
             if status.name == self._pump:
                 dose = json.loads(status.values.get("dose", "null"))
                 self.heard = time.monotonic()

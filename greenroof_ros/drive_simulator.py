@@ -78,31 +78,31 @@ def make_parser() -> argparse.ArgumentParser:
         "--workbench", type=within(0, _LAST_PORT, int), metavar="PORT",
         help="TCP port of the workbench, 0 for a free one (default: the next after --port)",
     )
-    made = parser.add_argument_group("how it is made and set")
-    made.add_argument(
+    model = parser.add_argument_group("how it is made and set")
+    model.add_argument(
         "--ramp", type=within(0, 3600), default=5.0, metavar="S",
         help="from rest to rated speed, and back (s, default: %(default)g)",
     )
-    made.add_argument(
+    model.add_argument(
         "--boot", type=within(0, 3600), default=3.0, metavar="S",
         help="from power-up until it answers (s, default: %(default)g)",
     )
-    made.add_argument(
+    model.add_argument(
         "--timeout", type=within(0.1, 3600), default=5.0, metavar="S",
         help="its communication timeout (s, default: %(default)g), upon which it stops; rounded to "
         "what its register holds",
     )
-    made.add_argument(
+    model.add_argument(
         "--as-delivered", action="store_true",
         help="the timeout as the maker delivers it instead; that may be none. A relay has none "
         "then, and is on after power-up",
     )
-    made.add_argument(
+    model.add_argument(
         "--speed", type=within(1e-3, 1e6), default=1.0, metavar="FACTOR",
         help="ramps faster by this factor, for a graph that is faster than real time; the timeout "
         "is not scaled (default: %(default)g)",
     )
-    made.add_argument(
+    model.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site file, for drives that report their flow (default: the paper's, "
         "config/site.yaml)",
@@ -124,10 +124,10 @@ def main() -> int:
             else "is of a relay; a drive on Modbus has --port or --serial",
             key="--at", value=arguments.at,
         )
-    known = RELAY_FAULTS if is_relay else DRIVE_FAULTS
-    if arguments.fault[0] not in known:
+    faults = RELAY_FAULTS if is_relay else DRIVE_FAULTS
+    if arguments.fault[0] not in faults:
         raise ConfigurationError(
-            f"must be one of {', '.join(known)}", key="--fault", value=arguments.fault[0]
+            f"must be one of {', '.join(faults)}", key="--fault", value=arguments.fault[0]
         )
     bench = (_relay if is_relay else _drive)(path, arguments)
     bench.serve(*arguments.fault)
@@ -139,7 +139,7 @@ def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
     from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings
 
     file = read_drive_file(path)
-    own = Address(host=arguments.host, port=arguments.port)
+    address = Address(host=arguments.host, port=arguments.port)
     return DriveBench(
         profile_of(file.make),
         file,
@@ -147,7 +147,7 @@ def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
             ramp_s=arguments.ramp, boot_s=arguments.boot, speed=arguments.speed,
             timeout_s=None if arguments.as_delivered else arguments.timeout,
         ),
-        Address(line=arguments.serial) if arguments.serial else own,
+        Address(line=arguments.serial) if arguments.serial else address,
         _workbench(arguments),
         read_site(arguments.site or shared_directory() / "config" / "site.yaml"),
     )

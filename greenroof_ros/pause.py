@@ -26,13 +26,13 @@ def make_parser() -> argparse.ArgumentParser:
         "exit codes: 0 done, 1 the pump node did not do so, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
+    choice = parser.add_mutually_exclusive_group(required=True)
+    choice.add_argument(
         "--until", metavar="TIME",
         help="a time to come (ISO 8601), of this machine's clock unless it says its offset from "
         "UTC: 2026-12-24T08:00-05:00",
     )
-    what.add_argument("--end", action="store_true", help="end the pause now")
+    choice.add_argument("--end", action="store_true", help="end the pause now")
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
         help="of the graph, as bringup was given it (default: none)",
@@ -44,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Pause the pump, or end its pause."""
     arguments = make_parser().parse_args()
-    until, said = "", "the pause is over"
+    until, message = "", "the pause is over"
     if not arguments.end:
         try:
             end = parse_time(arguments.until).astimezone()
@@ -53,7 +53,7 @@ def main() -> int:
                 "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
             ) from None
         until = end.isoformat(timespec="seconds")
-        said = f"the pump is paused until {to_people(end)}"
+        message = f"the pump is paused until {to_people(end)}"
     with importing_ros(), closing(Looker(arguments.namespace, lambda *_: None)) as looker:
         looker.prepare_stop(f"{arguments.namespace}/pump")
         try:
@@ -61,7 +61,7 @@ def main() -> int:
         except StopFailedError as failure:
             print(f"error: {failure}", file=sys.stderr)
             return EXIT_FAILED
-    print(said)
+    print(message)
     return EXIT_DONE
 
 

@@ -116,7 +116,7 @@ def _rewrite(file: Path, copy: Path) -> None:
     per_tick = 1
     with copy.open("xb") as stream:
         writer = start_writer(stream)
-        for _, group in groupby(_messages(file), key=lambda each: each[2].log_time):
+        for _, group in groupby(_messages(file), key=lambda message: message[2].log_time):
             together = list(group)
             if not channels:
                 per_tick = _per_tick([channel for _, channel, _ in together])
@@ -144,7 +144,7 @@ def _per_tick(channels: Collection[Channel]) -> int:
 
     A live site has no clock and no ticks: each message is for itself.
     """
-    return len(channels) if any(each.topic.endswith("/clock") for each in channels) else 1
+    return len(channels) if any(channel.topic.endswith("/clock") for channel in channels) else 1
 
 
 def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:

@@ -95,9 +95,9 @@ def make_parser() -> argparse.ArgumentParser:
         "--site", type=Path, metavar="FILE",
         help="site file, which says the place (default: the paper's, config/site.yaml)",
     )
-    whole = within(1, _MOST_HOURS, int)
+    whole_hours = within(1, _MOST_HOURS, int)
     parser.add_argument(
-        "--sums", type=whole, nargs="+", metavar="H",
+        "--sums", type=whole_hours, nargs="+", metavar="H",
         help="hours over which is summed (default: 1, 6, 12 and 24, where they divide --lead)",
     )
     parser.add_argument(
@@ -105,12 +105,12 @@ def make_parser() -> argparse.ArgumentParser:
         help="for each of --sums, from how many mm on there is an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
-        "--lead", type=whole, default=24, metavar="H",
+        "--lead", type=whole_hours, default=24, metavar="H",
         help="hours of lead that are scored together, a multiple of each sum (default: "
         "%(default)s, days)",
     )
     parser.add_argument(
-        "--horizon", type=whole, metavar="H",
+        "--horizon", type=whole_hours, metavar="H",
         help=f"how far ahead is looked (default: {_HORIZON}; with --dress {_MEMBER}, so that "
         f"forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} h)",
     )
@@ -162,7 +162,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     with _bar("verifying", forecasts.count, "issues") as done:
         tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
-    if not any(each.scores().n for each in tallies.values()):
+    if not any(of_class.scores().n for of_class in tallies.values()):
         raise ConfigurationError(
             f"have no whole sum in common with the records: these are of {forecasts.span}, the "
             f"records of {span}",
@@ -247,7 +247,7 @@ def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
     """Return the sums and events that a command line asks for."""
     if arguments.sums is None and arguments.events is None:
-        return [Sum(*each) for each in _SUMS if arguments.lead % each[0] == 0]
+        return [Sum(*values) for values in _SUMS if arguments.lead % values[0] == 0]
     if arguments.sums is None or arguments.events is None:
         raise ConfigurationError("must be given together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
@@ -261,7 +261,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
                 f"must each divide --lead, {arguments.lead} h, and be given once",
                 key="--sums", value=hours,
             )
-    return [Sum(*each) for each in zip(arguments.sums, arguments.events, strict=True)]
+    return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]
 
 
 def _new_table(title: str, *names: str) -> Table:
@@ -277,14 +277,14 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     headings = (heading for heading, _ in SHOWN.values())
     table = _new_table(title, "lead", "sum of", "event", *headings)
     before = ""
-    for each, of_class in tallies.items():
+    for key, of_class in tallies.items():
         scores = of_class.scores()
         table.add_row(
-            each.lead if each.lead != before else "",
-            f"{each.sum.hours} h", f"{each.sum.event:g} mm",
+            key.lead if key.lead != before else "",
+            f"{key.sum.hours} h", f"{key.sum.event:g} mm",
             *map(scores.shown, SHOWN),
         )
-        before = each.lead
+        before = key.lead
     return table
 
 
@@ -297,7 +297,7 @@ def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
     for row in rows:
         table.add_row(
             f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
-            *(f"{each:.2f}" for each in (*row.bias[:2], *row.crps)),
+            *(f"{value:.2f}" for value in (*row.bias[:2], *row.crps)),
         )
     return table
 
@@ -310,24 +310,24 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
         ("lead_from_h", "lead_to_h", "sum_hours", "event_mm",
          *("crps_mm" if name == "crps" else name for name in SHOWN))
     )
-    for each, of_class in tallies.items():
+    for key, of_class in tallies.items():
         scores = of_class.scores()
         rows.writerow(
-            (each.low, each.high, each.sum.hours, f"{each.sum.event:g}", scores.n,
+            (key.low, key.high, key.sum.hours, f"{key.sum.event:g}", scores.n,
              *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
         )
     return stream.getvalue()
 
 
 @contextmanager
-def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+def _bar(action: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; yield what is called with how many more are done."""
     done = 0
     with progress_bar() as tell:
         def advance(more: int) -> None:
             nonlocal done
             done += more
-            tell(f"{what}: {done} of {total} {unit}", done / total)
+            tell(f"{action}: {done} of {total} {unit}", done / total)
 
         yield advance
 

@@ -48,8 +48,8 @@ class Adversary:
         """It is no record."""
 
 
-def told(run: Run, kind: str, horizon: float) -> Run:
-    """Return a run whose controller, which looks ahead so far (h), is told one of them."""
+def with_forecasts(run: Run, kind: str, horizon: float) -> Run:
+    """Return a run whose controller, which looks ahead so far (h), gets false forecasts."""
     return replace(run, forecast=SteppedForecast(
         Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(horizon),
         run.steps, run.controller.ensemble,

@@ -16,5 +16,5 @@ def bag_topics(*outputs: str) -> set[str]:
     }
 
 
-# Those of a run with mpc.
+# Topics of a run with mpc.
 MPC_TOPICS = bag_topics("/controller/cost", "/controller/solver_status")

@@ -35,12 +35,12 @@ def drawn_page(file: Path, charts: int) -> Iterator[Any]:
     """Open a page of that many charts, which must draw them all and ask for nothing else."""
     with started_browser() as browser:
         page = browser.new_page(viewport={"width": 1200, "height": 900})
-        asked: list[str] = []
+        urls: list[str] = []
         wrong: list[str] = []
-        page.on("request", lambda request: asked.append(request.url))
+        page.on("request", lambda request: urls.append(request.url))
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(file.as_uri())
         page.wait_for_selector(f"html[data-drawn='{charts}']", timeout=60_000)
         assert wrong == []
-        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        assert [url for url in urls if not url.startswith(("file:", "data:", "blob:"))] == []
         yield page

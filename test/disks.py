@@ -57,8 +57,8 @@ def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
     def hang(now: bool) -> None:
         nonlocal hangs
         if now != hangs:
-            how = "--freeze" if now else "--unfreeze"
-            subprocess.run(["fsfreeze", how, str(place)], check=True)
+            option = "--freeze" if now else "--unfreeze"
+            subprocess.run(["fsfreeze", option, str(place)], check=True)
         hangs = now
 
     try:

@@ -29,7 +29,7 @@ from greenroof_ros.drives.sensor_file import QUANTITIES
 def own_domain() -> Iterator[int]:
     """Hold a ROS domain that no other test session or worker on this machine holds.
 
-    From 51 on they are those of studies.
+    From 51 on they are for studies.
     """
     for domain in range(1, 51):
         lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
@@ -56,12 +56,12 @@ def environment(domain: int) -> dict[str, str]:
 
 def files_of(pid: int) -> list[str]:
     """Return what a process has open, as the kernel names it."""
-    found = []
+    files = []
     with contextlib.suppress(OSError):  # it has just ended
         for entry in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
-                found.append(str(entry.readlink()))
-    return found
+                files.append(str(entry.readlink()))
+    return files
 
 
 def udp_addresses_of(pid: int) -> list[str]:
@@ -105,8 +105,8 @@ def _free_ports() -> Iterator[int]:
     random.SystemRandom().shuffle(ports)
     for port in ports:
         try:
-            for each in (port, port + 1):
-                socket.create_server(("127.0.0.1", each)).close()
+            for number in (port, port + 1):
+                socket.create_server(("127.0.0.1", number)).close()
         except OSError:
             continue
         yield port
@@ -120,8 +120,8 @@ def free_ports(number: int) -> list[int]:
     return list(itertools.islice(_FREE_PORTS, number))
 
 
-def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
-    """Wait until a condition holds and return its value; one that computes is asked less often.
+def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
+    """Wait until a condition holds and return its value; a slow condition is asked less often.
 
     To read a bag all the time would take a core from what is waited for.
     """
@@ -132,7 +132,7 @@ def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
         if value:
             return value
         time.sleep(max(0.02, 3 * (time.thread_time() - began)))
-    raise AssertionError(f"{what} did not happen within {seconds:g} s")
+    raise AssertionError(f"{event} did not happen within {seconds:g} s")
 
 
 class Process:
@@ -176,7 +176,7 @@ class Process:
 
     def nodes(self) -> dict[str, int]:
         """Return the process id of each node that this bringup started."""
-        found = {}
+        processes = {}
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         for pid in children.read_text().split():
             try:
@@ -188,8 +188,8 @@ class Process:
                     name = word.removeprefix("greenroof_ros.nodes.")
                     if name == "sensor":
                         name = QUANTITIES[words[words.index('--of') + 1]].node
-                    found[name] = int(pid)
-        return found
+                    processes[name] = int(pid)
+        return processes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:
         """Wait until the bag in ``run`` has grown to some size: the run is well under way."""
@@ -219,8 +219,8 @@ class Process:
     def _last_said(self) -> str:
         """Return the end of its standard error, wherever its directory is by now."""
         number = self._err.fileno()
-        said = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
-        return said.decode(errors="replace")
+        tail = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
+        return tail.decode(errors="replace")
 
     def stdout(self) -> str:
         return Path(self._out.name).read_text()
@@ -242,12 +242,12 @@ def bag_file(run: Path) -> Path:
 
 def messages_of(run: Path) -> dict[str, list[bytes]]:
     """Return each topic's messages in a run's closed bag, as written; checksums must be right."""
-    found: dict[str, list[bytes]] = {}
+    messages: dict[str, list[bytes]] = {}
     with bag_file(run).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            found.setdefault(channel.topic, []).append(message.data)
-    return found
+            messages.setdefault(channel.topic, []).append(message.data)
+    return messages
 
 
 def bring_up(

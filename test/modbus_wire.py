@@ -22,7 +22,7 @@ def frame(text: str) -> bytes:
 
 
 class Wire:
-    """A TCP port that takes Modbus TCP frames and answers as it is told."""
+    """A TCP port that takes Modbus TCP frames and answers as the test says."""
 
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer
@@ -38,7 +38,7 @@ class Wire:
     @property
     def frames(self) -> list[str]:
         """What came, in hexadecimal digits."""
-        return [each.hex() for each in self.seen]
+        return [request.hex() for request in self.seen]
 
     @property
     def at(self) -> str:
@@ -51,10 +51,10 @@ class Wire:
 
     def drop(self) -> None:
         """Close every connection, as a drive that loses its power does."""
-        for one in self._open:
+        for connection in self._open:
             with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+                connection.shutdown(socket.SHUT_RDWR)
+            connection.close()
         self._open.clear()
 
     def close(self) -> None:
@@ -66,27 +66,27 @@ class Wire:
     def _accept(self) -> None:
         while True:
             try:
-                one, _ = self._listener.accept()
+                connection, _ = self._listener.accept()
             except OSError:
                 return
             self.connections += 1
-            self._open.append(one)
-            threading.Thread(target=self._serve, args=(one,), daemon=True).start()
+            self._open.append(connection)
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
 
-    def _serve(self, one: socket.socket) -> None:
+    def _serve(self, connection: socket.socket) -> None:
         try:
-            with one.makefile("rb") as stream:
+            with connection.makefile("rb") as stream:
                 while head := stream.read(6):
                     request = head + stream.read(int.from_bytes(head[4:6], "big"))
                     self.seen.append(request)
                     self.times.append(time.monotonic())
                     answers = self.answer(request)
                     if answers is None:
-                        one.close()
+                        connection.close()
                         return
                     for wait, data in answers:
                         time.sleep(wait)
-                        one.sendall(data)
+                        connection.sendall(data)
         except ConnectionResetError:
             self.resets += 1
         except OSError:
@@ -106,13 +106,13 @@ def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
     requests, answers = [], []
     for number, line in enumerate(dialogue.strip().splitlines(), start=1):
         request, _, answer = line.split(":")[1].partition("->")
-        for text, whole in ((request, requests), (answer or request, answers)):
+        for text, frames in ((request, requests), (answer or request, answers)):
             body = b"\1" + frame(text)
-            whole.append(struct.pack(">HHH", number, 0, len(body)) + body)
-    rest = iter(answers)
+            frames.append(struct.pack(">HHH", number, 0, len(body)) + body)
+    remaining = iter(answers)
 
     def answer_next(_request: bytes) -> Answer:
-        data = next(rest, b"")
+        data = next(remaining, b"")
         return [(0.0, data)] if data else []
 
     return requests, answer_next
@@ -141,10 +141,10 @@ class Registers:
             self.values[address] = number
             self.on_write(address, number)
             return [(0.0, request)]
-        if any(address + each not in self.values for each in range(number)):
+        if any(address + offset not in self.values for offset in range(number)):
             return [(0.0, head + bytes([0, 3, request[6], 0x83, 2]))]
         data = b"".join(
-            self.values[address + each].to_bytes(2, "big") for each in range(number)
+            self.values[address + offset].to_bytes(2, "big") for offset in range(number)
         )
         body = bytes([request[6], 3, len(data)]) + data
         return [(0.0, head + len(body).to_bytes(2, "big") + body)]

@@ -44,10 +44,10 @@ def served(store: Store, token: str | None = None, port: int = 0) -> Iterator[in
 
 async def _cancel_others() -> None:
     """End what still runs in this loop, as the end of a program does."""
-    others = asyncio.all_tasks() - {asyncio.current_task()}
-    for task in others:
+    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in tasks:
         task.cancel()
-    await asyncio.gather(*others, return_exceptions=True)
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 class Answer:

@@ -77,7 +77,7 @@ def run_of_hours(
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         site: its parameters; unless given the paper's, in ticks of ten seconds.
-        steps: of the run; those of all hours unless given.
+        steps: of the run; by default all hours'.
         fraction: of on/off.
     """
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
@@ -101,21 +101,21 @@ def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> 
     """Write a packaged site file with other values, and with more."""
     path = directory / "site.yaml"
     lines = edited(CONFIG / base, {}).splitlines()
-    kept = [line for line in lines if line.partition(":")[0] not in changes]
-    given = [f"{key}: {value!r}" for key, value in changes.items()]
-    path.write_text("\n".join([*kept, *given]) + "\n", encoding="utf-8")
+    unchanged = [line for line in lines if line.partition(":")[0] not in changes]
+    changed = [f"{key}: {value!r}" for key, value in changes.items()]
+    path.write_text("\n".join([*unchanged, *changed]) + "\n", encoding="utf-8")
     return path
 
 
 def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
     """Return one of 12 h that takes readings as they are, and waits for rain without limit."""
-    given = {
+    parameters = {
         "horizon": 12.0, "observer_time_constant": 0.0, "waiting_budget": math.inf, **changes,
     }
     choice = find_controller("lookahead")
-    made = choice.make(site, {**choice.defaults(site), **given})
-    assert isinstance(made, Lookahead)
-    return made
+    controller = choice.make(site, {**choice.defaults(site), **parameters})
+    assert isinstance(controller, Lookahead)
+    return controller
 
 
 def rain_scaled(run: Run, factor: float) -> Run:

@@ -110,8 +110,8 @@ class PumpRig:
     def start(
         self, address: str = "", *, popen: dict[str, Any] | None = None, **parameters: object,
     ) -> subprocess.Popen[Any]:
-        """Start the node, for the simulated drive unless told; its state file stays the same."""
-        given = {
+        """Start the node, for the simulated drive if no address is given; its state file stays."""
+        settings = {
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
@@ -119,7 +119,7 @@ class PumpRig:
         self.states.clear()
         if self.observer.started:
             self._open()
-        return self.observer.start("pump", popen=popen, **given)
+        return self.observer.start("pump", popen=popen, **settings)
 
     def leave(self) -> None:
         """Have no publishers any more."""
@@ -150,17 +150,17 @@ class PumpRig:
         self.publish("/pump/command", command)
         self._ticks += 1
         self.observer.until(lambda: len(self.flows) > before, 10, "a flow")
-        rest = began + PERIOD_S - time.monotonic()
-        while rest > 0:
-            self.observer.executor.spin_once(timeout_sec=rest)
-            rest = began + PERIOD_S - time.monotonic()
+        remaining = began + PERIOD_S - time.monotonic()
+        while remaining > 0:
+            self.observer.executor.spin_once(timeout_sec=remaining)
+            remaining = began + PERIOD_S - time.monotonic()
         assert len(self.flows) == before + 1
         flow = self.flows[-1]
         self._volumes = [self._volumes[0] - flow, self._volumes[1] + flow]
         return flow
 
     def tick_until(
-        self, command: float, condition: Callable[[], Any], seconds: float, what: str
+        self, command: float, condition: Callable[[], Any], seconds: float, event: str
     ) -> float:
         """Publish ticks until a condition holds, and return how long that took (s)."""
         began = time.monotonic()
@@ -169,7 +169,7 @@ class PumpRig:
             self.tick(command)
             return condition()
 
-        wait_for(ticked, seconds, f"{what} ({self.states[-3:]})")
+        wait_for(ticked, seconds, f"{event} ({self.states[-3:]})")
         return time.monotonic() - began
 
     def until_said(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
@@ -191,7 +191,7 @@ class PumpRig:
         )
 
     def play(
-        self, values: dict[str, float], until: Callable[[], Any], what: str, seconds: float = 60
+        self, values: dict[str, float], until: Callable[[], Any], event: str, seconds: float = 60
     ) -> None:
         """Publish values, as the peers of a live graph do, until a condition holds."""
 
@@ -201,7 +201,7 @@ class PumpRig:
             self.observer.until(lambda: True, 1, "")
             return until()
 
-        wait_for(played, seconds, f"{what} ({self.states[-3:]})")
+        wait_for(played, seconds, f"{event} ({self.states[-3:]})")
 
     def run(self, command: float = 0.5) -> None:
         """Command until the pump runs."""

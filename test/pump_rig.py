@@ -76,29 +76,29 @@ class Rig:
         """Move on by a tick; rain in m/s, evapotranspiration off the bed in m3/s."""
         cistern, roof = self.plant.levels()
         errors = next(self._noise)
-        seen = Observation(
+        observed = Observation(
             command=command, cistern_level=cistern + self.cistern_offset + errors[0],
             roof_level=roof + errors[1], frost=False, time_ns=round(self.now * 1e9),
             speed=self.speed, drive_ready=True,
         )
         decision = self.control.step(
-            self._dt, replace(seen, **self.change)  # type: ignore[arg-type]
+            self._dt, replace(observed, **self.change)  # type: ignore[arg-type]
         )
         self.decisions.append(decision)
         self.delivered += decision.flow * self.tau
-        asked = decision.speed or 0.0
+        setpoint = decision.speed or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
         flows = self.plant.flows(rain, evapotranspiration, true_flow)
-        lost = self.leak + (self.leaving - 1) * flows.pump
+        leaving_m3_s = self.leak + (self.leaving - 1) * flows.pump
         arrived = flows.pump * self.arriving
         self.plant.step(rain, flows)
-        self.plant.x1 -= lost * self.tau
+        self.plant.x1 -= leaving_m3_s * self.tau
         self.plant.x2 += (arrived - flows.pump) * self.tau
         if self.stuck_speed is not None:
             self.speed = self.stuck_speed
         else:
             most = self._drive_ramp * self.tau
-            self.speed += min(most, max(-most, asked - self.speed))
+            self.speed += min(most, max(-most, setpoint - self.speed))
         self.now += self.tau
         self._dt = self.tau
         return decision

@@ -46,8 +46,9 @@ def qos(topic: str) -> Any:
 
 def ros_arguments(**parameters: object) -> list[str]:
     """Return ROS arguments that set parameters; those that are None are left out."""
-    given = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
-    return ["--ros-args", *(word for one in given for word in ("-p", one))] if given else []
+    settings = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
+    words = [word for setting in settings for word in ("-p", setting)]
+    return ["--ros-args", *words] if words else []
 
 
 class Observer:
@@ -92,25 +93,26 @@ class Observer:
         self.started.append(process)
         return process
 
-    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> Any:
+    def until(self, condition: Callable[[], Any], seconds: float, event: str) -> Any:
         """Spin until a condition holds."""
 
         def spun() -> Any:
             self.executor.spin_once(timeout_sec=0.05)
             return condition()
 
-        return wait_for(spun, seconds, what)
+        return wait_for(spun, seconds, event)
 
     def hear(
-        self, topic: str, value: Callable[[Any], Any] = lambda one: one.data, namespace: str = ""
+        self, topic: str, value: Callable[[Any], Any] = lambda message: message.data,
+        namespace: str = "",
     ) -> list[Any]:
         """Return the list in which the values of a topic are from now on."""
-        heard: list[Any] = []
+        values: list[Any] = []
         self.node.create_subscription(
             message_class(_TOPICS[topic].type), namespace + topic,
-            lambda one: heard.append(value(one)), qos(topic),
+            lambda message: values.append(value(message)), qos(topic),
         )
-        return heard
+        return values
 
     def publisher(self, topic: str, node: Node | None = None) -> Any:
         """Open a topic, for the observer or another node."""
@@ -129,19 +131,19 @@ class Observer:
         """Return whether a part is at a level, with some words."""
 
         def said() -> bool:
-            found = self.diagnoses.get(part)
-            return found is not None and found.level == level and (
-                all(word in found.message for word in words)
+            status = self.diagnoses.get(part)
+            return status is not None and status.level == level and (
+                all(word in status.message for word in words)
             )
 
         return said
 
     def values(self, name: str) -> dict[str, Any]:
         """Return what a node said last of itself, or a part's code and what goes with it."""
-        found = self.diagnoses.get(name)
-        if found is None:
+        status = self.diagnoses.get(name)
+        if status is None:
             return {}
-        pairs = {one.key: one.value for one in found.values}
+        pairs = {pair.key: pair.value for pair in status.values}
         return pairs if ": " in name else {key: json.loads(text) for key, text in pairs.items()}
 
     def close(self) -> None:
@@ -205,15 +207,15 @@ class Site:
             data = value(time.monotonic()) if callable(value) else value
             self.publishers[topic].publish(message_class(_TOPICS[topic].type)(data=data))
 
-    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> None:
+    def until(self, condition: Callable[[], Any], seconds: float, event: str) -> None:
         """Play until a condition holds."""
 
         def played() -> Any:
             self.play()
             return condition()
 
-        said = {name: one.message for name, one in self.diagnoses.items()}
-        self.watcher.until(played, seconds, f"{what} (before: {said})")
+        messages = {name: status.message for name, status in self.diagnoses.items()}
+        self.watcher.until(played, seconds, f"{event} (before: {messages})")
 
     def during(self, seconds: float) -> None:
         """Play for so long; a moment in which the machine stands still counts for 0.1 s."""
@@ -244,7 +246,7 @@ def newest(values: list[tuple[float, Any]]) -> Any:
 
 def policies(process: int) -> set[int]:
     """Return by which policies the kernel lets the threads of a process run."""
-    threads = [int(one.name) for one in Path(f"/proc/{process}/task").iterdir()]
+    threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
     assert len(threads) > 1
     return {os.sched_getscheduler(thread) for thread in threads}
 

@@ -65,7 +65,7 @@ class Workbench:
         return faults.SPEED_UNIT * self._ask(lambda: self._line.read(faults.SPEED, 1))[0]
 
     def inject(self, fault: str, parameter: int = DEFAULT) -> None:
-        """Ask for a fault, of which there is one at a time; ``none`` ends it."""
+        """Ask for a fault; there is one at a time, and ``none`` ends it."""
         self._write(faults.PARAMETER, parameter)
         self._write(faults.FAULT, self._known[fault].number)
 

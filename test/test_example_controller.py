@@ -62,12 +62,12 @@ def test_study(tmp_path: Path) -> None:
             if row["controller"] == "proportional"]
     assert {row["status"] for row in rows} == {"done"}
     assert len(rows) == 2 * 2  # initial states, gains
-    own = metrics_of(paper_run(
+    ours = metrics_of(paper_run(
         "--controller", EXAMPLE, "--gain", "10", "--hours", "0.02",
         "--evapotranspiration", "published",
     ))
     mine = next(row for row in rows if row["initial"] == "low-low" and "10.0" in row.values())
-    assert float(mine["total_deviation_m3"]) == own["total_deviation_m3"]
+    assert float(mine["total_deviation_m3"]) == ours["total_deviation_m3"]
 
 
 def test_another_state_of_its_code_is_another_run(

@@ -1,4 +1,4 @@
-"""``greenroof``: its help, its commands and those of ``python -m``, completion in the shell."""
+"""``greenroof``: its help, its commands by both names, completion in the shell."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def test_help_groups_the_commands(tmp_path: Path, words: tuple[str, ...]) -> Non
 def test_each_command_has_its_help_and_imports_little_for_it(tmp_path: Path) -> None:
     names = [name for name in COMMANDS if name != "live"]  # which is of ROS
     packages, printed = imported_by(tmp_path, *(f"{name} --help" for name in names))
-    *texts, rest = printed.split("\f 0\n")
-    assert rest == ""
+    *texts, after_last = printed.split("\f 0\n")
+    assert after_last == ""
     for name, text in zip(names, texts, strict=True):
         assert text.startswith(f"usage: greenroof {name} "), name
     assert not packages & {"rclpy", "pymodbus", "osqp", "aiohttp", "polars", "altair"}
@@ -70,15 +70,15 @@ def test_help_is_that_of_the_module(tmp_path: Path) -> None:
     assert (ours.returncode, ours.stdout, ours.stderr) == (0, module.stdout, "")
 
 
-@pytest.mark.parametrize(("words", "meant"), [
+@pytest.mark.parametrize(("words", "suggestion"), [
     (["check_pump"], "check_pump; did you mean check-pump?"),
     (["simulators", "drvie"], "simulators drvie; did you mean simulators drive?"),
     (["launch", "--help"], f"launch; they are {', '.join(COMMANDS)}"),
 ])
-def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], meant: str) -> None:
+def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], suggestion: str) -> None:
     done = greenroof(tmp_path, *words)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.splitlines()[-1] == f"greenroof: error: there is no command {meant}"
+    assert done.stderr.splitlines()[-1] == f"greenroof: error: there is no command {suggestion}"
 
 
 def test_a_command_does_what_its_module_does(tmp_path: Path) -> None:
@@ -128,4 +128,4 @@ def test_the_shell_completes_it(tmp_path: Path, typed: str, completed: set[str])
         ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
         env={**os.environ, "PYTHONPATH": str(CHECKOUT), "PATH": f"{tmp_path}:{os.environ['PATH']}"},
     )
-    assert {each.strip() for each in done.stdout.split()} == completed, done.stderr
+    assert {word.strip() for word in done.stdout.split()} == completed, done.stderr

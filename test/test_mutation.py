@@ -20,7 +20,7 @@ def test_modules_and_their_judges_are_there(folder: str) -> None:
     modules, without = FOLDERS[folder]["modules"], FOLDERS[folder]["without"]
     for module in modules:
         assert (CHECKOUT / "greenroof_ros" / module).is_file(), module
-    judges = {judge for each in modules.values() for judge in each}
+    judges = {judge for of_module in modules.values() for judge in of_module}
     for test in (*judges, *without):
         path, _, name = test.partition("::")
         function = f"def {name.partition('[')[0]}(" if name else ""

@@ -60,12 +60,12 @@ def bare_environment(home, *path):
 
     What tells programs how to reach the network stays.
     """
-    kept = {
+    variables = {
         name: value for name, value in os.environ.items()
         if name.upper().startswith(("PIP_", "SSL_", "REQUESTS_", "GIT_"))
         or name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "XDG_CACHE_HOME")
     }
-    return kept | {
+    return variables | {
         "HOME": str(home),
         "LC_ALL": "C.UTF-8",
         "PATH": os.pathsep.join([*map(str, path), "/usr/local/bin", "/usr/bin", "/bin"]),
@@ -296,25 +296,25 @@ def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, doma
     run(greenroof, "run", "--hours", "0.1", "--output", "run", cwd=tmp_path, env=environment)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["status"], summary["steps"]) == ("done", 360)
-    said = tmp_path / "said"
-    with said.open("w") as output:
+    log = tmp_path / "watch.log"
+    with log.open("w") as output:
         page = subprocess.Popen(
             [greenroof, "watch", "--bag", "run/bag"], cwd=tmp_path, env=environment,
             stdout=output, stderr=subprocess.STDOUT,
         )
     try:
-        found = wait_for(
-            lambda: page.poll() is not None or re.search(r"http://\S+", said.read_text()),
+        address = wait_for(
+            lambda: page.poll() is not None or re.search(r"http://\S+", log.read_text()),
             60, "an address",
         )
-        assert page.poll() is None, said.read_text()
-        with urllib.request.urlopen(found[0], timeout=60) as answer:
+        assert page.poll() is None, log.read_text()
+        with urllib.request.urlopen(address[0], timeout=60) as answer:
             assert answer.status == 200
             assert "<title>Green roof</title>" in answer.read().decode()
     finally:
         page.send_signal(signal.SIGINT)
         code = page.wait(timeout=60)
-    assert code == 0, said.read_text()
+    assert code == 0, log.read_text()
 
 
 # -------------------------------------------------------------------------------------- ros2
@@ -450,8 +450,8 @@ def test_colcon_build_lays_everything(workspace, tmp_path):
 
 def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace, tmp_path):
     executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
-    found = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
-    assert sorted(found) == SCRIPTS
+    names = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
+    assert sorted(names) == SCRIPTS
     for command in ("simulate", "greenroof simulate"):
         assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
 
@@ -568,10 +568,10 @@ def test_executables_can_be_called():
     printed = run(
         sys.executable, "-c", FIND_TARGETS, *targets.values(), cwd=CHECKOUT, env=dict(os.environ)
     )
-    said = dict(line.split(" ", 1) for line in printed.splitlines() if ":" in line)
+    targets_found = dict(line.split(" ", 1) for line in printed.splitlines() if ":" in line)
     if importlib.util.find_spec("rclpy") is None:  # the extra [ros], or one that is sourced
         targets = {name: target for name, target in targets.items() if name not in NODES}
-    assert {name: said[target] for name, target in targets.items()} == dict.fromkeys(
+    assert {name: targets_found[target] for name, target in targets.items()} == dict.fromkeys(
         targets, "True"
     )
 
@@ -586,5 +586,5 @@ def test_the_service_is_one_that_systemd_takes() -> None:
         )
     except FileNotFoundError:
         pytest.skip("there is no systemd here")
-    said = [line for line in done.stderr.splitlines() if "greenroof.service" in line]
-    assert not [line for line in said if "is not executable" not in line], done.stderr
+    lines = [line for line in done.stderr.splitlines() if "greenroof.service" in line]
+    assert not [line for line in lines if "is not executable" not in line], done.stderr

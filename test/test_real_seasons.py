@@ -48,8 +48,8 @@ def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
             last = first + (dressing.hours - 1) * HOUR
             assert inputs.is_wet(YEAR, first) is inputs.is_wet(YEAR, last) is is_wet
     for issue in inputs.issued["GEM"].issues[::97]:
-        one = by[not inputs.is_wet(YEAR, issue.issued)]
-        apart = np.abs(one.issued[one.usable(hours_since_1970(issue.issued))]
+        candidates = by[not inputs.is_wet(YEAR, issue.issued)]
+        apart = np.abs(candidates.issued[candidates.usable(hours_since_1970(issue.issued))]
                        - hours_since_1970(issue.issued))
         assert apart.min() >= 7 * 24
 

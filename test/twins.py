@@ -36,9 +36,9 @@ def a_record(
 ) -> Record:
     """A record from the beginning of a month on; of what is not given there is nothing."""
     nothing = np.zeros(len(rain))
-    given = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
+    series_of = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
     start = datetime(2021, month, 1, tzinfo=timezone.utc)
-    return Record(Path("roof.csv"), start, step_s, rain, **given)
+    return Record(Path("roof.csv"), start, step_s, rain, **series_of)
 
 
 def storms(days: int, random: np.random.Generator) -> np.ndarray:
@@ -60,8 +60,8 @@ def record_rows(
 ) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of 5 s while it rains and those of the
-    record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
+    The true roof is stepped by the plant, with ticks of 5 s while it rains and the record's
+    steps else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
     gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
     minutes at a quarter of the flow, where the cistern is not too low; its level has the same
     noise.
@@ -84,7 +84,7 @@ def record_rows(
     pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
-    for step, (fell, wanted) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
+    for step, (fell, asked_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
         plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
         plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
         cistern.append(plant.levels()[0])
@@ -93,7 +93,7 @@ def record_rows(
             command[step] = 0.0
         for _ in range(ticks):
             flows = plant.flows(
-                fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S,
+                fell / 1000 / STEP_S, asked_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
                 float(command[step]) * maximum_pump_flow(site, plant.x1),
             )
             drained += flows.drainage * STEP_S / ticks
@@ -124,7 +124,7 @@ def record_rows(
 def summed(rows: list[list[str]], hours: int) -> list[list[str]]:
     """Return the rows that a logger of longer steps would write, the header first.
 
-    Rain and runoff are sums, the level that of the step's beginning, and each row has the
+    Rain and runoff are sums, the level is at the step's beginning, and each row has the
     temperatures of its day; a gap in any part is one of the whole.
     """
     count = hours * 3600 // STEP_S

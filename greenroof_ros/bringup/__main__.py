@@ -18,8 +18,8 @@ def main() -> int:
     """Bring the graph up, watch it, and end it; ``--plant external`` is ``greenroof live``."""
     parser = argparse.ArgumentParser(prog="greenroof run", add_help=False, allow_abbrev=False)
     parser.add_argument("--plant", choices=["internal", "external"])
-    given, sys.argv[1:] = parser.parse_known_args()
-    return live.main() if given.plant == "external" else simulated.main()
+    arguments, sys.argv[1:] = parser.parse_known_args()
+    return live.main() if arguments.plant == "external" else simulated.main()
 
 
 if __name__ == "__main__":

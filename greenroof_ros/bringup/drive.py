@@ -86,19 +86,19 @@ class DriveChoice:
                 directory cannot be made.
         """
         if state is not None:
-            kept = state.resolve() / "pump.json"
+            record = state.resolve() / "pump.json"
         else:
             try:
-                where = self.read().place()
+                place = self.read().place()
             except OSError as error:
                 raise ConfigurationError(
                     f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
                 ) from error
-            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
-            kept = state_directory() / f"{name}.json"
-        with writable(kept.parent, "--state"):
-            kept.parent.mkdir(parents=True, exist_ok=True)
-        return kept
+            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{place}")
+            record = state_directory() / f"{name}.json"
+        with writable(record.parent, "--state"):
+            record.parent.mkdir(parents=True, exist_ok=True)
+        return record
 
     def parameters(self, state_file: Path) -> dict[str, Any]:
         """Return the parameters of the pump node that follow from it.
@@ -176,8 +176,8 @@ class DriveChoice:
                 )
             except Exception as error:  # whatever it is, somebody must look at the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
-            said = f"bringup told the drive to stop, which said then: {status}"
-            return (True, said) if status.stands else (False, f"{said}; {_MAY_RUN}")
+            message = f"bringup told the drive to stop, which said then: {status}"
+            return (True, message) if status.stands else (False, f"{message}; {_MAY_RUN}")
 
         return stop
 
@@ -325,6 +325,6 @@ def own_parameters(
     refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
     with importing_ros():
         from greenroof_ros.graph.parameters import refuse_unknown_in
-    whole = {f"{arguments.namespace}/{node.name}": node.module for node in nodes}
-    refuse_unknown_in(file, whole, controller, _OF_BRINGUP)
+    modules = {f"{arguments.namespace}/{node.name}": node.module for node in nodes}
+    refuse_unknown_in(file, modules, controller, _OF_BRINGUP)
     return [file]

@@ -48,13 +48,13 @@ def wait_for_drive(
     """
     progress.say(f"stops and faults of the drive are kept in {state_file}")
     until = time.monotonic() + _DRIVE_LIMIT_S
-    said: dict[str, Any] = {}
-    while not said.get("active"):
+    report: dict[str, Any] = {}
+    while not report.get("active"):
         signals.check()
         supervisor.permit("waiting for nodes")
         supervisor.listen()
-        said = supervisor.last.get(PUMP, {})
-        diagnoses = said.get("diagnoses", {})
+        report = supervisor.last.get(PUMP, {})
+        diagnoses = report.get("diagnoses", {})
         trouble = "; ".join(
             diagnoses[part]["message"] for part in ("drive", "drive timeout", "state file")
             if part in diagnoses and diagnoses[part]["level"] != "OK"
@@ -66,7 +66,7 @@ def wait_for_drive(
                 f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
                 "and cable, and the address of --drive-at", "", EXIT_FAILED,
             )
-    latched = said.get("fault") or said.get("stop")
+    latched = report.get("fault") or report.get("stop")
     if latched:
         progress.say(
             f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "

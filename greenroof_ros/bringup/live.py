@@ -47,7 +47,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
-# How often systemd is told (s), and how long the start may then still take (microseconds).
+# How often systemd is notified (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 # How long the list of what is missing must stand before it is said (s), and how long what has not
@@ -73,7 +73,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
-    own = own_parameters(arguments, nodes, site.controller)
+    own_files = own_parameters(arguments, nodes, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
@@ -84,7 +84,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         names = {node.name for node in nodes} | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
-            state / "log", _configuration(site, own, state, Path(memory)), arguments.namespace,
+            state / "log", _configuration(site, own_files, state, Path(memory)),
+            arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
             record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
         )
@@ -125,8 +126,8 @@ def _keep_up(
             if now - notified >= _NOTIFY_S:
                 notified = now
                 why = supervisor.inhibit
-                how = f"the pump is kept off: {why}" if why else values_of(supervisor.last)
-                notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
+                status = f"the pump is kept off: {why}" if why else values_of(supervisor.last)
+                notify("WATCHDOG=1", f"STATUS={status}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
@@ -186,18 +187,18 @@ class _Start:
         """
         if self._over:
             return
-        lost = [
-            part for part in parts_in(reports) if part.is_lost and part.said["level"] != "WARN"
+        lost_parts = [
+            part for part in parts_in(reports) if part.is_lost and part.diagnosis["level"] != "WARN"
         ]
-        causes = {part.rule.stops_pump for part in lost if not part.rule.follows}
+        causes = {part.rule.stops_pump for part in lost_parts if not part.rule.follows}
         missing: dict[tuple[str, ...], str] = {
-            (part.node, part.name, part.said["code"]): f"  {part.node}: {part.name}: "
-            f"{part.said['message']}. {self._advice(part.node, part.said['code'])}"
-            for part in lost if not (part.rule.follows and part.rule.stops_pump in causes)
+            (part.node, part.name, part.diagnosis["code"]): f"  {part.node}: {part.name}: "
+            f"{part.diagnosis['message']}. {self._advice(part.node, part.diagnosis['code'])}"
+            for part in lost_parts if not (part.rule.follows and part.rule.stops_pump in causes)
         }
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = inhibit or (pump.get("active") is False and str(pump.get("pump")))
-        stopped = any(part.rule.stops_pump for part in lost)
+        stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:
             missing[why,] = f"  the pump is kept off: {why}"
         self._over = not (stopped or why or None in _levels(reports).values())
@@ -214,8 +215,8 @@ class _Start:
 
     def _advice(self, node: str, code: str) -> str:
         """Return what to do about a code, which a node of another version may have alone."""
-        known = read_conditions().get(code)
-        return known.advise(f"{self._namespace}/{node}") if known else "Read its message."
+        condition = read_conditions().get(code)
+        return condition.advise(f"{self._namespace}/{node}") if condition else "Read its message."
 
 
 class _Record:
@@ -257,10 +258,10 @@ class _Record:
             "versions": versions(),
         }
         if before is not None and before["status"] != summary.DONE:
-            how = f"bringup ended at {before['ended']}: {before['reason']}"
+            end = f"bringup ended at {before['ended']}: {before['reason']}"
             if before["status"] == summary.RUNNING:
-                how = "bringup was killed, or the power failed"
-            say(f"the last time, since {before['began']}, {how}")
+                end = "bringup was killed, or the power failed"
+            say(f"the last time, since {before['began']}, {end}")
 
     def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
         """Find what was lost, or has come back, since the last call; say and keep it."""
@@ -270,8 +271,8 @@ class _Record:
             "level": "ERROR" if DISK.late else "OK", "code": "disk_hangs" if DISK.late else "",
             "message": f"{self._state}: the disk takes nothing; logs and summary wait in memory",
         }
-        own = {"diagnoses": {"disk": disk}}
-        self.log.look({**supervisor.last, "bringup": own}, starting=starting)
+        report = {"diagnoses": {"disk": disk}}
+        self.log.look({**supervisor.last, "bringup": report}, starting=starting)
         if self.log.changes != self._written:
             self.write(summary.RUNNING)
         self._warn({
@@ -281,18 +282,18 @@ class _Record:
 
     def _warn(self, of_nodes: set[str]) -> None:
         """Say each warning that did not stand before: of nodes, and of what is not kept."""
-        own = {self._summary.problem} if self._summary.problem else set()
+        warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.refused and not DISK.late:
-            own.add(
+            warnings.add(
                 f"{self._state}: {DISK.refused} pieces of logs found no room in memory since the "
                 "start, and are lost"
             )
-        for text in sorted((of_nodes | own) - self._warnings):
+        for text in sorted((of_nodes | warnings) - self._warnings):
             say(f"warning: {text}")
-        self._warnings = of_nodes | own
+        self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
-        """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
+        """Keep the status of the site, from :mod:`greenroof_ros.experiment.summary`."""
         self._written = self.log.changes
         self._summary.give({
             "status": status,
@@ -374,7 +375,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 
 def _configuration(
-    site: LiveSite, own: Sequence[Path], state: Path, memory: Path
+    site: LiveSite, own_files: Sequence[Path], state: Path, memory: Path
 ) -> list[Path]:
     """Keep what the site was started with; in memory, and with a warning, on a full disk.
 
@@ -382,7 +383,7 @@ def _configuration(
 
     Args:
         site: as asked for.
-        own: parameter files of the user's.
+        own_files: parameter files of the user's.
         state: the directory of the site.
         memory: a directory that is on no disk, for as long as the site runs.
 
@@ -395,18 +396,18 @@ def _configuration(
     place, part = state / "configuration", state / "configuration.part"
     shutil.rmtree(part, ignore_errors=True)
     try:
-        files = _write_configuration(site, own, state, part, place)
+        files = _write_configuration(site, own_files, state, part, place)
         shutil.rmtree(place, ignore_errors=True)
         part.rename(place)
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
         say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
-        return _write_configuration(site, own, state, memory, memory)
+        return _write_configuration(site, own_files, state, memory, memory)
     return files
 
 
 def _write_configuration(
-    site: LiveSite, own: Sequence[Path], state: Path, directory: Path, place: Path
+    site: LiveSite, own_files: Sequence[Path], state: Path, directory: Path, place: Path
 ) -> list[Path]:
     """Copy what the site was started with, and write the parameters of its nodes.
 
@@ -415,7 +416,7 @@ def _write_configuration(
 
     Args:
         site: as asked for.
-        own: parameter files of the user's.
+        own_files: parameter files of the user's.
         state: the directory of the site.
         directory: to write to; made where it is missing.
         place: where that will be.
@@ -427,14 +428,14 @@ def _write_configuration(
         OSError: it cannot be written.
     """
     directory.mkdir(exist_ok=True)
-    for name, file in [*site.files().items(), *(("nodes", file) for file in own)]:
+    for name, file in [*site.files().items(), *(("nodes", file) for file in own_files)]:
         (directory / name).mkdir()
         if name == "site":
             (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
         else:
             shutil.copyfile(file, directory / name / file.name)
-    write_parameters(directory, {one.name: one.parameters for one in site.nodes(state, place)})
-    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own)]
+    write_parameters(directory, {node.name: node.parameters for node in site.nodes(state, place)})
+    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own_files)]
 
 
 @command

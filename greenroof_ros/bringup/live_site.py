@@ -86,14 +86,15 @@ class LiveSite:
             self.sensed = read_sensors(self.sensors)
             if drive is not None:
                 _refuse_shared_line(drive, self.sensed)
-        own = self.sensed is not None and self.sensed.thermometer is not None
+        has_thermometer = self.sensed is not None and self.sensed.thermometer is not None
         refuse(
-            (not others_weather and not has_forecast and arguments.thermometer is None and not own,
+            (not others_weather and not has_forecast and arguments.thermometer is None
+             and not has_thermometer,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
              "frost; let a node of your own publish /gauge/temperature (degC) and give "
              "--thermometer external, name one in the file of --sensors, or give a forecast"),
-            (own and arguments.thermometer is not None, "--thermometer", EXTERNAL,
+            (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
              "contradicts the file of --sensors, which has a thermometer"),
         )
         self.weather = not others_weather
@@ -131,13 +132,13 @@ class LiveSite:
             state: the directory of all that is kept.
             place: where the copies of :meth:`files` are, each in a directory of its name.
         """
-        kept = {name: place / name / file.name for name, file in self.files().items()}
-        common = {"live": True, "site_file": str(kept["site"])}
+        copies = {name: place / name / file.name for name, file in self.files().items()}
+        common = {"live": True, "site_file": str(copies["site"])}
         if self.sensed is not None:
             for section in self.sensed.by_section:
                 yield NodeStart(
                     QUANTITIES[section].node, "greenroof_ros.nodes.sensor", ("--of", section),
-                    {"sensors_file": str(kept["sensors"])},
+                    {"sensors_file": str(copies["sensors"])},
                 )
         if self.weather:
             yield NodeStart(
@@ -160,7 +161,7 @@ class LiveSite:
             },
         )
         if self.drive is not None:
-            drive = replace(self.drive, file=kept["drive"])
+            drive = replace(self.drive, file=copies["drive"])
             yield NodeStart(
                 PUMP, "greenroof_ros.nodes.pump", (),
                 {**common, **drive.parameters(state / "pump.json")},

@@ -111,7 +111,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         NodeStart(run.controller.name, f"{_NODES}.controller", of_controller),
         *([] if arguments.no_record else [NodeStart(RECORDER, f"{_NODES}.recorder")]),
     ]
-    own = own_parameters(arguments, nodes, run.controller)
+    own_files = own_parameters(arguments, nodes, run.controller)
     speed = arguments.speed
     if speed is None:  # in the loop as a real drive, else as fast as it goes
         speed = 0.0 if drive is None else 1.0
@@ -138,8 +138,8 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         )
         (directory / "log").mkdir()
         supervisor = Supervisor(
-            directory / "log", [parameters, *own], arguments.namespace, stop_drive,
-            lambda node, what: say(f"{node}: {what}"),
+            directory / "log", [parameters, *own_files], arguments.namespace, stop_drive,
+            lambda node, problem: say(f"{node}: {problem}"),
         )
         # The pump's permit is given from here: a terminal that hangs must not keep it back.
         progress = RunProgress(run.steps, run.site.tau, LINES)
@@ -250,7 +250,7 @@ def _end(
     for report in last.values():
         refused.update(report["refused"])
     controller = last.get(run.controller.name, {})
-    said: dict[str, Any] = {
+    notes: dict[str, Any] = {
         "refused": refused,
         "parameter_changes": controller.get("parameter_changes", []),
         "incidents": log.as_dicts(),
@@ -259,7 +259,7 @@ def _end(
         plant = last["plant"]
         result = summary.build(
             run, plant["metrics"], plant["weeks"], wall_s=plant["wall_s"],
-            solver=controller["solver"], messages=last.get(RECORDER, {}).get("messages"), **said,
+            solver=controller["solver"], messages=last.get(RECORDER, {}).get("messages"), **notes,
         )
         summary.write(result, directory)
         summary_table.show(result, directory, as_json=as_json)
@@ -269,7 +269,7 @@ def _end(
     # A plant that was killed came further than it had said, and the recorder heard of it.
     reached = max(_tick(supervisor), (ticks or 0) - 1)
     result = summary.build_unfinished(
-        run, status, reason=reason, last_tick=reached if reached >= 0 else None, **said
+        run, status, reason=reason, last_tick=reached if reached >= 0 else None, **notes
     )
     summary.write(result, directory)
 

@@ -133,8 +133,8 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
             print(f"error: {error}", file=sys.stderr)
             code = exit_code(error)
         except OSError as error:
-            what = (error.filename, error.strerror or str(error))
-            print("error:", ": ".join(filter(None, what)), file=sys.stderr)
+            parts = (error.filename, error.strerror or str(error))
+            print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = EXIT_FAILED
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
@@ -155,8 +155,8 @@ def within(
         kind: ``float`` or ``int``.
         word: that the option takes as well; it stands for 0.
     """
-    what = "a whole number" if kind is int else "a number"
-    what = f"{word}, or {what}" if word else what
+    number = "a whole number" if kind is int else "a number"
+    number = f"{word}, or {number}" if word else number
     limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
 
     def parse(text: str) -> float:
@@ -168,11 +168,11 @@ def within(
             value = math.nan
         if not low <= value <= high:
             expected = "greater than 0" if 0 < low <= _TINY and not value > 0 else limits
-            raise argparse.ArgumentTypeError(f"must be {what} {expected}, is {text}")
+            raise argparse.ArgumentTypeError(f"must be {number} {expected}, is {text}")
         return value
 
     # What the option takes, where it is documented.
-    parse.__name__ = f"{what.removeprefix('a ')} {limits}"
+    parse.__name__ = f"{number.removeprefix('a ')} {limits}"
     return parse
 
 
@@ -194,7 +194,7 @@ class Finding:
 
     Attributes:
         check: what the part must do.
-        problem: what this one does instead; empty where it is right.
+        problem: what it does instead; empty where it is right.
         came: what it did, where that is right and worth a number.
     """
 

@@ -1,4 +1,4 @@
-"""Writing to disks by a thread of its own, so that nobody who must be in time waits for one."""
+"""Writing to disks by a thread of its own, so that nobody who must be in time waits for a disk."""
 
 from __future__ import annotations
 
@@ -171,15 +171,15 @@ class Kept:
         except (OSError, ValueError) as error:
             raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
         if not isinstance(content, dict) or not all(
-            isinstance(each, float) and math.isfinite(each) for each in content.values()
+            isinstance(value, float) and math.isfinite(value) for value in content.values()
         ):
             raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
         return content
 
     def write(self, values: Mapping[str, float]) -> None:
         """Have numbers written."""
-        kept = dict(values)
-        self.write_text(lambda: json.dumps(kept, indent=1))
+        copy = dict(values)
+        self.write_text(lambda: json.dumps(copy, indent=1))
 
     def write_text(self, text: Callable[[], str]) -> None:
         """Have a text written, which the disk's thread asks for."""

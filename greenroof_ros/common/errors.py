@@ -26,14 +26,14 @@ class ConfigurationError(Exception):
         key: str | None = None,
         value: object = None,
     ) -> None:
-        where = str(file) if file is not None else ""
+        place = str(file) if file is not None else ""
         if line is not None:
-            where += f", line {line}"
-        what = key or ""
+            place += f", line {line}"
+        subject = key or ""
         if value is not None:
-            what += f" = {value!r}" if key else repr(value)
-        self.wrong = ": ".join(part for part in (what, expected) if part)
-        super().__init__(f"{where}: {self.wrong}" if where else self.wrong)
+            subject += f" = {value!r}" if key else repr(value)
+        self.wrong = ": ".join(part for part in (subject, expected) if part)
+        super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
 
 
 class OccupiedError(ConfigurationError):
@@ -66,9 +66,9 @@ _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Return what a mistyped name may stand for, or all that there are: a clause of a message."""
     alike = {
-        one: SequenceMatcher(None, name.casefold(), one.casefold()).ratio() for one in known
+        word: SequenceMatcher(None, name.casefold(), word.casefold()).ratio() for word in known
     }
     best = max(alike.values(), default=0.0)
     if best >= (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
-        return f"did you mean {' or '.join(one for one in known if alike[one] == best)}?"
+        return f"did you mean {' or '.join(word for word in known if alike[word] == best)}?"
     return f"they are {', '.join(known)}"

@@ -42,10 +42,10 @@ def shared_directory() -> Path:
     )
 
 
-def unique_name(file: Path, taken: Container[str]) -> str:
+def unique_name(file: Path, existing: Container[str]) -> str:
     """Return a name by which a file can lie beside others: its own, or one with -2, -3, ..."""
     name, number = file.name, 1
-    while name in taken:
+    while name in existing:
         number += 1
         name = f"{file.stem}-{number}{file.suffix}"
     return name
@@ -194,7 +194,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
         if isinstance(node, yaml.ScalarNode):
             return node.value if node.style else plain(node.value)
         if isinstance(node, yaml.SequenceNode):
-            return [value_of(each) for each in node.value]
+            return [value_of(item) for item in node.value]
         mapping = YamlMapping()
         mapping.lines = {}
         for key_node, value_node in node.value:

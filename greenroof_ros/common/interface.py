@@ -98,15 +98,15 @@ def _topic(
 ) -> Topic:
     """Return a topic by its entry in the interface."""
     low, high = range
-    given: dict[str, Any] = {
-        key: tuple(each) if isinstance(each, list) else each for key, each in entry.items()
+    fields: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
     }
     return Topic(
         name=name, qos=qos,
         # No limit there still means a finite value.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
         undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
-        display=None if display is None else Display(**display), **given,
+        display=None if display is None else Display(**display), **fields,
     )
 
 
@@ -136,7 +136,7 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     """Return the topics of a controller's outputs, each with the controller's attribute.
 
     Raises:
-        ConfigurationError: one is no optional topic of the interface.
+        ConfigurationError: a name is no optional topic of the interface.
     """
     topics = {name: topic for name, topic in read_topics().items() if topic.optional}
     for name in outputs:
@@ -185,12 +185,12 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
         name.removesuffix(first)
         for name in names
         if name.endswith(first)
-        and all(name.removesuffix(first) + other in names for other in needed)
+        and all(name.removesuffix(first) + topic in names for topic in needed)
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
             "must be of one graph, but holds the topics of namespaces "
-            + ", ".join(each or "/" for each in sorted(namespaces)),
+            + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )
     return namespaces[0] if namespaces else ""
@@ -212,7 +212,7 @@ def markdown_table(topics: Iterable[Topic]) -> str:
 
 
 def _roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, those of a live graph behind the others."""
+    """Return who publishes or subscribes, first simulated, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
 

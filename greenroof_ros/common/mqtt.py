@@ -177,8 +177,8 @@ def make_client(
 
 
 def _read_login(file: Path) -> tuple[str, str]:
-    found = read_yaml(file)
+    login = read_yaml(file)
     for name in ("username", "password"):
-        if not isinstance(found.get(name), str):
+        if not isinstance(login.get(name), str):
             raise ConfigurationError("must be a text", file=file, key=name)
-    return found["username"], found["password"]
+    return login["username"], login["password"]

@@ -107,9 +107,9 @@ def entry(
         default: of a key that may be left away.
         factory: makes it, where it is a mapping.
     """
-    told = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
-    made: Any = field(default=default, default_factory=factory, metadata=told)
-    return made
+    metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
+    result: Any = field(default=default, default_factory=factory, metadata=metadata)
+    return result
 
 
 @dataclass(frozen=True)
@@ -128,10 +128,11 @@ def keys(kind: Any) -> list[Key]:
     hints = get_type_hints(kind)
     return [
         Key(
-            one.name, hints[one.name], one.metadata["entry"],
-            one.default is not MISSING or one.default_factory is not MISSING, one.default,
+            attribute.name, hints[attribute.name], attribute.metadata["entry"],
+            attribute.default is not MISSING or attribute.default_factory is not MISSING,
+            attribute.default,
         )
-        for one in fields(kind) if "entry" in one.metadata
+        for attribute in fields(kind) if "entry" in attribute.metadata
     ]
 
 
@@ -163,13 +164,13 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping) -> Record:
             range.
     """
     try:
-        made: Record = _record(kind, mapping, ())
+        record: Record = _record(kind, mapping, ())
     except _Wrong as wrong:
         line = _find(mapping, wrong.parts)[0] or min(mapping.lines.values(), default=None)
         raise ConfigurationError(
             wrong.expected, file=file, line=line, key=".".join(wrong.parts), value=wrong.value
         ) from None
-    return made
+    return record
 
 
 def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> ConfigurationError:
@@ -209,18 +210,18 @@ def _find(content: YamlMapping, parts: Sequence[str]) -> tuple[int | None, Any]:
 
 
 def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
-    given, known = _mapping(value, parts), {key.name: key for key in keys(kind)}
-    for name in given:
-        if name not in known:
-            wrong = f"is no key here; {did_you_mean(name, known)}"
-            raise _Wrong((*parts, name), wrong, given[name])
-    made = {}
-    for name, key in known.items():
-        if name in given:
-            made[name] = _value(key.kind, given[name], key.entry, (*parts, name))
+    entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
+    for name in entries:
+        if name not in by_name:
+            wrong = f"is no key here; {did_you_mean(name, by_name)}"
+            raise _Wrong((*parts, name), wrong, entries[name])
+    fields = {}
+    for name, key in by_name.items():
+        if name in entries:
+            fields[name] = _value(key.kind, entries[name], key.entry, (*parts, name))
         elif not key.optional:
             raise _Wrong((*parts, name), f"is missing: {key.entry.meaning}")
-    return kind(**made)
+    return kind(**fields)
 
 
 def _mapping(value: Any, parts: tuple[str, ...]) -> YamlMapping:
@@ -236,9 +237,9 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
             return None
         if isinstance(value, str) and str in inner and value in entry.among:
             return value
-        kinds = [each for each in inner if each not in (types.NoneType, str)] or [str]
+        kinds = [member for member in inner if member not in (types.NoneType, str)] or [str]
         if isinstance(value, YamlMapping):
-            kinds = [*(each for each in kinds[1:] if each.fits(value)), *kinds]
+            kinds = [*(member for member in kinds[1:] if member.fits(value)), *kinds]
         return _value(kinds[0], value, entry, parts)
     if is_dataclass(kind):
         return _record(kind, value, parts)
@@ -246,13 +247,13 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
         if not isinstance(value, list):
             raise _Wrong(parts, "must be a list", value)
         return tuple(
-            _value(inner[0], each, entry, (*parts, str(number)))
-            for number, each in enumerate(value, start=1)
+            _value(inner[0], item, entry, (*parts, str(number)))
+            for number, item in enumerate(value, start=1)
         )
     if origin is dict:
         return {
-            _key(inner[0], key, entry, (*parts, key)): _value(inner[1], each, entry, (*parts, key))
-            for key, each in _mapping(value, parts).items()
+            _key(inner[0], key, entry, (*parts, key)): _value(inner[1], item, entry, (*parts, key))
+            for key, item in _mapping(value, parts).items()
         }
     return _scalar(kind, value, entry, parts)
 

@@ -1,4 +1,4 @@
-"""Processes: how they end, the locks that one has at a time, and what systemd is told."""
+"""Processes: how they end, locks that exclude each other, and what is said to systemd."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _PR_SET_PDEATHSIG = 1
-# The environment variable by which a process asks one that it starts to end with it: its number.
+# The environment variable by which a process asks a child to end with it: its own number.
 _PARENT = "GREENROOF_ROS_PARENT"
 
 
@@ -34,7 +34,7 @@ def end_with_parent() -> None:
     By SIGTERM: what runs in the background of a shell may ignore SIGINT. A parent that died before
     this was called counts, too.
     """
-    parent = os.environ.pop(_PARENT, None)  # what this process starts is not that one's child
+    parent = os.environ.pop(_PARENT, None)  # what this process starts is not the other's child
     if parent is None:
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -110,9 +110,9 @@ def _open(path: Path, mode: int) -> FileIO:
             return FileIO(os.open(path, _FLAGS), "r+")
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
-                made = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
-                os.fchmod(made, mode)
-                return FileIO(made, "r+")
+                descriptor = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
+                os.fchmod(descriptor, mode)
+                return FileIO(descriptor, "r+")
 
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -140,12 +140,12 @@ class Signals:
         self._came = signal.Signals(signum)
 
     def ignore(self) -> None:
-        """Take no further one: the end of the interpreter would be ended by it."""
+        """Take no further signal: the end of the interpreter would be ended by it."""
         for number in _NUMBERS:
             signal.signal(number, signal.SIG_IGN)
 
     def check(self) -> None:
-        """Raise :class:`InterruptedRun` if one came."""
+        """Raise :class:`InterruptedRun` if a signal came."""
         if self._came is not None:
             raise InterruptedRun(f"interrupted by {self._came.name}")
 

@@ -82,15 +82,17 @@ def accept(findings: Sequence[Finding], accepted: Collection[str], file: Path) -
         ConfigurationError: there are refusals that nobody accepted: a line for each, and the option
             that accepts them.
     """
-    grave = [one for one in findings if one.severity is Severity.REFUSAL]
-    refused = [one for one in grave if one.code not in accepted]
+    grave = [finding for finding in findings if finding.severity is Severity.REFUSAL]
+    refused = [finding for finding in grave if finding.code not in accepted]
     if refused:
-        codes = " ".join(dict.fromkeys(one.code for one in refused))
-        lines = [f"{one.text} [{one.code}]" for one in refused]
+        codes = " ".join(dict.fromkeys(finding.code for finding in refused))
+        lines = [f"{finding.text} [{finding.code}]" for finding in refused]
         raise ConfigurationError(
             "\n  ".join([*lines, f"where this is right all the same: --accept {codes}"]), file=file
         )
     return [
-        replace(one, severity=Severity.WARNING, about=f"{one.about} ({one.code}, accepted)")
-        if one in grave else one for one in findings
+        replace(
+            finding, severity=Severity.WARNING, about=f"{finding.about} ({finding.code}, accepted)"
+        ) if finding in grave else finding
+        for finding in findings
     ]

@@ -87,7 +87,7 @@ class Lines:
                 continue
 
 
-# Those of the process, which are written before it ends.
+# The lines of the process, which are written before it ends.
 LINES = Lines(2)
 say = LINES.say
 atexit.register(LINES.wait, _END_S)

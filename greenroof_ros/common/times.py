@@ -20,7 +20,7 @@ def parse_time(text: str) -> datetime:
     """Read an ISO 8601 time; a final ``Z`` stands for UTC.
 
     Raises:
-        ValueError: it is not one, or not within :data:`FIRST_YEAR` and :data:`LAST_YEAR`.
+        ValueError: it is no time, or not within :data:`FIRST_YEAR` and :data:`LAST_YEAR`.
     """
     return _within_years(datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip())))
 
@@ -29,7 +29,7 @@ def parse_local_time(text: str, zone: tzinfo) -> datetime:
     """Read a time of a clock, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
 
     Raises:
-        ValueError: it is not one, says an offset, or is not within the years.
+        ValueError: it is no time, says an offset, or is not within the years.
     """
     match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[ T](\d{1,2}):(\d\d)", text.strip())
     if match is None:

@@ -18,23 +18,23 @@ def versions() -> dict[str, str]:
     ``source`` is a hash of this package's source files: no commit, since an installed package knows
     none, and a file that was changed has none.
     """
-    found = {
+    result = {
         "greenroof_ros": __version__,
         "source": _source(),
         "python": platform.python_version(),
     }
     for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
         try:
-            found[package] = metadata.version(package)
+            result[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue  # rclpy, where there is no ROS
-    return found
+    return result
 
 
-def versions_text(found: Mapping[str, str]) -> str:
+def versions_text(by_name: Mapping[str, str]) -> str:
     """Write versions for people, who know no hash of ours by its name."""
     names = {"source": "hash of its source files"}
-    return ", ".join(f"{names.get(name, name)} {version}" for name, version in found.items())
+    return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
 @functools.cache

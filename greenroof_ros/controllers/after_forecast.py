@@ -51,18 +51,18 @@ class AfterForecast:
     end there, as the paper's 12 h do, and for no roof that lives on.
 
     Attributes:
-        edges: ends of all steps (s from now), those of the forecast and the days after it, the
+        edges: ends of all steps (s from now), of the forecast and of the days after it, the
             first 0, shape (steps + days_after + 1,).
         steps: of the forecast.
     """
 
     def __init__(self, site: Site, horizon: float, days_after: float) -> None:
         """Take the site, how far the forecast reaches (h), and how many whole days follow."""
-        own = growing_steps(horizon)
-        self.steps = len(own) - 1
+        edges = growing_steps(horizon)
+        self.steps = len(edges) - 1
         self._days = int(days_after)
-        self.edges = np.concatenate((own, own[-1] + _DAY_S * np.arange(1, self._days + 1)))
-        first_day = np.diff(np.minimum(own, _DAY_S))
+        self.edges = np.concatenate((edges, edges[-1] + _DAY_S * np.arange(1, self._days + 1)))
+        first_day = np.diff(np.minimum(edges, _DAY_S))
         self._first_day = first_day / first_day.sum()
         self._gain = -math.expm1(-site.tau / _DAY_S)
         self._mean = math.nan
@@ -108,6 +108,6 @@ class AfterForecast:
         Returns:
             Shape (members, steps + days_after) and (steps + days_after,).
         """
-        none = np.zeros((len(rain), self._days))
+        no_rain = np.zeros((len(rain), self._days))
         drying = np.full(self._days, _NET_DRYING * self._mean)
-        return np.hstack((rain, none)), np.concatenate((evapotranspiration, drying))
+        return np.hstack((rain, no_rain)), np.concatenate((evapotranspiration, drying))

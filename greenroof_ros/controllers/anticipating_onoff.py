@@ -136,8 +136,8 @@ class AnticipatingOnOff:
         command = self.fraction if dry else 0.0
         self._waited += site.tau
         pumped, now = pump_flow(site, x1, x2, command), (float(rain[0, 0]), float(evaporated[0]))
-        left = max(0.0, self._observer.predict(x2, *now, pumped))
-        self._regret_budget.move(x1, x2, left, self.fraction, pumped, *now)
+        predicted = max(0.0, self._observer.predict(x2, *now, pumped))
+        self._regret_budget.move(x1, x2, predicted, self.fraction, pumped, *now)
         return command
 
     def skip(self) -> None:

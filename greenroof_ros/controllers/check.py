@@ -51,22 +51,22 @@ class _Trial:
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
-    def inputs(self, each: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield levels and forecasts; of so many one."""
+    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
+        """Yield levels and forecasts: each, or one in so many."""
         points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
-        for cistern, roof, rain, evaporated in islice(points, 0, None, each):
+        for cistern, roof, rain, evaporated in islice(points, 0, None, stride):
             yield (
                 cistern * self.site.z_o, roof * self.site.z_veg, self.forecast(rain),
                 [evaporated] * self.steps,
             )
 
-    def made(self, **changes: float) -> Controller:
-        """Make one with its defaults, but for these parameters."""
+    def make(self, **changes: float) -> Controller:
+        """Make a controller with its defaults, but for these parameters."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
-    def ask(self, controller: Controller, each: int = 1) -> list[float]:
-        """Ask for a command at all levels and forecasts, or at one of so many."""
-        return [_asked(controller, *inputs) for inputs in self.inputs(each)]
+    def ask(self, controller: Controller, stride: int = 1) -> list[float]:
+        """Ask for a command at all levels and forecasts, or at one in so many."""
+        return [_checked_command(controller, *inputs) for inputs in self.inputs(stride)]
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
@@ -87,18 +87,18 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
     """
     _ = choice.kind
     findings = []
-    for what, check in _CHECKS.items():
+    for name, check in _CHECKS.items():
         problem = ""
         try:
             check(_Trial(choice, site))
         except Exception as error:  # whatever a user's class raises
             known = isinstance(error, _ProblemError)
             problem = str(error) if known else f"raises {type(error).__name__}: {error}"
-        findings.append(Finding(what, problem))
+        findings.append(Finding(name, problem))
     return findings
 
 
-def _asked(controller: Controller, *inputs: Any) -> float:
+def _checked_command(controller: Controller, *inputs: Any) -> float:
     """Ask for a command and hold it to the rule."""
     command = controller.command(*inputs)
     if isinstance(command, bool) or not isinstance(command, (int, float)):
@@ -133,31 +133,31 @@ def _whole_range(trial: _Trial) -> None:
             continue  # another one needs another forecast
         for value in (parameter.low, parameter.high):
             try:
-                trial.ask(trial.made(**{parameter.name: value}), each=7)
+                trial.ask(trial.make(**{parameter.name: value}), stride=7)
             except _ProblemError as error:
                 raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
 def _deterministic(trial: _Trial) -> None:
-    for one, other in zip(trial.ask(trial.made()), trial.ask(trial.made()), strict=True):
-        if one != other:
-            raise _ProblemError(f"two controllers command {one!r} and {other!r} on equal inputs")
+    for first, second in zip(trial.ask(trial.make()), trial.ask(trial.make()), strict=True):
+        if first != second:
+            raise _ProblemError(f"two controllers command {first!r} and {second!r} on equal inputs")
 
 
 def _inputs_kept(trial: _Trial) -> None:
-    controller = trial.made()
+    controller = trial.make()
     for inputs in trial.inputs():
         before = [np.array(forecast) for forecast in inputs[2:]]
-        _asked(controller, *inputs)
+        _checked_command(controller, *inputs)
         if not all(map(np.array_equal, before, inputs[2:])):
             raise _ProblemError("command() changes the forecasts that it gets; copy them first")
 
 
 def _skip(trial: _Trial) -> None:
-    controller = trial.made()
+    controller = trial.make()
     controller.skip()
-    for inputs in trial.inputs(each=5):
-        _asked(controller, *inputs)
+    for inputs in trial.inputs(stride=5):
+        _checked_command(controller, *inputs)
         controller.skip()
         controller.skip()
 
@@ -170,29 +170,29 @@ def _wrong_forecasts(trial: _Trial) -> None:
         (empty, []), (trial.forecast(0.0), [0.0] * (steps + 1)),
         (trial.forecast(math.nan), [math.nan] * steps),
     ):
-        controller = trial.made()
+        controller = trial.make()
         try:
-            _asked(controller, *levels, rain, evaporated)
+            _checked_command(controller, *levels, rain, evaporated)
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
             raise _ProblemError("with needs_forecast = False it must command without one") from None
     if choice.ensemble:
-        controller = trial.made()
+        controller = trial.make()
         for members in (1, 3):
-            _asked(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
+            _checked_command(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
 
 
 def _may_change(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if not parameter.may_change:
             continue
-        name, controller = parameter.name, trial.made()
+        name, controller = parameter.name, trial.make()
         if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
             raise _ProblemError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            trial.ask(controller, each=11)
+            trial.ask(controller, stride=11)
 
 
 def _outputs(trial: _Trial) -> None:
@@ -200,8 +200,8 @@ def _outputs(trial: _Trial) -> None:
         topics = optional_topics(trial.choice.outputs)
     except ConfigurationError as error:
         raise _ProblemError(str(error)) from error
-    controller = trial.made()
-    _asked(controller, *next(trial.inputs()))
+    controller = trial.make()
+    _checked_command(controller, *next(trial.inputs()))
     for topic, attribute in topics:
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
@@ -212,16 +212,16 @@ def _outputs(trial: _Trial) -> None:
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
         if not right:
-            what = f"{topic.name}: there is no {expected} in the attribute {attribute}"
-            raise _ProblemError(what)
+            problem = f"{topic.name}: there is no {expected} in the attribute {attribute}"
+            raise _ProblemError(problem)
 
 
 def _statistics(trial: _Trial) -> None:
-    controller = trial.made()
-    _asked(controller, *next(trial.inputs()))
-    found = controller.statistics()
+    controller = trial.make()
+    _checked_command(controller, *next(trial.inputs()))
+    statistics = controller.statistics()
     figures = TickTimes().statistics(0, 0)
-    if found is not None and found.keys() != figures.keys():
+    if statistics is not None and statistics.keys() != figures.keys():
         raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")
 
 
@@ -230,9 +230,9 @@ def _statistics(trial: _Trial) -> None:
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names, units, meanings, and defaults within their ranges":
         _parameters,
-    "it is made with the site and a value for each parameter": _Trial.made,
+    "it is made with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and forecasts":
-        lambda trial: trial.ask(trial.made()),
+        lambda trial: trial.ask(trial.make()),
     "so they are with each parameter at either end of its range": _whole_range,
     "two of it give the same commands to the same inputs": _deterministic,
     "it leaves the forecasts that it gets as they are": _inputs_kept,

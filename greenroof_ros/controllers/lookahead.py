@@ -141,10 +141,12 @@ class Lookahead:
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
         edges = self._after.edges
-        own, days = edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
-        self._kept = [
-            [*_put_together(own, site.tau, 0.0), *days],
-            [*_put_together(own, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
+        forecast_edges, days = (
+            edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
+        )
+        self._plan_edges = [
+            [*_put_together(forecast_edges, site.tau, 0.0), *days],
+            [*_put_together(forecast_edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
         ]
         self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
@@ -207,8 +209,8 @@ class Lookahead:
         site = self._site
         rain, evaporated = np.empty((1, 0)), np.empty(0)
         if np.size(precipitation) or np.size(evapotranspiration):
-            given = precipitation, evapotranspiration
-            rain, evaporated = self._after.checked(*given, MOST_MEMBERS)
+            forecast = precipitation, evapotranspiration
+            rain, evaporated = self._after.checked(*forecast, MOST_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
@@ -240,8 +242,8 @@ class Lookahead:
             share = self._share(x1, x2, level, *now)
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
         self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
-        left = max(0.0, self._observer.predict(x2, *now, self._flow))
-        self._regret_budget.move(x1, x2, left, 0.0 if quiet else fraction, self._flow, *now)
+        predicted = max(0.0, self._observer.predict(x2, *now, self._flow))
+        self._regret_budget.move(x1, x2, predicted, 0.0 if quiet else fraction, self._flow, *now)
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
@@ -270,8 +272,8 @@ class Lookahead:
         if self._unlooked < _LOOK_S:
             return False
         self._unlooked = 0.0
-        known = self._total(rain) + self._fallen
-        return float(np.abs(known - self._planned_rain).max()) > _CHANGED_M
+        total = self._total(rain) + self._fallen
+        return float(np.abs(total - self._planned_rain).max()) > _CHANGED_M
 
     def _total(self, rain: Array) -> Array:
         """Return what rain is forecast in all (m), shape (members,)."""
@@ -279,10 +281,10 @@ class Lookahead:
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        kept = self._kept[len(rain) > 1]
-        edges = self._after.edges[kept]
-        rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
-        evaporated = self._means(evaporated, kept)
+        chosen = self._plan_edges[len(rain) > 1]
+        edges = self._after.edges[chosen]
+        rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
+        evaporated = self._means(evaporated, chosen)
         flow = np.full(len(edges) - 1, self._most_flow(x1))
         if self._site.quiet is not None:
             flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
@@ -308,10 +310,10 @@ class Lookahead:
         horizon = self._after.edges[self._after.steps]
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 
-    def _means(self, rates: Array, kept: list[int]) -> Array:
+    def _means(self, rates: Array, chosen: list[int]) -> Array:
         """Return means over a plan's steps of means over the forecast's, both on the last axis."""
-        amounts = np.add.reduceat(rates * self._lengths, kept[:-1], axis=-1)
-        return np.asarray(amounts / np.diff(self._after.edges[kept]))
+        amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
+        return np.asarray(amounts / np.diff(self._after.edges[chosen]))
 
     def _most_flow(self, x1: float) -> float:
         """Return the most that is pumped (m3/s) from a cistern of x1 (m3)."""
@@ -372,9 +374,9 @@ def _put_together(edges: Array, shortest: float, share: float) -> list[int]:
         shortest: length of a step (s), at least.
         share: of the time until it begins, likewise (1).
     """
-    kept, last = [0], len(edges) - 1
+    chosen, last = [0], len(edges) - 1
     for index, edge in enumerate(edges):
-        begin = edges[kept[-1]]
+        begin = edges[chosen[-1]]
         if edge - begin >= max(shortest, share * begin):
-            kept.append(index)
-    return [*(kept[:-1] or kept), last]
+            chosen.append(index)
+    return [*(chosen[:-1] or chosen), last]

@@ -91,8 +91,8 @@ class Cistern:
             demand: what may be asked of it (m3).
             seconds: in which.
         """
-        given = (self._site.mains_flow or 0.0) * seconds
-        if min(self.usable(x1), self._low) + given >= demand:
+        supplied = (self._site.mains_flow or 0.0) * seconds
+        if min(self.usable(x1), self._low) + supplied >= demand:
             return 0.0
         return self._most if self._low < self._most else min(demand, self._most)
 
@@ -105,8 +105,8 @@ class Cistern:
         site = self._site
         water = water + rain * (site.effective_catchment * seconds)
         if site.mains_flow is not None:
-            given = np.minimum(water + site.mains_flow * seconds, self._mains)
-            water = np.maximum(water, given)
+            topped_up = np.minimum(water + site.mains_flow * seconds, self._mains)
+            water = np.maximum(water, topped_up)
         water = np.minimum(water, self._most)
         if site.low_outlet_level is None:
             return water
@@ -211,7 +211,7 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), may be 0, shape (n,).
-            groups: of the members that are told apart by nothing yet, by the least index in it; a
+            groups: of the members that nothing distinguishes yet, by the least index in it; a
                 group is part of one of the step before; shape (members, n).
         """
         members, steps = rain.shape
@@ -228,9 +228,9 @@ class OrderUpTo:
         value = np.zeros((1, len(self._water), len(self._nodes)))
         fill_to: list[Array] = []
         group_of: list[Indices] = []
-        most, asked = flow * lengths, evapotranspiration * lengths
+        most, potential = flow * lengths, evapotranspiration * lengths
         # Pumps and water that are never the limit: the driest roof can be filled in the step.
-        filled = self._soil.after(np.zeros(steps), most, asked, lengths)
+        filled = self._soil.after(np.zeros(steps), most, potential, lengths)
         strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
@@ -243,8 +243,8 @@ class OrderUpTo:
                 for index, alike in enumerate(together):
                     of_members[alike] = index
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], float(asked[step]), float(flow[step]),
-                float(lengths[step]), bool(strong[step]), together,
+                value, rain[: len(value), step, None, None], float(potential[step]),
+                float(flow[step]), float(lengths[step]), bool(strong[step]), together,
             )
             fill_to.append(levels)
             group_of.append(of_members)
@@ -269,7 +269,7 @@ class OrderUpTo:
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: most that is pumped in each step (m3/s), shape (n,).
             share: of the room for forecast rain that is left (1).
-            member: that is told apart from the others in place of these; None for each itself.
+            member: which is known to come, in place of each member itself (None).
 
         Returns:
             Of each step, three arrays of shape (members, n); filled to 0 is left alone.
@@ -277,7 +277,7 @@ class OrderUpTo:
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self.usable(x1))
         mains = self._site.mains_flow or 0.0
-        pumped, left, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
+        pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             groups = policy.group_of[step] if member is None else policy.group_of[step][member]
             level = self.levels(policy, step, groups, water, roof, share)
@@ -287,8 +287,8 @@ class OrderUpTo:
                 level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
             )
             water = self._cistern.after(water - took, rain[:, step], seconds)
-            pumped[:, step], left[:, step] = took / seconds, roof
-        return pumped, left, aimed
+            pumped[:, step], volumes[:, step] = took / seconds, roof
+        return pumped, volumes, aimed
 
     def move(
         self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: Any,
@@ -307,29 +307,29 @@ class OrderUpTo:
         Returns:
             What each holds at the end, and what was pumped onto it (m3).
         """
-        soil, most, asked = self._soil, flow * seconds, evapotranspiration * seconds
-        filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
-        alone = soil.after(filled, rain * self._site.a2 * seconds, asked, seconds)
-        held = np.minimum(filled, soil.after(filled, most, asked, seconds))
-        held = np.where(level >= filled, np.maximum(alone, held), alone)
+        soil, most, potential = self._soil, flow * seconds, evapotranspiration * seconds
+        filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, potential, seconds)))
+        alone = soil.after(filled, rain * self._site.a2 * seconds, potential, seconds)
+        ended = np.minimum(filled, soil.after(filled, most, potential, seconds))
+        ended = np.where(level >= filled, np.maximum(alone, ended), alone)
         took = self._content(filled) - self._content(roof)
-        took += self._content(held) - self._content(alone)
-        return held, np.minimum(took, most)
+        took += self._content(ended) - self._content(alone)
+        return ended, np.minimum(took, most)
 
     def _content(self, x2: Any) -> Any:
         """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, asked: float, flow: float, seconds: float, strong: bool,
-        groups: list[Any],
+        self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
+        strong: bool, groups: list[Any],
     ) -> tuple[Array, Array]:
         """Go back by one step.
 
         Args:
             value: V after it, shape (members, S, N).
             rain: in it (m/s), shape (members, 1, 1).
-            asked: evapotranspiration off the whole bed in it (m3).
+            potential: evapotranspiration off the whole bed in it (m3).
             flow: of the pumps (m3/s).
             seconds: its length.
             strong: whether neither pumps nor water are ever the limit.
@@ -341,30 +341,30 @@ class OrderUpTo:
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = roof if strong else soil.after(roof, flow * seconds, asked, seconds)
+        reach = roof if strong else soil.after(roof, flow * seconds, potential, seconds)
         # Left alone: what is the same for all members is worked out once.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.after(nodes, rain * (self._site.a2 * seconds), asked, seconds)
-        stored = there = self._water
+        alone = soil.after(nodes, rain * (self._site.a2 * seconds), potential, seconds)
+        stored = remaining = self._water
         if scarce:
-            there = np.maximum(self._water[:, None] - self._contents, 0.0)
-            stored = cistern.after(there, rain, seconds) + self._content(alone)
+            remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
+            stored = cistern.after(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
         alone = alone[..., dry]
         if strong:
-            held = seconds * (self._target - roof) + value[..., dry]
-            held = np.where(alone < roof, held, free[..., dry])
+            holding = seconds * (self._target - roof) + value[..., dry]
+            holding = np.where(alone < roof, holding, free[..., dry])
         else:
             kept = np.maximum(alone, np.minimum(roof, reach))
             if scarce:
                 first = self._content(alone)
-                took = np.minimum(self._content(kept) - first, there[..., dry])
+                took = np.minimum(self._content(kept) - first, remaining[..., dry])
                 took = np.maximum(took, 0.0)
                 kept = np.where(took > 0, soil.filled_by(first + took), alone)
-                stored = cistern.after(there[..., dry] - took, rain, seconds) + first + took
-            held = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
+                stored = cistern.after(remaining[..., dry] - took, rain, seconds) + first + took
+            holding = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
@@ -373,7 +373,7 @@ class OrderUpTo:
         levels = np.empty((len(groups), len(self._water), len(roof)))
         result = free
         for index, members in enumerate(groups):
-            ours = held[members]
+            ours = holding[members]
             best = _lowest_from_here_up(self._over(ours))
             filled = level = roof[best]
             if strong:
@@ -386,10 +386,10 @@ class OrderUpTo:
                 contents = self._content(filled)
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
-            others = free[members][..., dry]
-            fills = self._over(costs) < self._over(others)
+            waiting = free[members][..., dry]
+            fills = self._over(costs) < self._over(waiting)
             levels[index] = np.where(fills, level, -1.0)
-            result[members, :, dry] = np.where(fills, costs, others)
+            result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
 
     def _over(self, values: Array) -> Array:
@@ -405,10 +405,10 @@ class OrderUpTo:
     def _deviation(self, before: Array, after: Array) -> Array:
         r"""Return the mean of \|x - x*\| on a straight path between two volumes (m3)."""
         first, last = before - self._target, after - self._target
-        both = np.abs(first) + np.abs(last)
+        total = np.abs(first) + np.abs(last)
         # Where it crosses x* there are two triangles.
         crossing = np.minimum(first * last, 0.0)
-        return np.asarray(both / 2 + crossing / np.maximum(both, _LEAST))
+        return np.asarray(total / 2 + crossing / np.maximum(total, _LEAST))
 
     def _at(self, value: Array, x2: Array, water: Array) -> Array:
         """Return V at volumes on the roof and at s (m3); beyond the nodes it is as at the last.
@@ -456,9 +456,9 @@ def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
         lowest: that the plan has for an empty roof (m3), likewise.
         target: x2* (m3).
     """
-    there = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
-    left = target - share * (target - there)
-    return np.asarray(np.where(np.asarray(share) == 1, level, left))
+    base = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
+    lowered = target - share * (target - base)
+    return np.asarray(np.where(np.asarray(share) == 1, level, lowered))
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:

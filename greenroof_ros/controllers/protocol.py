@@ -72,14 +72,14 @@ class Controller(Protocol):
         In quiet hours, too, of a class without ``time_ns``.
 
         Or in which on/off commands, on a live site without a forecast; an object of the class that
-        has let it pump is asked no more, but a new one.
+        has let it pump is not asked again: a new object is.
         """
         ...
 
     def statistics(self) -> dict[str, float] | None:
         """Return the solver's figures: ``solves``, ``fallbacks``, and times in seconds.
 
-        ``mean_s``, ``p99_s`` and ``max_s`` are those of a tick, whether something was solved in it
+        ``mean_s``, ``p99_s`` and ``max_s`` are of a tick, whether something was solved in it
         or not.
 
         None where it has no solver.
@@ -104,7 +104,7 @@ def learned_by(controller: Controller) -> dict[str, float] | None:
 
 
 def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
-    """Let a controller go on with what one like it had learned.
+    """Let a controller go on with what another of its kind had learned.
 
     Raises:
         KeyError: something is missing.

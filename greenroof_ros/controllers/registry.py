@@ -1,4 +1,4 @@
-"""The controllers by name: this package's, those of other packages, and any class by its path."""
+"""The controllers by name: of this package, of other packages, and any class by its path."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BUILT_IN = {
 }
 # Names that are no more.
 _REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
-# The one that runs unless another is asked for.
+# The controller that runs unless another is asked for.
 DEFAULT = "mpc"
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
@@ -51,7 +51,7 @@ class ControllerChoice:
 
     Attributes:
         name: of its node, its section in a parameter file, and in results.
-        reference: finds it again: the name of a registered one, or ``package.module:Class``.
+        reference: finds it again: the name of a registered controller, or ``package.module:Class``.
         path: ``package.module:Class``.
     """
 
@@ -61,7 +61,7 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class; a solver's library is imported only when one is made.
+        """The class; a solver's library is imported only when it is asked for.
 
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
@@ -78,16 +78,16 @@ class ControllerChoice:
             name for name in ("parameters", "command", "skip", "statistics")
             if not hasattr(kind, name)
         ]
-        if lacking or not all(isinstance(one, Parameter) for one in kind.parameters):
+        if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
             raise ConfigurationError(
                 f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
                 "see doc/tutorials/your-controller.md",
                 key="controller", value=self.reference,
             )
-        taken = _OF_EVERY_NODE.intersection(one.name for one in kind.parameters)
-        if taken:
+        clash = _OF_EVERY_NODE.intersection(parameter.name for parameter in kind.parameters)
+        if clash:
             raise ConfigurationError(
-                f"has a parameter {taken.pop()}, which its node has already; rename it",
+                f"has a parameter {clash.pop()}, which its node has already; rename it",
                 key="controller", value=self.reference,
             )
         return cast(ControllerClass, kind)
@@ -147,19 +147,20 @@ class ControllerChoice:
         if not soil_of(site).measured:
             return list(self.kind.parameters)
         return [
-            one if one.measured is None else replace(one, default=one.measured)
-            for one in self.kind.parameters
+            parameter if parameter.measured is None
+            else replace(parameter, default=parameter.measured)
+            for parameter in self.kind.parameters
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the value of each parameter on a site unless a user gives another.
 
-        They are those of ``config/NAME.yaml``, which a user edits, where there is one.
+        They come from ``config/NAME.yaml``, which a user edits, where there is such a file.
         """
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():
             return self.read_parameters(file, site)
-        return {one.name: one.default for one in self.parameters_on(site)}
+        return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
         """Read its parameters from a ROS 2 parameter file; those that are not there are default.
@@ -174,17 +175,17 @@ class ControllerChoice:
         names = (f"/**/{self.name}", self.name, f"/{self.name}", "/**")
         keys = [key for key in names if key in mapping]
         section = mapping[keys[0]] if keys else None
-        given = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
-        if not isinstance(given, YamlMapping):
+        entries = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
+        if not isinstance(entries, YamlMapping):
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
-        values = {one.name: one.default for one in self.parameters_on(site)}
-        for key, line in given.lines.items():
+        values = {parameter.name: parameter.default for parameter in self.parameters_on(site)}
+        for key, line in entries.lines.items():
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue
             self.check_name(key, path, line)
-        return values | read_numbers(path, given, self.parameters)
+        return values | read_numbers(path, entries, self.parameters)
 
     def check_name(self, key: str, path: Path, line: int) -> None:
         """Refuse the name of a parameter that it does not have.
@@ -200,19 +201,19 @@ class ControllerChoice:
 
 
 def read_numbers(
-    path: Path, given: YamlMapping, parameters: Mapping[str, Parameter]
+    path: Path, entries: YamlMapping, parameters: Mapping[str, Parameter]
 ) -> dict[str, Any]:
     """Return the values of those parameters that a mapping of a file has.
 
     Raises:
-        ConfigurationError: one is not a number, or not in its range.
+        ConfigurationError: a value is not a number, or not in its range.
     """
     values = {}
-    for key in (key for key in given if key in parameters):
-        value, parameter = number(path, given, key), parameters[key]
+    for key in (key for key in entries if key in parameters):
+        value, parameter = number(path, entries, key), parameters[key]
         if not parameter.accepts(value):
             raise ConfigurationError(
-                parameter.expected, file=path, line=given.lines[key], key=key, value=given[key]
+                parameter.expected, file=path, line=entries.lines[key], key=key, value=entries[key]
             )
         values[key] = int(value) if parameter.whole else value
     return values
@@ -247,7 +248,7 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"its node would be named {name}, as another one is; rename the class",
+            f"its node would be named {name}, as another node is; rename the class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)

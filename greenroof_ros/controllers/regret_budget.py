@@ -117,10 +117,10 @@ class RegretBudget:
         """
         site = self._site
         theirs = abs(x2 + self._more - site.x2_star)
-        lost = abs(x2 - site.x2_star) - theirs
+        excess = abs(x2 - site.x2_star) - theirs
         seconds, self._unseen = (1 + self._unseen) * site.tau, 0
         self.onoff_cost += seconds * theirs
-        self.loss += seconds * lost
+        self.loss += seconds * excess
         # What has to be pumped to be where on/off is, or at the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
         flow = fraction * maximum_pump_flow(site, x1)
@@ -145,7 +145,7 @@ class RegretBudget:
         self._unseen += 1
 
     def move(
-        self, x1: float, x2: float, left: float, fraction: float, pumped: float,
+        self, x1: float, x2: float, after: float, fraction: float, pumped: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
     ) -> None:
         """Move on by one tick.
@@ -153,7 +153,7 @@ class RegretBudget:
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
-            left: on the roof at the end of the tick (m3), 0 at least.
+            after: on the roof at the end of the tick (m3), 0 at least.
             fraction: as for :meth:`judge`.
             pumped: what is pumped in truth (m3/s).
             precipitation: rain in the tick (m/s); it matters on a measured or an empty roof.
@@ -164,10 +164,10 @@ class RegretBudget:
         flow = pump_flow(site, cistern, onoff, fraction)
         arriving = precipitation * site.a2 + flow
         theirs = left_after_tick(self._soil, site.tau, onoff, arriving, evapotranspiration)
-        self._more = max(0.0, theirs) - left
+        self._more = max(0.0, theirs) - after
         overflowed = outlet_flow(site, cistern) - outlet_flow(site, x1)
-        given = mains_flow(site, cistern) - mains_flow(site, x1)
-        self._stored += site.tau * (pumped - flow - overflowed + given)
+        supplied = mains_flow(site, cistern) - mains_flow(site, x1)
+        self._stored += site.tau * (pumped - flow - overflowed + supplied)
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""

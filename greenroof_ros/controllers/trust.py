@@ -113,16 +113,16 @@ class Trust:
                 they leave these shares of the room; an array of their shape.
         """
         seconds = self._seconds
-        wanted = levels(self.roofs, SHARES)
+        targets = levels(self.roofs, SHARES)
         self.roofs, _ = self._program.move(
-            wanted, self.roofs, self._rain / seconds, self._evaporated / seconds, flow, seconds
+            targets, self.roofs, self._rain / seconds, self._evaporated / seconds, flow, seconds
         )
         days = seconds / _DAY_S
         self.losses *= math.exp(-days / self._memory)
         self.losses += days * np.abs(self.roofs - self._target) / self._target
         best, followed = int(self.losses.argmin()), self._followed
         more = self.losses[followed] - self.losses[best]
-        apart = max(abs(each[best] - each[followed]) for each in (self.roofs, wanted))
+        apart = max(abs(volumes[best] - volumes[followed]) for volumes in (self.roofs, targets))
         if more > _LESS and apart < _ALIKE * self._target:
             self._followed = best
         self._seconds = self._rain = self._evaporated = 0.0

@@ -113,19 +113,19 @@ class Drive:
             DriveError: it cannot be read, or the drive's file tells of none for this interface.
         """
         self._full_scale.clear()
-        own = self._timeout
-        if own is None:
+        timeout = self._timeout
+        if timeout is None:
             raise self.line.error(
                 "answer",
                 f"{self.file.path} tells of none by which a connection there is guarded "
                 f"(timeout.{self._address.interface}); if a gateway to the drive's serial port is "
                 "there, the address is gateway://HOST:PORT",
             )
-        raw = self._raw(own.register)
-        seconds = self._scaled(own.register, raw)
-        if raw in own.off_values or seconds is None or seconds <= 0:
-            return None, f"{self._named(own.register)} is {raw}: off"
-        for setting in (own.action, own.mode):
+        raw = self._raw(timeout.register)
+        seconds = self._scaled(timeout.register, raw)
+        if raw in timeout.off_values or seconds is None or seconds <= 0:
+            return None, f"{self._named(timeout.register)} is {raw}: off"
+        for setting in (timeout.action, timeout.mode):
             if setting is None:
                 continue
             chosen = self._number(setting.register)
@@ -142,15 +142,15 @@ class Drive:
         Raises:
             DriveError: it cannot be read, or says what cannot be.
         """
-        status, seen = self.file.status, dict[str, int]()
+        status, values = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
-        if self._fulfils(status.fault, seen):
+        if self._fulfils(status.fault, values):
             raw, fault = self._cause(self.file.faults)
             trips = () if self._timeout is None else self._timeout.trips
             timed_out = self.file.faults.only(raw, trips)
-        if status.warning is not None and self._fulfils(status.warning, seen):
+        if status.warning is not None and self._fulfils(status.warning, values):
             _, warning = self._cause(self.file.warnings)
-        speed = self._known("speed")
+        speed = self._available("speed")
         if -STANDS <= speed <= 0:
             speed = 0.0
         elif speed < 0:
@@ -160,21 +160,21 @@ class Drive:
         if "flow" in self.file.registers:
             flow = self._scaled("flow", self._raw("flow"))
         return DriveStatus(
-            self._fulfils(status.ready, seen), self._fulfils(status.running, seen), fault, warning,
-            speed, flow, remote=not self.local(seen), timed_out=timed_out,
+            self._fulfils(status.ready, values), self._fulfils(status.running, values), fault,
+            warning, speed, flow, remote=not self.local(values), timed_out=timed_out,
         )
 
-    def local(self, seen: dict[str, int] | None = None) -> bool:
+    def local(self, values: dict[str, int] | None = None) -> bool:
         """Return whether it is in local control, where the drive's file tells how that is seen.
 
         Args:
-            seen: raw values just read.
+            values: raw values just read.
 
         Raises:
             DriveError: it cannot be read.
         """
         remote = self.file.status.remote
-        return remote is not None and not self._fulfils(remote, {} if seen is None else seen)
+        return remote is not None and not self._fulfils(remote, {} if values is None else values)
 
     def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
         """Run at a speed: bring the drive to where it can, then write speed and control word.
@@ -192,15 +192,15 @@ class Drive:
         """
         if not 0 <= speed <= 1:
             raise ValueError(f"{speed} is no share of rated speed")
-        seen: dict[str, int] = {}
-        if self._fulfils(self.file.status.fault, seen):
+        values: dict[str, int] = {}
+        if self._fulfils(self.file.status.fault, values):
             raise self.line.error("drive", f"fault: {self._cause(self.file.faults)[1]}")
-        if not self._prepared or not self._fulfils(self.file.status.enabled, seen):
+        if not self._prepared or not self._fulfils(self.file.status.enabled, values):
             if not self._perform(self.file.sequences.ready, go_on):
                 return
             self._prepared = True
-            seen.clear()
-        self._perform(self.file.sequences.run, go_on, speed, seen)
+            values.clear()
+        self._perform(self.file.sequences.run, go_on, speed, values)
 
     def stop(self) -> None:
         """Ramp down and switch off; to be called again and again while the pump is to stand.
@@ -289,7 +289,7 @@ class Drive:
         steps: Iterable[Step],
         go_on: Callable[[], bool] = lambda: True,
         speed: float = 0.0,
-        seen: dict[str, int] | None = None,
+        values: dict[str, int] | None = None,
     ) -> bool:
         """Do the steps; return whether all were done.
 
@@ -297,7 +297,7 @@ class Drive:
             steps: in order.
             go_on: asked before each; where it says no, the rest is left.
             speed: what a step that writes the speed writes.
-            seen: raw values just read; what they fulfil already is not waited for.
+            values: raw values just read; what they fulfil already is not waited for.
         """
         for step in steps:
             if not go_on():
@@ -309,8 +309,8 @@ class Drive:
             if step.write == "control":
                 self._word = word
             until = step.until
-            if until is None or (seen and until.register in seen
-                                 and until.fulfilled_by(seen[until.register])):
+            if until is None or (values and until.register in values
+                                 and until.fulfilled_by(values[until.register])):
                 continue
             if not self._reached(step, until, word, go_on):
                 return False
@@ -326,24 +326,24 @@ class Drive:
                 return False
             if time.monotonic() > deadline:
                 raw, texts = now[until.register], self.file.status.bits.items()
-                says = ""
+                bits = ""
                 if until.register == "status":
-                    says = f": {', '.join(text for bit, text in texts if raw >> bit & 1)}"
+                    bits = f": {', '.join(text for bit, text in texts if raw >> bit & 1)}"
                 raise self.line.error(
                     "drive",
                     f"{step.write} = 0x{word:04X} had no effect within {step.within_s:g} s; "
                     f"{until.register} is 0x{raw:04X}, not 0x{until.value:04X} under the mask "
-                    f"0x{until.mask:04X}{says}" + (_LOCAL if self.local(now) else ""),
+                    f"0x{until.mask:04X}{bits}" + (_LOCAL if self.local(now) else ""),
                 )
             time.sleep(_LOOK_S)
         return True
 
     # --- values -----------------------------------------------------------------------------------
 
-    def _fulfils(self, condition: Condition, seen: dict[str, int]) -> bool:
-        if condition.register not in seen:
-            seen[condition.register] = self._number(condition.register)
-        return condition.fulfilled_by(seen[condition.register])
+    def _fulfils(self, condition: Condition, values: dict[str, int]) -> bool:
+        if condition.register not in values:
+            values[condition.register] = self._number(condition.register)
+        return condition.fulfilled_by(values[condition.register])
 
     def _raw(self, name: str) -> int | float | str:
         register = self.file.registers[name]
@@ -381,7 +381,7 @@ class Drive:
             )
         return value
 
-    def _known(self, name: str) -> float:
+    def _available(self, name: str) -> float:
         """Return the value of a register in its unit, which must be available."""
         value = self._scaled(name, self._raw(name))
         if value is None:
@@ -394,7 +394,7 @@ class Drive:
         if not full:
             return register.scale
         if full not in self._full_scale:
-            self._full_scale[full] = self._known(full)
+            self._full_scale[full] = self._available(full)
         return register.scale / self._full_scale[full]
 
     def _encoded(self, name: str, value: float) -> int:

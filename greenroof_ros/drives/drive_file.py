@@ -58,7 +58,7 @@ class Register:
     """A holding register, or two that are one value.
 
     The value in the stated unit is scale x raw, divided by the value of the register `full_scale`
-    where one is named.
+    where it is named.
     """
 
     address: int = entry("on the wire, the first register is 0", 0, 65535)
@@ -209,10 +209,10 @@ class Timeouts:
     @property
     def known(self) -> dict[str, Timeout]:
         """The timeouts that the file has, by interface."""
-        return {name: own for name, own in vars(self).items() if own is not None}
+        return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
     def over(self, address: Address) -> Timeout | None:
-        """Return the one that guards a connection; None where the file tells of none."""
+        """Return the timeout that guards a connection; None where the file has none."""
         return self.known.get(address.interface)
 
 
@@ -332,8 +332,8 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
         below = part
     elif isinstance(part, tuple):
         below = dict(enumerate(part, start=1))
-    for name, each in below.items():
-        yield from _parts(each, f"{key}.{name}".removeprefix("."))
+    for name, child in below.items():
+        yield from _parts(child, f"{key}.{name}".removeprefix("."))
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
@@ -357,24 +357,24 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
 
 
 def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key that contradicts another one, and why; what follows goes by those before."""
+    """Yield each key that contradicts another, and why; what follows goes by those before."""
     registers = drive.registers
     for name, register in registers.items():
         for key, why in _register_mistakes(register, drive.numbering.offset):
             yield f"registers.{name}.{key}", why
     for key, name, like in _references(drive):
-        found = registers.get(name)
-        if found is None and key == "registers":
+        target = registers.get(name)
+        if target is None and key == "registers":
             yield key, f"{name} is missing: every drive needs it"
-        elif found is None:
+        elif target is None:
             yield key, f"must be one of registers: {', '.join(registers)}"
-        elif like == _BITS and not found.type.startswith("uint"):
+        elif like == _BITS and not target.type.startswith("uint"):
             yield key, "must be a register of the type uint16 or uint32"
-        elif like == _WORD and found.width != 1:
+        elif like == _WORD and target.width != 1:
             yield key, "must be a register of 16 bits"
-        elif like in UNITS and found.unit != like:
+        elif like in UNITS and target.unit != like:
             yield (
-                f"registers.{name}.unit" if found.unit else f"registers.{name}",
+                f"registers.{name}.unit" if target.unit else f"registers.{name}",
                 f"must have the unit {like}" if like else "must be a plain word, without a unit",
             )
     for name, register in registers.items():

@@ -173,10 +173,10 @@ class Obedience:
             self._seen_s = 0.0
             return status
         self._said_at, self._seen_s = now, self._seen_s + max(0.0, now - said_at)
-        says = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
         if self._seen_s > SEEN_S and now - self._left_until > RUNS_ON_AGAIN_S:
-            raise RunsOnError("drive", f"{self._where}: {says} (it is {status.speed:.1%})")
-        fault = "; ".join(filter(None, (status.fault, says)))
+            raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
+        fault = "; ".join(filter(None, (status.fault, problem)))
         return replace(status, fault=fault, timed_out=False, runs_on=True)
 
     def lost(self, stopped: bool | None, now: float) -> str | None:
@@ -280,8 +280,8 @@ class DriveExchange(DeviceThread[Snapshot]):
         # So many rounds, one after the other, had no valid answer.
         self._unanswered = 0
         self._obedience = Obedience(str(placed))
-        own = placed.guard
-        self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
+        guard = placed.guard
+        self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         self._guarded_from = -math.inf
         self._seeks_simulator, self._simulator_only = seeks_simulator, False
 
@@ -342,7 +342,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             errors = self._snapshot.errors + 1
             self._snapshot = replace(self._snapshot, problem=problem, errors=errors, **changes)
 
-    def _wanted(self) -> float | None:
+    def _target_speed(self) -> float | None:
         speed, at = self._demand
         fresh = boot_time() - at <= self._dead_man_s  # a demand from before a suspend is not
         return speed if fresh and not self._closing and not self._unguarded() else None
@@ -390,16 +390,16 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
             self._fail(problem, state=State.CONNECTING, status=None)
         else:
-            known = self._snapshot.timeout_s
-            timeout_s = self._timeout_limit_s if known is None else known
+            own_timeout_s = self._snapshot.timeout_s
+            timeout_s = self._timeout_limit_s if own_timeout_s is None else own_timeout_s
             silence_s = timeout_s + SILENCE_MARGIN_S
             self._connect_at = now + silence_s
             self._obedience.left(self._connect_at)
             self._fail(
                 f"{problem}{why}, so nothing is sent for {silence_s:g} s: the drive's own "
                 f"communication timeout ({timeout_s:g} s"
-                f"{'' if known is not None else ', if it is no longer'}) stops it then, which any "
-                "message might put off",
+                f"{'' if own_timeout_s is not None else ', if it is no longer'}) stops it then, "
+                "which any message might put off",
                 state=State.SILENT, status=None,
             )
         self._let_go()
@@ -415,7 +415,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _connect(self) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         self._pause_until(self._connect_at)
-        if not self._only.taken:
+        if not self._only.locked:
             self._take()
             return
         self._drive = drive = self._placed.connection(self._timeout_s)
@@ -425,7 +425,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             self._stop()
-            # Another one's word, which takes a while to come, cannot stand there yet.
+            # Another master's word, which takes a while to come, cannot stand there yet.
             drive.intruder()
             status = self._obedience.judge(self._read(), time.monotonic())
         except DriveError as error:
@@ -461,15 +461,16 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _read_settings(self) -> None:
         """Read what somebody may change at the panel, and on which safety rests."""
         try:
-            (seconds, note), known = self._drive.timeout(), True
+            (seconds, note), timeout_known = self._drive.timeout(), True
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            seconds, note, known = None, str(error), False
+            seconds, note, timeout_known = None, str(error), False
         no_simulator = self._drive.why_no_simulator() if self._seeks_simulator else None
         self._settings_at = time.monotonic()
         self._update(
-            timeout_s=seconds, timeout_known=known, timeout_note=note, no_simulator=no_simulator
+            timeout_s=seconds, timeout_known=timeout_known, timeout_note=note,
+            no_simulator=no_simulator,
         )
 
     def _round(self) -> None:
@@ -503,9 +504,9 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _leave(self) -> None:
         """Stop the drive, and let go of it when it stands, or does not come to that."""
-        left = _stand(self._drive, self._leave_by)
+        status = _stand(self._drive, self._leave_by)
         self._done = True
-        self._update(state=State.CONNECTING, status=left, read_at=boot_time())
+        self._update(state=State.CONNECTING, status=status, read_at=boot_time())
         self._let_go()
 
     def _read(self) -> DriveStatus:
@@ -549,7 +550,7 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._reset_until = -math.inf
                 self._paused_until = -math.inf
                 self._drive.reset()
-            speed = self._wanted()
+            speed = self._target_speed()
             if self._demand[0] is None:
                 self._update(start_failed="")
             kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
@@ -568,7 +569,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _run(self, speed: float) -> None:
         try:
-            self._drive.run(speed, lambda: self._wanted() is not None)
+            self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind == "drive":
                 self._update(start_failed=f"the drive did not come to run: {error}")

@@ -41,7 +41,7 @@ class DriveLock:
         self._lock: tuple[FileIO, Path] | None = None
 
     @property
-    def taken(self) -> bool:
+    def locked(self) -> bool:
         """Whether this has it."""
         return self._lock is not None
 
@@ -58,7 +58,7 @@ class DriveLock:
         except LockedError as error:
             raise DriveInUseError(
                 f"{self._drive}: process {error.holder or 'unknown'} of this machine runs this "
-                f"drive already (lock {path}); end that one, and this one goes on by itself",
+                f"drive already (lock {path}); end that process, and this one goes on by itself",
                 error.holder,
             ) from None
         except OSError as error:
@@ -91,8 +91,8 @@ class DriveLock:
                 f"{self._drive}: cannot connect: the host is not found ({error.strerror})",
             ) from error
         # Where not everybody may write, two users would each take another directory.
-        shared = [each for each in _DIRECTORIES
-                  if each.is_dir() and each.stat().st_mode & stat.S_IWOTH]
+        shared = [directory for directory in _DIRECTORIES
+                  if directory.is_dir() and directory.stat().st_mode & stat.S_IWOTH]
         return (shared or [_DIRECTORIES[-1]])[0] / (
             f"greenroof_ros-{re.sub('[^A-Za-z0-9.]+', '-', name)}.lock"
         )

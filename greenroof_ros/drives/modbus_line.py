@@ -148,7 +148,7 @@ class Address:
     def _hosts(self) -> set[str]:
         """Return the addresses of the host."""
         try:
-            return {str(each[4][0]) for each in socket.getaddrinfo(self.host, None)}
+            return {str(info[4][0]) for info in socket.getaddrinfo(self.host, None)}
         except UnicodeError as error:  # no name that a host can have
             raise OSError(None, str(error)) from error
 
@@ -164,11 +164,11 @@ def parse_address(text: str, key: str = "address") -> Address:
     Raises:
         ConfigurationError: it is none of these.
     """
-    found = _TCP_ADDRESS.fullmatch(text)
-    if found is not None:
-        port = int(found["port"]) if found["port"] else None
+    match = _TCP_ADDRESS.fullmatch(text)
+    if match is not None:
+        port = int(match["port"]) if match["port"] else None
         if port is None or 0 < port < 65536:
-            return Address(found["host"].strip("[]"), port, gateway=found["scheme"] == "gateway")
+            return Address(match["host"].strip("[]"), port, gateway=match["scheme"] == "gateway")
     elif text.startswith("/") and not text.endswith("/"):
         return Address(line=text)
     raise ConfigurationError(
@@ -293,13 +293,13 @@ class ModbusLine:
         Raises:
             DriveError: no answer, or a wrong one.
         """
-        what = f"reading register {address}"
+        action = f"reading register {address}"
         client = self._client
         read = client.read_input_registers if inputs else client.read_holding_registers
-        answer = self._ask(what, 4 if inputs else 3, read, address, count=count)
+        answer = self._ask(action, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
             came = len(answer.registers)
-            raise self.error("answer", f"{what}: {came} registers came, not {count}")
+            raise self.error("answer", f"{action}: {came} registers came, not {count}")
         return list(answer.registers)
 
     def write(self, address: int, word: int) -> None:
@@ -308,12 +308,12 @@ class ModbusLine:
         Raises:
             DriveError: no answer, or one that does not say that it was written.
         """
-        what = f"writing 0x{word:04X} to register {address}"
-        answer = self._ask(what, 6, self._client.write_register, address, word)
+        action = f"writing 0x{word:04X} to register {address}"
+        answer = self._ask(action, 6, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
             raise self.error(
                 "answer",
-                f"{what}: the answer speaks of {answer.registers} in register {answer.address}",
+                f"{action}: the answer speaks of {answer.registers} in register {answer.address}",
             )
 
     def identification(self) -> tuple[str, str]:
@@ -323,47 +323,47 @@ class ModbusLine:
             DriveError: no answer, or a wrong one.
         """
         answer = self._ask("reading its identification", 43, self._client.read_device_information)
-        said = getattr(answer, "information", {})
-        maker, product = (bytes(said.get(each, b"")).decode("latin-1") for each in (0, 1))
+        objects = getattr(answer, "information", {})
+        maker, product = (bytes(objects.get(number, b"")).decode("latin-1") for number in (0, 1))
         return maker, product
 
     def _ask(
-        self, what: str, function: int, request: Callable[..., ModbusPDU], *values: int,
+        self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
         """Return the answer to a request, if it has that function and is no exception."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
-            raise self.error("connection", f"{what}: the connection was closed")
+            raise self.error("connection", f"{action}: the connection was closed")
         try:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
-            raise self._silence(what, error) from error
+            raise self._silence(action, error) from error
         if answer.isError():
             code = answer.exception_code
             name = _EXCEPTIONS.get(code, "unknown")
-            raise self.error("answer", f"{what}: refused with exception {code}, {name}")
+            raise self.error("answer", f"{action}: refused with exception {code}, {name}")
         if answer.function_code != function:
             raise self.error(
                 "answer",
-                f"{what}: the answer has function {answer.function_code}, not {function}",
+                f"{action}: the answer has function {answer.function_code}, not {function}",
             )
         return answer
 
-    def _silence(self, what: str, error: Exception) -> DriveError:
+    def _silence(self, action: str, error: Exception) -> DriveError:
         if isinstance(error, ConnectionError):
             self.close()
         if not self.connected:
-            return self.error("connection", f"{what}: the connection was closed")
+            return self.error("connection", f"{action}: the connection was closed")
         plug = self._client.socket
         if isinstance(plug, socket.socket):
             plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return self.error("connection", f"{what}: no valid answer within {self._timeout_s:g} s")
+        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:g} s")
 
-    def error(self, kind: str, what: str) -> DriveError:
+    def error(self, kind: str, problem: str) -> DriveError:
         """Return what went wrong, with where."""
-        return DriveError(kind, f"{self.where}: {what}")
+        return DriveError(kind, f"{self.where}: {problem}")
 
 
 def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
@@ -463,17 +463,17 @@ class DeviceThread(ABC, Generic[K]):
     wrong is in `snapshot`.
     """
 
-    def __init__(self, what: str, known: K) -> None:
+    def __init__(self, name: str, snapshot: K) -> None:
         """Prepare it.
 
         Args:
-            what: is done, for messages.
-            known: of the device, before anything is.
+            name: of its task, for messages.
+            snapshot: of the device, before anything is.
         """
-        self._what, self._snapshot, self._lock = what, known, threading.Lock()
+        self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
         self._closing = self._done = False
         self._wake = threading.Event()
-        self._thread = threading.Thread(target=self._work, name=what, daemon=True)
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     @property
     def snapshot(self) -> K:
@@ -514,10 +514,10 @@ class DeviceThread(ABC, Generic[K]):
                 except DriveError as error:
                     self._lost(error, str(error))
                 except Exception as error:  # whatever it is, another step follows
-                    logging.getLogger(__name__).exception("%s failed", self._what)
-                    self._lost(error, f"{self._what} failed: {error!r}")
+                    logging.getLogger(__name__).exception("%s failed", self._name)
+                    self._lost(error, f"{self._name} failed: {error!r}")
             except Exception as error:
-                self._update(problem=f"{self._what} failed: {error!r}")
+                self._update(problem=f"{self._name} failed: {error!r}")
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
@@ -530,5 +530,5 @@ class DeviceThread(ABC, Generic[K]):
 
     def _pause_until(self, due: float) -> None:
         """Wait until a time (s, `time.monotonic`), whatever is asked for but the end."""
-        while not self._closing and (rest := due - time.monotonic()) > 0:
-            self._pause(rest)
+        while not self._closing and (remaining := due - time.monotonic()) > 0:
+            self._pause(remaining)

@@ -31,18 +31,18 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     if len(payload) > _LONGEST:
         raise ValueError(f"a message of {len(payload)} bytes, which is more than {_LONGEST}")
     try:
-        found = json.loads(payload)
+        value = json.loads(payload)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"says {payload[:40]!r}, which is no JSON") from error
     try:
         for step in sensor.steps:
-            found = found[step]
+            value = value[step]
     except (LookupError, TypeError) as error:
         raise ValueError(f"says {payload[:80]!r}, which has no {sensor.value}") from error
-    if isinstance(found, bool) or not isinstance(found, (int, float)):
-        raise ValueError(f"says {str(found)[:40]!r}, which is no number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"says {str(value)[:40]!r}, which is no number")
     try:
-        return float(found)
+        return float(value)
     except OverflowError as error:
         raise ValueError("says a number that is too large") from error
 

@@ -118,8 +118,8 @@ class RelayLine:
         self.where = str(relay)
         self.parting: Message | None = None
         self._file, self._timeout_s = relay.file, timeout_s
-        # One name for all connections, so that a broker can be told who may publish on it; where
-        # answers have numbers, those of another connection are not taken for one's own.
+        # One name for all connections, so that a broker can limit who may publish on it; where
+        # answers have numbers, an answer to another connection does not count.
         self._known = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
@@ -163,7 +163,7 @@ class RelayLine:
 
         Args:
             message: to the relay.
-            values: of names with a $ in it, besides those of the connection.
+            values: of names with a $ in it, besides the connection's own.
 
         Raises:
             DriveError: there is no connection any more.
@@ -182,13 +182,13 @@ class RelayLine:
         self._awaited[name] += 1
         self._publish(question.topic, question.payload, number, {})
         topic, until = self._filled(question.answer), time.monotonic() + self._timeout_s
-        said = b""
-        while (heard := self._next(until)) is not None:
-            if heard[0] != topic:
+        payload = b""
+        while (message := self._next(until)) is not None:
+            if message[0] != topic:
                 continue
-            said = heard[1]
+            payload = message[1]
             try:
-                answer = json.loads(said)
+                answer = json.loads(payload)
                 value_at(answer, question.known_by)
                 if self._file.number and str(value_at(answer, self._file.number)) != number:
                     continue
@@ -198,19 +198,19 @@ class RelayLine:
             if self._file.number or self._awaited[name] <= 0:
                 self._awaited[name] = 0
                 return answer
-        if said and self.connected:
+        if payload and self.connected:
             raise self.error("answer", (
                 f"no answer to the question {name!r} that can be understood within "
-                f"{self._timeout_s:g} s, but {said[:_SHOWN]!r}"
+                f"{self._timeout_s:g} s, but {payload[:_SHOWN]!r}"
             ))
         raise self.error("connection", (
             f"no answer to the question {name!r} within {self._timeout_s:g} s"
             if self.connected else f"the connection was closed: {self._closed_by}"
         ))
 
-    def error(self, kind: str, what: str) -> DriveError:
+    def error(self, kind: str, problem: str) -> DriveError:
         """Return what went wrong, with where."""
-        return DriveError(kind, f"{self.where}: {what}")
+        return DriveError(kind, f"{self.where}: {problem}")
 
     def _next(self, until: float) -> tuple[str, bytes] | None:
         """Return the next message; None where none comes until a time, or the connection ends."""
@@ -232,8 +232,8 @@ class RelayLine:
 
     def _on_connect(self) -> None:
         if not self._closed_by:  # the client connects again by itself
-            topics = {self._filled(each.answer) for each in self._file.questions.values()}
-            self._client.subscribe([(each, 0) for each in sorted(topics)])
+            topics = {self._filled(question.answer) for question in self._file.questions.values()}
+            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
             with self._changed:
                 self._connected = True
                 self._changed.notify()
@@ -298,13 +298,15 @@ class Relay:
             DriveError: it cannot be read.
         """
         answers = {
-            each.question: self.line.ask(each.question)
-            for each in (self.file.timer, *self.file.must)
+            setting.question: self.line.ask(setting.question)
+            for setting in (self.file.timer, *self.file.must)
         }
         self._timer_s = None  # what was read before holds until there are answers
-        for each in self.file.must:
-            if (said := _text(self._value(each, answers))) != each.value:
-                return None, f"{each.meaning}: {each.path} is {said}, and must be {each.value}"
+        for setting in self.file.must:
+            if (value := _text(self._value(setting, answers))) != setting.value:
+                return None, (
+                    f"{setting.meaning}: {setting.path} is {value}, and must be {setting.value}"
+                )
         timer = self.file.timer
         raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):
@@ -427,13 +429,13 @@ class Relay:
     def _read(self) -> bool:
         """Return whether it is on, as it says."""
         self._is_on, state = None, self.file.state
-        said = _text(self._value(state))
-        if said not in (state.is_on, state.is_off):
+        answer = _text(self._value(state))
+        if answer not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
-                f"its state, {state.path}, is {said}, neither {state.is_on} nor {state.is_off}",
+                f"its state, {state.path}, is {answer}, neither {state.is_on} nor {state.is_off}",
             )
-        self._is_on = said == state.is_on
+        self._is_on = answer == state.is_on
         return self._is_on
 
     def _switch_on(self, timer_s: float) -> None:

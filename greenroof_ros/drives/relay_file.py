@@ -87,7 +87,8 @@ class Timer(Value):
     def seconds(self, raw: float) -> float | None:
         """Return the time that a raw value stands for (s); None for off."""
         return next((
-            each.scale * raw + each.offset for each in self.scales if each.low <= raw <= each.high
+            scale.scale * raw + scale.offset for scale in self.scales
+            if scale.low <= raw <= scale.high
         ), None)
 
 
@@ -150,7 +151,7 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
     """Yield each key that contradicts another one, and why."""
     values = {
         "state": relay.state, "timer": relay.timer, "name": relay.name,
-        **{f"must.{number}": each for number, each in enumerate(relay.must, start=1)},
+        **{f"must.{number}": setting for number, setting in enumerate(relay.must, start=1)},
     }
     for key, value in values.items():
         if value.question not in relay.questions:
@@ -172,13 +173,13 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
             Template(text).substitute(dict.fromkeys(names, ""))
         except (KeyError, ValueError):
             yield key, f"has another $ than {', '.join(f'${name}' for name in names)}"
-    if relay.number and any("$id" not in each.payload for each in relay.questions.values()):
+    if relay.number and any("$id" not in question.payload for question in relay.questions.values()):
         yield "number", "is of questions whose payload has $id"
     if relay.state.is_on == relay.state.is_off:
         yield "state.is_off", "must be another value than is_on"
-    for number, each in enumerate(relay.timer.scales, start=1):
-        if each.low > each.high:
-            yield f"timer.scales.{number}.low", f"must be at most high, {each.high:g}"
+    for number, scale in enumerate(relay.timer.scales, start=1):
+        if scale.low > scale.high:
+            yield f"timer.scales.{number}.low", f"must be at most high, {scale.high:g}"
     for number, key in enumerate(relay.unverified, start=1):
         if find(content, key)[1] is None:
             yield f"unverified.{number}", "names no key of this file"

@@ -200,7 +200,7 @@ class Sensors:
     @property
     def by_section(self) -> dict[str, ModbusSensor | MqttSensor]:
         """Return those that there are."""
-        return {name: one for name in QUANTITIES if (one := getattr(self, name)) is not None}
+        return {name: sensor for name in QUANTITIES if (sensor := getattr(self, name)) is not None}
 
 
 def default_sensors() -> Path:
@@ -234,20 +234,20 @@ def _mistakes(
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         greatest_age = greatest_ages.get(quantity.limit, math.inf)
-        own = (
+        mistakes = (
             _modbus_mistakes(sensor, quantity, greatest_age) if isinstance(sensor, ModbusSensor)
             else _mqtt_mistakes(sensor, quantity, greatest_age)
         )
-        for key, expected in (*_sensor_mistakes(sensor, section), *own):
+        for key, expected in (*_sensor_mistakes(sensor, section), *mistakes):
             yield f"{section}.{key}", expected
-    for (first, one), (second, other) in combinations(sensors.by_section.items(), 2):
+    for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
         of = first.replace("_", " ")
-        if one.place == other.place:
-            key = "register" if isinstance(other, ModbusSensor) else "address"
+        if earlier.place == later.place:
+            key = "register" if isinstance(later, ModbusSensor) else "address"
             yield f"{second}.{key}", f"is the {of}'s: both sensors would be the same"
-        if isinstance(one, ModbusSensor) and isinstance(other, ModbusSensor) and parse_address(
-            other.address
-        ).shares_line(parse_address(one.address)):
+        if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
+            later.address
+        ).shares_line(parse_address(earlier.address)):
             yield f"{second}.address", (
                 f"is the {of}'s serial line, which one program alone can open: put a Modbus TCP "
                 "gateway on it (tcp://HOST:PORT), or take another line"

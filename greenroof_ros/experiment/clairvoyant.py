@@ -87,7 +87,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
         max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1; if not given, those of a minute.
+        block: ticks that share one variable, at least 1; if not given, a minute's.
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -126,11 +126,11 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
     flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
     usable = before - site.a1 * site.suction_level
     full = np.where(usable < -ROUNDING * before, 0, tau * max_command * flow)
-    given = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
+    mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
     pumped = np.where(frost > 0, 0, full)
 
     roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
-    supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], given])
+    supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])
     # The plant adds up in another order, so its last digits differ.
     slack = ROUNDING * (site.x2_star + roof.high.max())
     high = np.minimum(roof.high, supplied) + slack

@@ -69,22 +69,22 @@ class Part(NamedTuple):
 
     node: str
     name: str
-    said: Mapping[str, str]
+    diagnosis: Mapping[str, str]
     rule: Rule
 
     @property
     def is_lost(self) -> bool:
         """Whether it is lost now."""
-        return self.said["level"] in self.rule.at
+        return self.diagnosis["level"] in self.rule.at
 
 
 def parts_in(reports: Mapping[str, Mapping[str, Any]]) -> Iterator[Part]:
     """Yield those parts that the nodes speak of in their last reports."""
     for node, report in reports.items():
-        for name, said in report.get("diagnoses", {}).items():
-            rule = _RULES.get(said["code"]) or _RULES.get(name)
+        for name, diagnosis in report.get("diagnoses", {}).items():
+            rule = _RULES.get(diagnosis["code"]) or _RULES.get(name)
             if rule is not None:
-                yield Part(node, name, said, rule)
+                yield Part(node, name, diagnosis, rule)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Incident:
     code: str = ""
 
     @property
-    def what(self) -> str:
+    def subject(self) -> str:
         """What was lost: a node, or a part of one."""
         return self.node if self.part == PROCESS else f"{self.node}: {self.part}"
 
@@ -143,15 +143,15 @@ def read_incidents(directory: Path) -> list[Incident]:
     path = directory / INCIDENTS
     if not path.exists():
         return []
-    found: dict[int, Incident] = {}
+    incidents: dict[int, Incident] = {}
     *lines, _cut = path.read_text(encoding="utf-8").split("\n")
     for index, line in enumerate(lines, start=1):
         try:
             incident = Incident(**json.loads(line))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}, line {index}: is no incident ({error})") from error
-        found[incident.number] = incident
-    return sorted(found.values(), key=lambda incident: incident.number)
+        incidents[incident.number] = incident
+    return sorted(incidents.values(), key=lambda incident: incident.number)
 
 
 class IncidentLog:
@@ -202,9 +202,9 @@ class IncidentLog:
         assert self._file is not None
         if not self._file.exists():
             return
-        whole, _, cut = self._file.read_bytes().rpartition(b"\n")
+        complete, _, cut = self._file.read_bytes().rpartition(b"\n")
         if cut:  # by a crash
-            self._file.write_bytes(whole + b"\n" if whole else b"")
+            self._file.write_bytes(complete + b"\n" if complete else b"")
         for incident in read_incidents(self._file.parent):
             self._before = incident.number
             if incident.ended is None:
@@ -223,7 +223,7 @@ class IncidentLog:
         """
         for part in parts_in(reports):
             about = part.node, part.name
-            if part.said["level"] == "OK":
+            if part.diagnosis["level"] == "OK":
                 self._good.add(about)
             if not part.is_lost:
                 self._pending.pop(about, None)
@@ -234,15 +234,15 @@ class IncidentLog:
     def _suspect(self, about: tuple[str, str], part: Part, tick: int | None) -> None:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
-        cause, began = part.said["message"], wall_time()
+        cause, began = part.diagnosis["message"], wall_time()
         if tick is None and about not in self._good:
             cause, began = f"since the start: {cause}", self._began
-        seen, incident = self._pending.setdefault(about, (now, Incident(
-            0, *about, cause, began, began_tick=tick, code=part.said["code"],
+        first_seen, incident = self._pending.setdefault(about, (now, Incident(
+            0, *about, cause, began, began_tick=tick, code=part.diagnosis["code"],
         )))
         if part.rule.follows and self.lasting:
             self._pending.pop(about)
-        elif now - seen >= part.rule.lasts_s:
+        elif now - first_seen >= part.rule.lasts_s:
             del self._pending[about]
             self._begin(incident)
 
@@ -272,7 +272,7 @@ class IncidentLog:
         at = "" if tick is None else f" at tick {tick}"
         self._say(
             f"incident {incident.number} is over{at}, after {incident.seconds:.1f} s: "
-            f"{incident.what}"
+            f"{incident.subject}"
         )
 
     def _keep(self, incident: Incident) -> None:

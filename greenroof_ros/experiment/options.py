@@ -81,7 +81,7 @@ def add_controller_arguments(
     parser: argparse.ArgumentParser, group: argparse._ArgumentGroup,
     arguments: Sequence[str] | None = None,
 ) -> None:
-    """Add the option that names the controller, and those of its parameters, which it decides.
+    """Add the options for the controller's name and, by the controller, for its parameters.
 
     Args:
         parser: of the command.
@@ -100,27 +100,27 @@ def add_controller_arguments(
     name = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     name.add_argument("--controller", nargs="?", default=DEFAULT)
     controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
-    own = parser.add_argument_group(
+    of_controller = parser.add_argument_group(
         f"parameters of {controller.name}", "With another --controller, --help shows the other's."
     )
-    own.add_argument(
+    of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
     )
-    _add_parameters(own, controller.kind.parameters, _PARAMETER)
+    _add_parameters(of_controller, controller.kind.parameters, _PARAMETER)
 
 
 def _add_parameters(
     group: argparse._ArgumentGroup, parameters: Iterable[Parameter], prefix: str = ""
 ) -> None:
     """Add an option for each parameter; its argument has a name that begins with the prefix."""
-    for one in parameters:
-        low, high = one.low, one.high
-        unit = "" if one.unit in ("", "1") else f"{one.unit}, "
+    for parameter in parameters:
+        low, high = parameter.low, parameter.high
+        unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
         group.add_argument(
-            _option(one.name), dest=f"{prefix}{one.name}", metavar="X",
-            type=within(int(low), int(high), int) if one.whole else within(low, high),
-            help=f"{one.meaning} ({unit}default: {one.default:g})",
+            _option(parameter.name), dest=f"{prefix}{parameter.name}", metavar="X",
+            type=within(int(low), int(high), int) if parameter.whole else within(low, high),
+            help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
 
 
@@ -235,14 +235,14 @@ def parse_run_arguments(
     parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 ) -> argparse.Namespace:
     """Parse a command line; where an option is unknown, say which the controller has."""
-    known, unknown = parser.parse_known_args(arguments)
+    parsed, unknown = parser.parse_known_args(arguments)
     if unknown:
-        controller = find_controller(known.controller)
+        controller = find_controller(parsed.controller)
         parser.error(
             f"unrecognized arguments: {' '.join(unknown)} (the parameters of {controller.name} "
             f"are {', '.join(_option(name) for name in controller.parameters)})"
         )
-    return known
+    return parsed
 
 
 def controller_from_arguments(
@@ -277,8 +277,10 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)
         choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
-        given = {name: getattr(arguments, name) for name in PARAMETERS}
-        errors = SensorPumpErrors(**{key: one for key, one in given.items() if one is not None})
+        errors_given = {name: getattr(arguments, name) for name in PARAMETERS}
+        errors = SensorPumpErrors(
+            **{key: value for key, value in errors_given.items() if value is not None}
+        )
     else:
         controller = find_controller("onoff")
         parameters, choice = controller.defaults(site), ForecastChoice()
@@ -316,7 +318,7 @@ def forecast_from_arguments(
     """Return the forecasts that a command line asks for.
 
     Args:
-        arguments: with those of :func:`add_forecast_options`.
+        arguments: parsed with the options of :func:`add_forecast_options`.
         text: which forecasts, a model or a path.
         key: the option or argument that has it, for messages.
 
@@ -327,9 +329,9 @@ def forecast_from_arguments(
         choice = choose(text)
     except ValueError as error:
         raise ConfigurationError(str(error), key=key, value=text) from error
-    given = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
-    given = {option: value for option, value in given.items() if value is not None}
-    for option in given:
+    chosen = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
+    chosen = {option: value for option, value in chosen.items() if value is not None}
+    for option in chosen:
         if option not in choice.takes:
             owners = [
                 "a file" if name == FILE else name
@@ -344,4 +346,4 @@ def forecast_from_arguments(
             f"is an option of a file; the forecast is {choice}", key="--dressed",
             value=str(arguments.dressed),
         )
-    return replace(choice, **given, dressed=arguments.dressed)
+    return replace(choice, **chosen, dressed=arguments.dressed)

@@ -31,33 +31,33 @@ class CarriedOut(NamedTuple):
     """volume pumped (m3)"""
 
 
-def carry_out(run: Run, wanted: Wanted, max_command: float) -> CarriedOut:
+def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
     """Run a plan through the exact plant, whatever errors the run has of sensor and pumps.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        wanted: returns what the roof is to hold at the end of a tick (m3), by the tick's index and
+        target: returns what the roof is to hold at the end of a tick (m3), by the tick's index and
             what cistern and roof hold (m3).
         max_command: largest command (share of the maximum flow).
     """
     site, soil, series, n = run.site, soil_of(run.site), run.series, run.steps
     plant, metrics = Plant(site, run.x1, run.x2), Metrics()
     weather = series.precipitation[:n], series.evapotranspiration[:n], series.frost[:n]
-    for k, (rain, asked, frost) in enumerate(zip(*weather, strict=True)):
+    for k, (rain, potential, frost) in enumerate(zip(*weather, strict=True)):
         command = 0.0
         if not frost:
             # As a controller sees them, whose levels have been rounded.
             cistern, roof = plant.levels()
             x1, x2 = site.cistern_volume(cistern), site.roof_volume(roof)
-            command = command_to(site, soil, x1, x2, wanted(k, x1, x2), rain, asked)
+            command = command_to(site, soil, x1, x2, target(k, x1, x2), rain, potential)
             command = min(command, max_command)
-        moved = plant.flows(rain, asked, plant.pump_flow(command))
+        moved = plant.flows(rain, potential, plant.pump_flow(command))
         metrics.observe(site, plant.x1, plant.x2, plant.layer)
-        metrics.step(command, rain, asked, moved)
+        metrics.step(command, rain, potential, moved)
         plant.step(rain, moved)
     metrics.observe(site, plant.x1, plant.x2, plant.layer)
-    found = metrics.results()
-    return CarriedOut(found["total_deviation_m3"], found["pumped_m3"])
+    results = metrics.results()
+    return CarriedOut(results["total_deviation_m3"], results["pumped_m3"])
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
@@ -83,8 +83,8 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
     together = np.zeros((1, len(starts)), dtype=np.intp)
     policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
 
-    def wanted(k: int, x1: float, x2: float) -> float:
+    def target(k: int, x1: float, x2: float) -> float:
         level = float(program.levels(policy, k // block, 0, program.usable(x1), x2))
         return level - BELOW_M3 if level >= x2 else -math.inf
 
-    return carry_out(run, wanted, max_command)
+    return carry_out(run, target, max_command)

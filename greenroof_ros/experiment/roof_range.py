@@ -50,23 +50,23 @@ def roof_range(
     target = (1 + ROUNDING) * site.a2 * site.z_veg
     low = high = x2
     ticks = array("d")
-    for fell, asked, most in zip(
+    for fell, potential, most in zip(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
         # Nothing is pumped where the roof is above its target even at the least.
-        tick = low, high, fell, asked, most if low <= target else 0.0
+        tick = low, high, fell, potential, most if low <= target else 0.0
         if isinstance(soil, PaperSoil):
-            found = _of_paper(site, soil, *tick)
+            after = _of_paper(site, soil, *tick)
         else:
-            found = _of_measured(site, soil, *tick)
-        low, high = found[:2]
-        ticks.extend(found)
-    lows, highs, *others = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
-    return RoofRange(np.append(x2, lows), np.append(x2, highs), *others)
+            after = _of_measured(site, soil, *tick)
+        low, high = after[:2]
+        ticks.extend(after)
+    lows, highs, *columns = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
+    return RoofRange(np.append(x2, lows), np.append(x2, highs), *columns)
 
 
 def _of_paper(
-    site: Site, soil: PaperSoil, low: float, high: float, rain: float, asked: float, most: float
+    site: Site, soil: PaperSoil, low: float, high: float, rain: float, potential: float, most: float
 ) -> tuple[float, ...]:
     """Follow the range of the volume on the paper's roof through a tick.
 
@@ -76,38 +76,39 @@ def _of_paper(
         low: least volume before the tick (m3).
         high: largest volume before it (m3).
         rain: on the roof (m3/s).
-        asked: evapotranspiration of plants that do not lack water (m3/s).
+        potential: evapotranspiration of plants that lack no water (m3/s).
         most: the most that the pumps can lift in the tick (m3).
 
     Returns:
         The fields of :class:`RoofRange`; without the slope, which is always 1.
     """
-    change = site.tau * (rain - asked)
-    left, drained = [low, high], [0.0]
+    change = site.tau * (rain - potential)
+    after, drained = [low, high], [0.0]
     if high >= (1 - ROUNDING) * site.z_cap:
         # Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are
         # at the ends of the range and on both sides of z_cap.
-        left, drained = [], []
+        after, drained = [], []
         for x2 in (low, min(max(low, site.z_cap), high), high):
             if x2 < (1 + ROUNDING) * site.z_cap:
-                left.append(x2)
+                after.append(x2)
                 drained.append(0.0)
             if x2 >= (1 - ROUNDING) * site.z_cap:
                 drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
-                left.append(x2 - drained[-1])
-    wettest = max(left)
+                after.append(x2 - drained[-1])
+    wettest = max(after)
     if most > 0:
         wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + most)
     unpumped = change - min(drained)
     # A roof that runs dry loses what it held, low at the least.
     return (
-        max(0.0, min(left) + change), max(0.0, wettest + change), change - max(drained),
+        max(0.0, min(after) + change), max(0.0, wettest + change), change - max(drained),
         max(unpumped + most, -low), max(unpumped, -low),
     )
 
 
 def _of_measured(
-    site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, asked: float, most: float
+    site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, potential: float,
+    most: float,
 ) -> tuple[float, ...]:
     """Follow the range of the volume in the substrate of a measured roof, as :func:`_of_paper`.
 
@@ -116,17 +117,17 @@ def _of_measured(
     The volume after a tick rises with that before by about the slope of the chord over the range:
     less that, what is left to choose is little.
     """
-    ends = [left_after_tick(soil, site.tau, x2, rain, asked) for x2 in (low, high)]
+    ends = [left_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
     slope = 1.0
     if high - low > ROUNDING * site.z_cap:
         slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
     reached = {}
     for line in (0.0, slope):
-        found = _ends(site, soil, low, high, rain, asked, line)
-        reached[line] = min(found), max(found)
+        ends_of_line = _ends(site, soil, low, high, rain, potential, line)
+        reached[line] = min(ends_of_line), max(ends_of_line)
         if most > 0:
             end = max(low, min(high, site.a2 * site.z_veg))
-            pumped_to = _ends(site, soil, low, end, rain + most / site.tau, asked, line)
+            pumped_to = _ends(site, soil, low, end, rain + most / site.tau, potential, line)
             reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
     # A roof that runs dry ends at 0, and not below.
     return (
@@ -136,7 +137,7 @@ def _of_measured(
 
 
 def _ends(
-    site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, asked: float,
+    site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
     line: float,
 ) -> list[float]:
     """Return what may be the least and largest over a range of volumes (m3) after a tick.
@@ -151,17 +152,17 @@ def _ends(
         low: least volume before the tick (m3).
         high: largest volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
-        asked: evapotranspiration of plants that do not lack water (m3/s).
+        potential: evapotranspiration of plants that lack no water (m3/s).
         line: so many times the volume before is subtracted from that after.
     """
     dry, most = site.wilting_volume, site.available_volume
     onset = dry + site.stress_onset * most
-    found = [low, high]
-    found += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
+    volumes = [low, high]
+    volumes += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
     if arriving > 0:
         # d/dx2 of x2 - tau (S^2 arriving + K_s asked) - line x2 is 0, of the two pieces.
-        for slope in (1.0 - line, 1.0 - line - site.tau * asked / (site.stress_onset * most)):
+        for slope in (1.0 - line, 1.0 - line - site.tau * potential / (site.stress_onset * most)):
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
-                found.append(vertex)
-    return [left_after_tick(soil, site.tau, x2, arriving, asked) - line * x2 for x2 in found]
+                volumes.append(vertex)
+    return [left_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]

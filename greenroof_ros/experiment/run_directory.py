@@ -69,7 +69,7 @@ def _make_dated_directory(controller: str) -> Path:
 
 def write_configuration(
     directory: Path, run: Run, nodes: dict[str, object],
-    others: Mapping[str, dict[str, object]] | None = None,
+    extra: Mapping[str, dict[str, object]] | None = None,
 ) -> Path:
     """Keep the files that a run was made from, and write the parameters of its nodes.
 
@@ -77,7 +77,7 @@ def write_configuration(
         directory: of the run.
         run: what was asked for.
         nodes: parameters of the plant beyond those that the run itself decides.
-        others: parameters of nodes that are not in every run, likewise, by node.
+        extra: parameters of nodes that are not in every run, likewise, by node.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -91,7 +91,7 @@ def write_configuration(
         site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
         weather_files: list[str] = []
         for file in run.weather.files:
-            name = unique_name(file, [Path(other).name for other in weather_files])
+            name = unique_name(file, [Path(copy).name for copy in weather_files])
             weather_files.append(str(_copy(file, configuration / "weather" / name)))
         choice = run.forecast_choice
         if choice.file is not None:
@@ -125,7 +125,7 @@ def write_configuration(
                 "directory": str(directory / "bag"),
                 "controller": run.controller.reference,
             },
-            **{name: {**common, **values} for name, values in (others or {}).items()},
+            **{name: {**common, **values} for name, values in (extra or {}).items()},
         }
         return write_parameters(configuration, parameters)
 
@@ -138,7 +138,7 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
         parameters: of each node, by its name.
     """
     file = directory / "parameters.yaml"
-    of_nodes = {f"/**/{name}": {"ros__parameters": own} for name, own in parameters.items()}
+    of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}
     file.write_text(yaml.safe_dump(of_nodes, sort_keys=False), encoding="utf-8")
     return file
 

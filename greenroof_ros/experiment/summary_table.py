@@ -45,19 +45,19 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
     """Return a table of lines that are a word, a number, and what it is."""
-    found = Table(title=title, title_justify="left", show_header=False)
-    found.add_column(style="bold")
-    found.add_column(justify="right")
-    found.add_column()
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    table.add_column()
     for line in lines:
-        found.add_row(*line)
-    return found
+        table.add_row(*line)
+    return table
 
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield what a person sees at the end of a run: a word, a number, and what it is."""
-    given = {key: value for key, value in summary["parameters"].items() if value is not None}
-    yield "controller", summary["controller"], _listed(given)
+    parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
+    yield "controller", summary["controller"], _listed(parameters)
     yield "from", *_initial(summary["initial"])
     yield (
         "length", f"{summary['steps']} ticks",
@@ -126,13 +126,16 @@ def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, st
         incident: of the summary.
         tau: duration of a tick (s).
     """
-    lost = Incident(**incident)
-    assert lost.began_tick is not None
+    failure = Incident(**incident)
+    assert failure.began_tick is not None
     until = "to the end"
-    if lost.ended_tick is not None:
-        until = f"to {hours_minutes(lost.ended_tick * tau)}, {lost.seconds:.1f} s of wall time"
-    began = hours_minutes(lost.began_tick * tau)
-    return ("INCIDENT", lost.node, f"from {began} {until}: {lost.cause}")
+    if failure.ended_tick is not None:
+        until = (
+            f"to {hours_minutes(failure.ended_tick * tau)}, "
+            f"{failure.seconds:.1f} s of wall time"
+        )
+    began = hours_minutes(failure.began_tick * tau)
+    return ("INCIDENT", failure.node, f"from {began} {until}: {failure.cause}")
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:

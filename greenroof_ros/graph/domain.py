@@ -78,13 +78,13 @@ def choose_transport() -> None:
     """
     import rclpy
 
-    asked = os.environ.setdefault(_RANGE, "LOCALHOST")
+    discovery = os.environ.setdefault(_RANGE, "LOCALHOST")
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
     if not fast_dds or _PROFILES in os.environ or _PROFILES_3 in os.environ:
         return
     os.environ.setdefault(LEASE, _LEASE_S)
     variable, name = (_PROFILES_3, "fastdds3") if _is_fast_dds_3() else (_PROFILES, "fastdds")
-    if asked == "LOCALHOST":
+    if discovery == "LOCALHOST":
         os.environ[_RANGE] = "SYSTEM_DEFAULT"
         name += "_loopback"
     else:
@@ -120,11 +120,11 @@ def _domain() -> int:
     return int(text)
 
 
-def _taken(what: str, namespace: str) -> OccupiedError:
+def _occupied(reason: str, namespace: str) -> OccupiedError:
     domain = _domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
-        f"{what} already {place}; end it, or take another domain: "
+        f"{reason} already {place}; end it, or take another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
     )
 
@@ -148,7 +148,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
     try:
         lock = take_lock(file)
     except LockedError:
-        raise _taken("a bringup runs", namespace) from None
+        raise _occupied("a bringup runs", namespace) from None
     except OSError as error:
         raise ConfigurationError(
             f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
@@ -181,13 +181,13 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
         while time.monotonic() < until:
             check()
             time.sleep(0.05)
-            found = sorted(
+            running = sorted(
                 name
                 for name, place in node.get_node_names_and_namespaces()
                 if place == (namespace or "/") and name in names
             )
-            if found:
-                raise _taken(f"a graph with {', '.join(found)} runs", namespace)
+            if running:
+                raise _occupied(f"a graph with {', '.join(running)} runs", namespace)
     finally:
         node.destroy_node()
         context.try_shutdown()

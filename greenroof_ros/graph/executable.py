@@ -75,12 +75,12 @@ def node_command(
         if option and value is None:
             parser.add_argument(option, dest="value", choices=choices or None)
         try:
-            own = remove_ros_args(sys.argv)
+            argv = remove_ros_args(sys.argv)
         except RuntimeError as error:  # of rcl: arguments that it cannot read
             parser.error(" ".join(str(error).split()))
-        given = parser.parse_args(own[1:], argparse.Namespace(value=value))
-        of = [given.value] if option else []
-        if given.help:
+        arguments = parser.parse_args(argv[1:], argparse.Namespace(value=value))
+        of = [arguments.value] if option else []
+        if arguments.help:
             print(help_of(*of))
             return EXIT_DONE
         if of == [None]:
@@ -115,7 +115,8 @@ def node_help(
     topics = [topic for topic in read_topics().values() if topic.live or not always_live]
     sections = {
         "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
-            (one.name, _about(one), one.description) for one in parameters(default_site())
+            (parameter.name, _about(parameter), parameter.description)
+            for parameter in parameters(default_site())
         ],
         **{
             heading: [
@@ -149,18 +150,18 @@ def _section(heading: str, entries: list[tuple[str, str, str]]) -> Iterator[str]
         )
 
 
-def _about(one: Parameter) -> str:
+def _about(parameter: Parameter) -> str:
     """Return type, range and default of a parameter, written as in a parameter file."""
-    default = one.default
+    default = parameter.default
     if isinstance(default, list):
         default = f"[{', '.join(default)}]"
     elif isinstance(default, bool):
         default = str(default).lower()
     elif isinstance(default, float):
         default = f"{default:.7g}" if default % 1 else f"{default:.1f}"
-    limits = f"{one.limits and ', '}{one.limits}"
-    changes = "; may change in a run" if one.may_change else ""
-    return f"{type_name(one)}{limits}; default {str(default) or 'empty'}{changes}"
+    limits = f"{parameter.limits and ', '}{parameter.limits}"
+    changes = "; may change in a run" if parameter.may_change else ""
+    return f"{type_name(parameter)}{limits}; default {str(default) or 'empty'}{changes}"
 
 
 # --- the process ----------------------------------------------------------------------------------

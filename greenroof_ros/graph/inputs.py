@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
@@ -102,7 +103,7 @@ class Publishers:
 
     def names(self) -> list[str]:
         """Return what to call the publishers' nodes; where all have gone, what they were called."""
-        self._names = sorted({call_node(one.node_name) for one in self._known()}) or self._names
+        self._names = sorted({call_node(info.node_name) for info in self._known()}) or self._names
         return self._names
 
     def problem(self, now: float) -> str:
@@ -128,7 +129,7 @@ class Publishers:
             "other, or take another ROS_DOMAIN_ID or --namespace"
         )
 
-    def said(self, now: float) -> str:
+    def sentence(self, now: float) -> str:
         """Return the same with the name of the topic, as a sentence; empty where all is well."""
         problem = self.problem(now)
         return f"{self.full_name} {problem}" if problem else ""
@@ -152,9 +153,9 @@ class Publishers:
         unheard = self._unheard()
         if not unheard:
             return ""
-        wanted = replace(self.required, lease_s=self.topic.qos.lease_s)
-        names = sorted({call_node(one.node_name) for one in unheard})
-        why = dict.fromkeys(word for one in unheard for word in lacks(one.qos_profile, wanted))
+        needed = replace(self.required, lease_s=self.topic.qos.lease_s)
+        names = sorted({call_node(info.node_name) for info in unheard})
+        why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, needed))
         return (
             f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
             f"and must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
@@ -164,16 +165,16 @@ class Publishers:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
 
     def _unheard(self) -> list[Any]:
-        return [one for one in self._known() if lacks(one.qos_profile, self.required)]
+        return [info for info in self._known() if lacks(info.qos_profile, self.required)]
 
 
 def call_node(name: str) -> str:
     """Return what to call a node in a message, by its name in the graph.
 
-    Who joined just before another was killed may know that one's topics, and never its name.
+    A node that joined just before another was killed may know its topics, and never its name.
     """
     if name == _UNKNOWN_NAME:
-        return "a node whose name is not known, such as one that was killed"
+        return "a node whose name is not known, perhaps because it was killed"
     return name
 
 
@@ -277,7 +278,9 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         unit = "" if self.topic.unit == "1" else f" {self.topic.unit}"
-        limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
+        limits = f"must be finite and at least {self.topic.low:g}{unit}"
+        if self.topic.high < sys.float_info.max:
+            limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
         if not self.refused:
             self._logger.error(
                 f"refused {value!r} on {self.name}: it {limits}; it acts as 0, and further ones "
@@ -309,23 +312,23 @@ class Inputs:
     def absent(self) -> dict[str, list[str]]:
         """Return the topics that nobody is heard on, by the role of who should publish them."""
         return self.by_role([
-            name for name, one in self.by_name.items()
-            if not one.optional and not one.publishers.heard
+            name for name, entry in self.by_name.items()
+            if not entry.optional and not entry.publishers.heard
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
         """Return some of the topics, by the role of who should publish them.
 
-        Where the interface names two, the plant or a pump driver, it is the first of whom nothing
-        else is here.
+        Where the interface names two, the plant or a pump driver, it is the first that publishes
+        nothing else here.
         """
-        here = {self._role} | {
-            one.topic.publishers[0] for name, one in self.by_name.items() if name not in names
+        present = {self._role} | {
+            entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names
         }
         roles: dict[str, list[str]] = {}
         for name in names:
             candidates = self.by_name[name].topic.publishers
-            role = next((role for role in candidates if role not in here), candidates[-1])
+            role = next((role for role in candidates if role not in present), candidates[-1])
             roles.setdefault(role, []).append(name)
         return roles
 
@@ -339,7 +342,7 @@ class Inputs:
     def causes(self, awaited: Collection[str]) -> str:
         """Name topics that are awaited, and the nodes that should publish them.
 
-        Those of a node that waits itself for another one of them are left out.
+        Topics of a node that waits itself for another of these topics are left out.
         """
         silent = self.by_role([name for name in self.by_name if name in awaited])
         causes = root_causes(silent, read_topics().values())
@@ -351,11 +354,11 @@ class Inputs:
         Args:
             role: of the interface.
         """
-        found = [
-            node for one in self.by_name.values() if role in one.topic.publishers
-            for node in one.publishers.names()
+        nodes = [
+            node for entry in self.by_name.values() if role in entry.topic.publishers
+            for node in entry.publishers.names()
         ]
-        return found[0] if found else self.names.get(role, role)
+        return nodes[0] if nodes else self.names.get(role, role)
 
 
 def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
@@ -370,6 +373,6 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
         for topic in topics
         for role in roles
         if topic.per_tick and role in topic.subscribers
-        and any(other in roles and other != role for other in topic.publishers)
+        and any(publisher in roles and publisher != role for publisher in topic.publishers)
     }
     return set(roles) - waiting or set(roles)

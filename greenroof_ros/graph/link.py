@@ -239,7 +239,7 @@ class LinkedNode(NoClockSubscription, Node):
         """Whether no input's present value was refused, or, live, breaks another rule."""
         if self._live:
             self._live.judge()
-        return all(one.good for one in self.inputs.by_name.values() if not one.optional)
+        return all(entry.good for entry in self.inputs.by_name.values() if not entry.optional)
 
     def diagnose(
         self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
@@ -318,9 +318,9 @@ class LinkedNode(NoClockSubscription, Node):
     def _warn(self, now: float) -> None:
         """Warn of each publisher that is not heard, once; live, for as long as it is there."""
         before = self._warnings
-        said = [sentence for each in self._heard if (sentence := each.warning(now))]
-        new = [sentence for sentence in said if sentence not in before]
-        self._warnings = said if self.live else [*before, *new]
+        warnings = [sentence for publishers in self._heard if (sentence := publishers.warning(now))]
+        new = [sentence for sentence in warnings if sentence not in before]
+        self._warnings = warnings if self.live else [*before, *new]
         for sentence in new:
             self.get_logger().warning(sentence)
 
@@ -358,6 +358,8 @@ class LinkedNode(NoClockSubscription, Node):
             self._final_values["failure"] = failure
         self._report(time.monotonic())
         until = time.monotonic() + _FLUSH_S
-        for publisher in [*(one for one, _ in self._outputs.values()), self.reports.publisher]:
+        for publisher in [
+            *(output for output, _ in self._outputs.values()), self.reports.publisher
+        ]:
             left = max(0.0, until - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))

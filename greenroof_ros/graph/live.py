@@ -1,7 +1,7 @@
 """A live graph: a node acts every tick of the steady clock, on the newest value of each input.
 
-There is no plant and no clock topic. What is missing, late or wrong is not waited for: the node is
-told which of its inputs are not good, by the rules of
+There is no plant and no clock topic. What is missing, late or wrong is not waited for: the node
+learns which of its inputs are not good, by the rules of
 :mod:`greenroof_ros.pumping.input_rules`, and acts accordingly.
 """
 
@@ -50,8 +50,8 @@ _JUMP_TOLERANCE = Parameter(
 )
 
 
-def _limit(name: str, default: float, most: float, what: str) -> Parameter:
-    return Parameter(name, default, "s", 0.1, most, f"live: greatest age of {what}")
+def _limit(name: str, default: float, most: float, quantity: str) -> Parameter:
+    return Parameter(name, default, "s", 0.1, most, f"live: greatest age of {quantity}")
 
 
 _LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
@@ -227,14 +227,14 @@ class Live:
 
     def _say(self) -> None:
         """Say which of the inputs that the node needs are not good, and why."""
-        needed = [one for one in self._inputs if not one.optional]
-        bad = [one for one in needed if not one.good]
+        needed = [entry for entry in self._inputs if not entry.optional]
+        bad = [entry for entry in needed if not entry.good]
         if not bad:
             if needed:
                 self._diagnose("inputs", OK, "all inputs are good", "")
             return
-        alarming = [one for one in bad if one.verdict.alarming]
+        alarming = [entry for entry in bad if entry.verdict.alarming]
         self._diagnose(
             "inputs", ERROR if alarming else WARN,
-            "; ".join(one.problem for one in bad), (alarming or bad)[0].verdict.code,
+            "; ".join(entry.problem for entry in bad), (alarming or bad)[0].verdict.code,
         )

@@ -116,7 +116,7 @@ class Lockstep:
         return receive
 
     def act(self) -> None:
-        """Let the node act on its inputs, and await those of the next tick."""
+        """Let the node act on its inputs, and await the inputs of the next tick."""
         self.awaited |= self._of_tick
         self.tick += 1
         self._act()

@@ -1,4 +1,4 @@
-"""Looks at a graph from outside: hears what it is told to hear, and can have the pump stopped.
+"""Looks at a graph from outside: hears the topics asked for, and can have the pump stopped.
 
 What it stopped it can release, by services of the pump node that are its own; it can ask for a
 pause, and where the site allows it for a dose.
@@ -22,7 +22,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import TAKING_DOWN_S, join
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
-# How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
+# How many messages of a topic wait until the next look: 1 s at 60 times real time.
 _DEPTH = 64
 
 DIAGNOSTICS = "/diagnostics"
@@ -91,10 +91,10 @@ class Looker:
 
         from greenroof_ros.graph.messages import message_class
 
-        wanted = {DIAGNOSTICS, *topics}
-        for name in self._subscriptions.keys() - wanted:
+        needed = {DIAGNOSTICS, *topics}
+        for name in self._subscriptions.keys() - needed:
             self._node.destroy_subscription(self._subscriptions.pop(name))
-        for name in wanted - self._subscriptions.keys():
+        for name in needed - self._subscriptions.keys():
             topic = self._interface[name]
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(topic.type), topic.graph_name, lambda message: None,
@@ -111,9 +111,9 @@ class Looker:
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
-            for _, (message, said) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
-                number = said["publication_sequence_number"]
-                self._on_message(name, message, number, said["received_timestamp"])
+            for _, (message, info) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
+                number = info["publication_sequence_number"]
+                self._on_message(name, message, number, info["received_timestamp"])
 
     def wake(self) -> None:
         """End the present wait, from another thread."""

@@ -74,21 +74,21 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 def lacks(offered: QoSProfile, required: Qos) -> list[str]:
     """Return what an end of a topic has less than is required, each as a verb and its object."""
-    found = []
+    lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
-        found.append("is best effort")
+        lacking.append("is best effort")
     if (
         required.durability == "transient_local"
         and offered.durability != DurabilityPolicy.TRANSIENT_LOCAL
     ):
-        found.append("is volatile")
+        lacking.append("is volatile")
     lease = offered.liveliness_lease_duration
     if math.isfinite(required.lease_s) and lease > Duration(seconds=required.lease_s):
-        found.append(
+        lacking.append(
             "has no liveliness lease" if lease == Infinite
             else f"has a liveliness lease of {lease.nanoseconds / 1e9:g} s"
         )
-    return found
+    return lacking
 
 
 def requirements(qos: Qos) -> str:

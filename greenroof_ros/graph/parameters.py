@@ -1,7 +1,7 @@
 """Node parameters: described once, declared with description and range, refused in one line.
 
 rclpy ignores a parameter that no node has declared, so that a mistyped limit would have no effect,
-and nobody be told: here it is refused, on a node's command line and in bringup's parameter files.
+and nobody would know: here it is refused, on a node's command line and in parameter files.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def default_site() -> Site:
     return read_site(Path(str(site_file().default)))
 
 
-def type_name(one: Parameter) -> str:
+def type_name(parameter: Parameter) -> str:
     """Return what ROS 2 calls a parameter's type."""
-    return _KINDS[type(one.default)][0]
+    return _KINDS[type(parameter.default)][0]
 
 
 # --- declared by a node -----------------------------------------------------------------------
@@ -72,66 +72,77 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
             out of range.
     """
     declared = list(parameters)
-    doubles = {one.name for one in declared if isinstance(one.default, float) and one.may_change}
+    doubles = {
+        parameter.name for parameter in declared
+        if isinstance(parameter.default, float) and parameter.may_change
+    }
     if doubles:
-        node.add_pre_set_parameters_callback(lambda given: [
-            RosParameter(one.name, value=float(one.value))
-            if one.name in doubles and one.type_ is RosParameter.Type.INTEGER else one
-            for one in given
+        node.add_pre_set_parameters_callback(lambda incoming: [
+            RosParameter(parameter.name, value=float(parameter.value))
+            if parameter.name in doubles and parameter.type_ is RosParameter.Type.INTEGER
+            else parameter
+            for parameter in incoming
         ])
-    return {one.name: _declare(node, one) for one in declared}
+    return {parameter.name: _declare(node, parameter) for parameter in declared}
 
 
-def _declare(node: Node, one: Parameter) -> Any:
-    if node.has_parameter(one.name):
-        return node.get_parameter(one.name).value
-    key = f"parameter {one.name} of {node.get_name()}"
+def _declare(node: Node, parameter: Parameter) -> Any:
+    if node.has_parameter(parameter.name):
+        return node.get_parameter(parameter.name).value
+    key = f"parameter {parameter.name} of {node.get_name()}"
     try:
-        value = _declare_as_given(node, one)
+        value = _declare_as_given(node, parameter)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigurationError(f"{_expected(one)} ({error})", key=key) from error
-    if one.among and value not in one.among:
-        raise ConfigurationError(_expected(one), key=key, value=value)
+        raise ConfigurationError(f"{_expected(parameter)} ({error})", key=key) from error
+    if parameter.among and value not in parameter.among:
+        raise ConfigurationError(_expected(parameter), key=key, value=value)
     return value
 
 
-def _declare_as_given(node: Node, one: Parameter) -> Any:
+def _declare_as_given(node: Node, parameter: Parameter) -> Any:
     """Declare it with the value that is given; a whole number becomes a double where one is due."""
     try:
-        return node.declare_parameter(one.name, one.default, _descriptor(one)).value
+        return node.declare_parameter(
+            parameter.name, parameter.default, _descriptor(parameter)
+        ).value
     except InvalidParameterTypeException:
-        if not isinstance(one.default, float):
+        if not isinstance(parameter.default, float):
             raise
         anything = ParameterDescriptor(dynamic_typing=True)
-        given = node.declare_parameter(one.name, one.default, anything).value
-        node.undeclare_parameter(one.name)
-        if type(given) is not int:
+        value = node.declare_parameter(parameter.name, parameter.default, anything).value
+        node.undeclare_parameter(parameter.name)
+        if type(value) is not int:
             raise
     return node.declare_parameter(
-        one.name, float(given), _descriptor(one), ignore_override=True
+        parameter.name, float(value), _descriptor(parameter), ignore_override=True
     ).value
 
 
-def _expected(one: Parameter) -> str:
+def _expected(parameter: Parameter) -> str:
     """Return what a value must be, for messages."""
-    if one.among:
-        return f"must be {one.limits}"
-    return f"must be {_KINDS[type(one.default)][1]}{one.limits and ' from '}{one.limits}"
+    if parameter.among:
+        return f"must be {parameter.limits}"
+    return (
+        f"must be {_KINDS[type(parameter.default)][1]}"
+        f"{parameter.limits and ' from '}{parameter.limits}"
+    )
 
 
-def _descriptor(one: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return what a ROS tool shows of a parameter."""
     descriptor = ParameterDescriptor(
-        description=one.description, read_only=not one.may_change,
-        additional_constraints=_expected(one) if one.among else "",
+        description=parameter.description, read_only=not parameter.may_change,
+        additional_constraints=_expected(parameter) if parameter.among else "",
     )
-    if math.isinf(one.low):
+    if math.isinf(parameter.low):
         return descriptor
-    if one.whole:
-        whole = IntegerRange(from_value=int(one.low), to_value=int(one.high))
-        descriptor.integer_range = [whole]
+    if parameter.whole:
+        integers = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
+        descriptor.integer_range = [integers]
     else:
-        numbers = FloatingPointRange(from_value=float(one.low), to_value=float(one.high))
+        numbers = FloatingPointRange(
+            from_value=float(parameter.low), to_value=float(parameter.high)
+        )
         descriptor.floating_point_range = [numbers]
     return descriptor
 
@@ -142,7 +153,7 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     """Refuse a parameter of a command line that a node has not declared.
 
-    Those of a parameter file are left: a section of it may be for several nodes.
+    Parameters of a file are left: a section of it may be for several nodes.
 
     Args:
         node: that has declared all it has.
@@ -152,8 +163,8 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         ConfigurationError: there is one.
     """
     for option, assignment in pairwise(arguments):
-        whole, _, value = assignment.partition(":=")
-        of, _, name = whole.rpartition(":")
+        qualified, _, value = assignment.partition(":=")
+        of, _, name = qualified.rpartition(":")
         ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
         if option in ("-p", "--param") and ours and not node.has_parameter(name):
             raise ConfigurationError(
@@ -184,9 +195,9 @@ def refuse_unknown_in(
         pattern = re.escape(f"/{section.removeprefix('/')}")
         # As rcl reads it: two stars are any number of names, one is one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
-        here = [node for node in known if re.fullmatch(pattern, node)]
-        last = [node.rpartition("/")[2] for node in here or known]
-        if not here:
+        matching = [node for node in known if re.fullmatch(pattern, node)]
+        last = [node.rpartition("/")[2] for node in matching or known]
+        if not matching:
             raise ConfigurationError(
                 "bringup starts no such node; the closest is "
                 f"/**/{_closest(section.rpartition('/')[2], last)}; it starts "
@@ -197,7 +208,7 @@ def refuse_unknown_in(
                 "must hold parameters, NAME: VALUE", file=file, line=line,
                 key=f"{section}: {_SECTION}", value=content,
             )
-        names = set().union(*(known[node] for node in here))
+        names = set().union(*(known[node] for node in matching))
         for name, value in content.items():
             for node in last:
                 if name in options.get(node, ()):
@@ -218,11 +229,11 @@ def _sections(
 ) -> Iterator[tuple[str, int, object]]:
     """Yield the parameters of a file: for which nodes, in which line, and what."""
     for name, part in content.items():
-        whole = f"{section}/{name}" if section else name
+        nested = f"{section}/{name}" if section else name
         if name == _SECTION:
             yield section, line, part
         elif isinstance(part, YamlMapping) and part:
-            yield from _sections(file, part, whole, content.lines[name])
+            yield from _sections(file, part, nested, content.lines[name])
         else:
             raise ConfigurationError(
                 f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
@@ -236,7 +247,7 @@ def _names(module: str, controller: ControllerChoice) -> set[str]:
     with in_extra("pump"):
         node = import_module(module)
     of = controller if module.endswith(".controller") else default_site()
-    return {one.name for one in node.parameters(of)}
+    return {parameter.name for parameter in node.parameters(of)}
 
 
 def _no_such(name: str, names: Iterable[str]) -> str:

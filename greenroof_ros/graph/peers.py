@@ -65,7 +65,7 @@ class Peers:
             if not entry.tolerates_second and publishers.count > 1 and publishers.heard > 1:
                 # A wrong set-up before the run, then a failure.
                 kind = LockstepError if node.acted else OccupiedError
-                raise kind(publishers.said(now))
+                raise kind(publishers.sentence(now))
         if node.lockstep.is_over:  # what the plant says of the run came behind the last tick
             node.finish()
             return

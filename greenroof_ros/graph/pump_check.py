@@ -117,7 +117,7 @@ class PumpCheck:
         Args:
             node: that plays the driver's peers.
             driver: name of its node, without namespace.
-            site: whose levels it is told.
+            site: whose levels it gets.
             limits: what is asked of it.
         """
         self._node = node
@@ -256,11 +256,11 @@ class PumpCheck:
                 raise ConfigurationError(self._absent())
             self._spin(0.1)
         for topic in _PLAYED:
-            others = self._node.get_publishers_info_by_topic(self._name(topic))
-            if others:
+            publishers = self._node.get_publishers_info_by_topic(self._name(topic))
+            if publishers:
                 raise OccupiedError(
                     f"{self._name(topic)} has a publisher already "
-                    f"({call_node(others[0].node_name)}): the check plays plant, weather and "
+                    f"({call_node(publishers[0].node_name)}): the check plays plant, weather and "
                     "controller itself; end the graph first"
                 )
 
@@ -276,8 +276,8 @@ class PumpCheck:
     def _unfit(self) -> str:
         """Return what the ends of its topics lack."""
         return "; ".join(
-            f"its {what} {' and '.join(lacking)}; it must be {requirements(qos)}"
-            for what, qos, infos in self._ends() for info in self._of_driver(infos)
+            f"its {end} {' and '.join(lacking)}; it must be {requirements(qos)}"
+            for end, qos, infos in self._ends() for info in self._of_driver(infos)
             if (lacking := lacks(info.qos_profile, qos))
         )
 
@@ -318,24 +318,24 @@ class PumpCheck:
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def _answer(self, said: Mapping[str, float]) -> float:
+    def _answer(self, overrides: Mapping[str, float]) -> float:
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            said: instead of the truth and the usual command, by topic.
+            overrides: instead of the truth and the usual command, by topic.
         """
         _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau
         cistern, roof = self._volumes
-        told: dict[str, float] = {
+        values: dict[str, float] = {
             "/clock": _EPOCH_NS + round(self._ticks * tau * 1e9),
             "/cistern/level": cistern / self._site.a1,
             "/roof/level": roof / self._site.a2,
             "/weather/frost": 0.0,
             _COMMAND: self._limits.command,
-            **said,
+            **overrides,
         }
-        for topic, value in told.items():
+        for topic, value in values.items():
             self._publishers[topic](value)
         self._ticks += 1
         while not self._flows:
@@ -343,8 +343,8 @@ class PumpCheck:
             if left < 0:
                 self._hindered = "not tried: the driver does not answer"
                 raise _ProblemError(
-                    f"no flow within {self._limits.answer:g} s of command {told[_COMMAND]:g}, the "
-                    f"{self._ticks}th{self._said()}"
+                    f"no flow within {self._limits.answer:g} s of command {values[_COMMAND]:g}, "
+                    f"the {self._ticks}th{self._driver_state()}"
                 )
             self._executor.spin_once(timeout_sec=left)
         self._spin(began + self._limits.period - time.monotonic())
@@ -365,30 +365,30 @@ class PumpCheck:
             )
         self._flows.clear()
 
-    def _said(self) -> str:
+    def _driver_state(self) -> str:
         return f" (/pump/state: {self._state})" if self._state else ""
 
     def _flowing(self, flow: float) -> bool:
         return flow > _NONE * self._steady
 
-    def _stop(self, reason: str, said: Mapping[str, float]) -> None:
+    def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
         """Repeat a tick until the flow is 0, and some times more; note how long that took.
 
         Raises:
             _ProblemError: it is not within the limit, or does not stay so.
         """
         began = time.monotonic()
-        before = flow = self._answer(said)
+        before = flow = self._answer(overrides)
         while self._flowing(flow):
             _require(
                 time.monotonic() <= began + self._limits.stop,
                 f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
-                f"(first answer: {before:.3g}){self._said()}",
+                f"(first answer: {before:.3g}){self._driver_state()}",
             )
-            flow = self._answer(said)
+            flow = self._answer(overrides)
         self._came = self._came or f"no flow after {time.monotonic() - began:.1f} s"
         for _ in range(_STEADY_TICKS):
-            flow = self._answer(said)
+            flow = self._answer(overrides)
             _require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
@@ -409,11 +409,11 @@ class PumpCheck:
             if len(flows) > _STEADY_TICKS and least > 0 and most - least <= _STEADY * most:
                 self._steady = flows[-1]
                 return self._steady
-            what = f"from {least:.3g} to {most:.3g} m3/s" if most else "0"
+            expected = f"from {least:.3g} to {most:.3g} m3/s" if most else "0"
             _require(
                 time.monotonic() <= until,
-                f"the flow is {what} after {self._limits.start:g} s at command {command:g}"
-                f"{self._said()}",
+                f"the flow is {expected} after {self._limits.start:g} s at command {command:g}"
+                f"{self._driver_state()}",
             )
 
     def _runs(self, when: str) -> None:
@@ -440,12 +440,12 @@ class PumpCheck:
     @contextmanager
     def _intruder(self) -> Iterator[None]:
         """Have another node with a publisher of the command, which says nothing."""
-        other = Node("check_pump_intruder", namespace=self._node.get_namespace())
-        self._publisher(other, _COMMAND)
+        intruder = Node("check_pump_intruder", namespace=self._node.get_namespace())
+        self._publisher(intruder, _COMMAND)
         try:
             yield
         finally:
-            other.destroy_node()
+            intruder.destroy_node()
             self._count_answers(0)
 
 
@@ -454,7 +454,7 @@ def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:
 
     Args:
         driver: name of its node, with its namespace where it has one: ``/site1/pump``.
-        site: whose levels it is told, and whose ticks.
+        site: whose levels and ticks it gets.
         limits: what is asked of it.
 
     Returns:

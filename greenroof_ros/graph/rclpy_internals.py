@@ -35,8 +35,8 @@ def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     it listened, and none says the number that the publisher gave a message.
     """
     with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-            yield taken
+        while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+            yield sample
 
 
 def lifecycle_state(node: Any) -> int:

@@ -110,8 +110,8 @@ class Reports:
             level, code = WARN, "input_publishers"
         elif self.state == STARTING:
             code = "peers_awaited"
-        self._own = own = _dated(self._own, level, self.state, code)
-        of_code = {key: text for key, text in own.for_programs().items() if text}
+        self._own = diagnosis = _dated(self._own, level, self.state, code)
+        of_code = {key: text for key, text in diagnosis.for_programs().items() if text}
         values = {"role": self._role, "process": self._process, **of_code, **values}
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
@@ -120,19 +120,22 @@ class Reports:
         )
         parts = [
             DiagnosticStatus(
-                level=one.level, name=f"{name}: {part}", message=one.message,
+                level=diagnosis.level, name=f"{name}: {part}", message=diagnosis.message,
                 hardware_id=self.hardware or self._machine,
-                values=_values(one, self.numbers.get(part, {})),
+                values=_values(diagnosis, self.numbers.get(part, {})),
             )
-            for part, one in self.diagnoses.items()
+            for part, diagnosis in self.diagnoses.items()
         ]
         array = DiagnosticArray(status=[status, *parts])
         now = self._node.get_clock().now()
         array.header.stamp = (now if now.nanoseconds else Clock().now()).to_msg()
         self.publisher.publish(array)
         diagnoses = {
-            part: {"level": LEVELS[one.level], "message": one.message, **one.for_programs()}
-            for part, one in self.diagnoses.items()
+            part: {
+                "level": LEVELS[diagnosis.level], "message": diagnosis.message,
+                **diagnosis.for_programs(),
+            }
+            for part, diagnosis in self.diagnoses.items()
         }
         self.supervisor.report({"state": self.state, **values, "diagnoses": diagnoses})
 

@@ -89,11 +89,11 @@ def read_report(line: bytes) -> dict[str, Any] | None:
         return None
     if not isinstance(report, dict) or report.get("state") not in STATES:
         return None
-    said = {
+    valid = {
         key: value for key, value in report.items()
         if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
     }
-    return {"warnings": [], "refused": {}, **said}
+    return {"warnings": [], "refused": {}, **valid}
 
 
 class SupervisorSocket:
@@ -114,7 +114,7 @@ class SupervisorSocket:
         self._inhibit = ""
         self._at: float | None = None
 
-    def report(self, said: Mapping[str, Any]) -> None:
+    def report(self, report: Mapping[str, Any]) -> None:
         """Report, to who wants that.
 
         A reader that is stopped must not stop the node: what does not fit is dropped, and said
@@ -122,7 +122,7 @@ class SupervisorSocket:
         """
         if self.given:
             with contextlib.suppress(BlockingIOError, ConnectionError):
-                os.write(self._socket, f"{json.dumps(said)}\n".encode())
+                os.write(self._socket, f"{json.dumps(report)}\n".encode())
 
     def missing(self, now: float) -> str:
         """Return why the pump may not run; empty where it may.
@@ -149,7 +149,7 @@ class SupervisorSocket:
                 read = read_socket(self._socket)
                 self._ended = not read
                 data += read
-        # A line is whole: so short a one is written at once. What a bringup of another version says
+        # A line is whole: so short, it is written at once. What a bringup of another version says
         # is no permit where it says something else.
         with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
             line = json.loads(data.splitlines()[-1])

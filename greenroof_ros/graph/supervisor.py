@@ -44,7 +44,7 @@ KILLING_S = 5.0
 # How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
-# How often the pump node is told whether it may run (s).
+# How often the pump node gets its permit (s).
 PERMIT_S = 0.25
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
@@ -67,7 +67,7 @@ _WINDOW_S = 600.0
 _LIVE_LEASE_S = "3"
 # Nodes without which the pump may run: what else needs a gauge says so itself.
 _NOT_REQUIRED = {
-    RECORDER, *(one.node for section, one in QUANTITIES.items() if section not in TANKS)
+    RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
 # A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
@@ -75,7 +75,7 @@ _NOT_REQUIRED = {
 logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 
-# Stops the drive without the pump node, whose process it is told; returns whether the drive says
+# Stops the drive without the pump node, given its process; returns whether the drive says
 # that the pump stands, and what came of it, in words.
 StopDrive = Callable[[int], tuple[bool, str]]
 
@@ -191,12 +191,12 @@ class Supervisor:
             parameters: ROS 2 parameter files of all nodes; what a later one says counts.
             namespace: of all nodes, such as ``/site1``; empty for none.
             stop_drive: None where there is none, or the pump is somebody else's.
-            on_failure: told of a node that failed and the run goes on: its name, and what happened
-                and was done about it.
+            on_failure: called where a node failed and the run goes on, with its name, and what
+                happened and was done about it.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
-        self._permitted = -math.inf  # when the pump node was last told whether it may run (s)
+        self._permitted = -math.inf  # when the pump node last got its permit (s)
         self._inhibit = ""
         self._stop_drive = stop_drive
         self._on_failure = on_failure
@@ -231,10 +231,10 @@ class Supervisor:
     def _see_drive_off(self, stop_drive: StopDrive) -> None:
         """Stop the drive, and tell it where the pump node did not end well, or the pump may run."""
         process = self.nodes[PUMP].process
-        stands, said = stop_drive(process.pid)
-        self.may_run = "" if stands else said
+        stands, message = stop_drive(process.pid)
+        self.may_run = "" if stands else message
         if self.may_run or process.returncode != EXIT_DONE:
-            self._on_failure(PUMP, f"{self.ended(PUMP)}; {said}")
+            self._on_failure(PUMP, f"{self.ended(PUMP)}; {message}")
 
     # --- starting -------------------------------------------------------------------------------
 
@@ -248,7 +248,7 @@ class Supervisor:
         if name not in self._logs:
             self._logs[name] = _log_file(self._directory / f"{name}.log")
         with contextlib.ExitStack() as ends:
-            ours, its, printed, printing = (
+            ours, theirs, printed, printing = (
                 ends.enter_context(end) for _ in range(2) for end in socket.socketpair()
             )
             process = subprocess.Popen(
@@ -257,17 +257,17 @@ class Supervisor:
                 stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **asked_to_end_with_this(), **self._environment, SOCKET: str(its.fileno()),
+                    **asked_to_end_with_this(), **self._environment, SOCKET: str(theirs.fileno()),
                 },
-                pass_fds=[its.fileno()],
+                pass_fds=[theirs.fileno()],
                 start_new_session=True,
             )
             ends.pop_all()
-        for end in (its, printing):
+        for end in (theirs, printing):
             end.close()
-        self.nodes[name] = heard = NodeProcess(process, ours, self._logs[name])
-        self._ears.register(ours, selectors.EVENT_READ, heard.hear)
-        self._ears.register(printed, selectors.EVENT_READ, heard.log)
+        self.nodes[name] = running = NodeProcess(process, ours, self._logs[name])
+        self._ears.register(ours, selectors.EVENT_READ, running.hear)
+        self._ears.register(printed, selectors.EVENT_READ, running.log)
 
     def permit(self, inhibit: str) -> None:
         """Tell the pump node, if there is one, whether it may run, when that is new or due.
@@ -321,9 +321,9 @@ class Supervisor:
         if code is None:
             return ""
         self._read(0.0)
-        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        ending = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
         why = self.nodes[node].last.get("failure")
-        return f"ended ({how})" + (f": {why}" if why else "")
+        return f"ended ({ending})" + (f": {why}" if why else "")
 
     def check(self, limit: float) -> None:
         """Look whether all nodes live and speak.
@@ -363,7 +363,7 @@ class Supervisor:
         Not by SIGINT: what a shell starts in its background ignores it, and so would a node that
         just begins.
         """
-        asked = time.monotonic()
+        began = time.monotonic()
         limits = {
             node: PUMP_ENDING_S if node == PUMP else ENDING_S
             for node in nodes if self.nodes[node].process.poll() is None
@@ -372,7 +372,7 @@ class Supervisor:
             self.nodes[node].process.send_signal(signal.SIGTERM)
         while limits:
             self._read(0.02)
-            passed = time.monotonic() - asked
+            passed = time.monotonic() - began
             for node, limit in list(limits.items()):
                 process = self.nodes[node].process
                 if process.poll() is not None or passed > limit + KILLING_S:
@@ -410,8 +410,8 @@ class LiveSupervisor(Supervisor):
     """The node processes of a live site, and whether the pump may run.
 
     A node that ends, or says nothing for too long, is started again, after a while that grows; one
-    that needs that too often is given up, and the site with it, the pump stopped. The pump node is
-    told four times a second whether it may run. Where it dies, falls silent or does not obey, it is
+    that needs that too often is given up, and the site with it, the pump stopped. The pump node
+    gets a permit four times a second. Where it dies, falls silent or does not obey, it is
     killed, and the drive is stopped from here. The recorder is never given up, and ends nothing:
     recording must not stop control.
 
@@ -466,15 +466,15 @@ class LiveSupervisor(Supervisor):
 
     def _start(self, name: str, now: float) -> None:
         """Start a node; one for which the system has no process or file is tried again for ever."""
-        kept = self._kept[name]
-        kept.started, kept.starts_again = now, None
+        record = self._kept[name]
+        record.started, record.starts_again = now, None
         try:
-            self.start(kept.start)
-            kept.cannot_start = ""
+            self.start(record.start)
+            record.cannot_start = ""
         except OSError as error:
-            kept.starts_again = now + _LONGEST_WAIT_S
-            why, before = error.strerror or str(error), kept.cannot_start
-            kept.cannot_start = why
+            record.starts_again = now + _LONGEST_WAIT_S
+            why, before = error.strerror or str(error), record.cannot_start
+            record.cannot_start = why
             if why != before:
                 again = f"tried again every {_LONGEST_WAIT_S:g} s{_unrecorded(name)}"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
@@ -487,17 +487,17 @@ class LiveSupervisor(Supervisor):
                 parameters are wrong.
         """
         now = time.monotonic()
-        for name, kept in self._kept.items():
-            if kept.starts_again is None:
-                kept.was_ready |= self._is_ready(name)
-                what = self.ended(name) or self._killed(name, now)
-                if what:
-                    self._failed(name, what, now)
-            elif now >= kept.starts_again and not (name == PUMP and self._stopping is not None):
+        for name, record in self._kept.items():
+            if record.starts_again is None:
+                record.was_ready |= self._is_ready(name)
+                failure = self.ended(name) or self._killed(name, now)
+                if failure:
+                    self._failed(name, failure, now)
+            elif now >= record.starts_again and not (name == PUMP and self._stopping is not None):
                 self._start(name, now)
         if self._stopping is not None and self._stopping.done():
-            _, said = self._stopping.result()
-            self._on_failure(PUMP, f"could not stop the drive; {said}")
+            _, message = self._stopping.result()
+            self._on_failure(PUMP, f"could not stop the drive; {message}")
             self._stopping = None
         before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
         if self.inhibit and not before:
@@ -539,29 +539,29 @@ class LiveSupervisor(Supervisor):
             return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
         return ""
 
-    def _failed(self, name: str, what: str, now: float) -> None:
+    def _failed(self, name: str, failure: str, now: float) -> None:
         """Tell that a node failed, and when it starts again.
 
         Raises:
             NodeFailed: not at all.
         """
-        kept, code = self._kept[name], self.nodes[name].process.returncode
-        while kept.restarts and now - kept.restarts[0] > _WINDOW_S:
-            kept.restarts.popleft()
-        too_often = len(kept.restarts) >= self._restarts
+        record, code = self._kept[name], self.nodes[name].process.returncode
+        while record.restarts and now - record.restarts[0] > _WINDOW_S:
+            record.restarts.popleft()
+        too_often = len(record.restarts) >= self._restarts
         if name not in _NOT_REQUIRED:
-            if not kept.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
-                raise NodeFailed(f"node {name} {what}", self.quoted(name), code)
+            if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
+                raise NodeFailed(f"node {name} {failure}", self.quoted(name), code)
             if too_often:
                 raise NodeFailed(
-                    f"node {name} {what}; it was restarted {len(kept.restarts)} times in the last "
-                    f"{_WINDOW_S / 60:g} minutes, and is given up",
+                    f"node {name} {failure}; it was restarted {len(record.restarts)} times in the "
+                    f"last {_WINDOW_S / 60:g} minutes, and is given up",
                     self.quoted(name), EXIT_FAILED,
                 )
-        wait = _WINDOW_S if too_often else min(2.0 ** len(kept.restarts), _LONGEST_WAIT_S)
-        kept.restarts.append(now)
-        kept.starts_again = now + wait
-        self._on_failure(name, f"{what}; starts again in {wait:g} s{_unrecorded(name)}")
+        wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _LONGEST_WAIT_S)
+        record.restarts.append(now)
+        record.starts_again = now + wait
+        self._on_failure(name, f"{failure}; starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
@@ -574,8 +574,8 @@ class LiveSupervisor(Supervisor):
     def ready(self) -> set[str]:
         """The nodes that run and have all that they need."""
         return {
-            name for name, kept in self._kept.items()
-            if kept.starts_again is None and self._is_ready(name)
+            name for name, record in self._kept.items()
+            if record.starts_again is None and self._is_ready(name)
         }
 
     def _is_ready(self, name: str) -> bool:
@@ -584,10 +584,10 @@ class LiveSupervisor(Supervisor):
     def _reason_to_inhibit(self, now: float) -> str:
         """Return why the pump may not run; empty where it may."""
         reasons = []
-        for name, kept in self._kept.items():
+        for name, record in self._kept.items():
             if name == PUMP or name in _NOT_REQUIRED:
                 continue
-            if kept.starts_again is not None or self.nodes[name].process.poll() is not None:
+            if record.starts_again is not None or self.nodes[name].process.poll() is not None:
                 reasons.append(f"{name} is missing")
             elif not self._is_ready(name):
                 waiting = self.nodes[name].last.get("waiting")

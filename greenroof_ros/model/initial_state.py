@@ -38,13 +38,13 @@ def own_state(site: Site) -> tuple[float, float] | None:
 
 
 def default_state(site: Site) -> tuple[str, tuple[float, float]]:
-    """Return the state that a run begins in if not told otherwise, by name and volumes (m3).
+    """Return the state that a run begins in unless a user gives another, by name and volumes (m3).
 
     It is the site file's own, or else low-low. What the drainage layer of a measured roof holds at
     first is always the site file's ``initial_layer``: no other state speaks of it.
     """
-    own = own_state(site)
-    return ("low-low", initial_state(site, "low-low")) if own is None else (SITES_OWN, own)
+    state = own_state(site)
+    return ("low-low", initial_state(site, "low-low")) if state is None else (SITES_OWN, state)
 
 
 @functools.cache  # so that a study says what it warns of once, not for each of its runs

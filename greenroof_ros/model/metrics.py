@@ -2,7 +2,7 @@
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
 combine those numbers: their sum, the largest, the last; hours are counted in ticks. A ratio is of
-two sums, and the rain that was kept is of those of each hour of the run. The same function serves a
+two sums, and the share of rain kept is of the sums of each hour. The same function serves a
 run that is under way, block by block (:class:`Metrics`), and one that was recorded
 (:func:`totals_of`).
 
@@ -118,9 +118,9 @@ def _sums(before: Values | float, values: Values) -> Values:
 def _sums_by(before: Values | float, values: Values) -> Values:
     """Add up each row but the first, which is the hour or week in which each sample counts."""
     places = values[0].astype(np.intp)
-    known = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
-    sums = np.zeros((len(known), max(known.shape[1], int(places.max()) + 1)))
-    sums[:, : known.shape[1]] = known
+    earlier = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
+    sums = np.zeros((len(earlier), max(earlier.shape[1], int(places.max()) + 1)))
+    sums[:, : earlier.shape[1]] = earlier
     for row, amounts in zip(sums, values[1:], strict=True):
         np.add.at(row, places, amounts)  # one after the other, as _sum
     return sums
@@ -147,7 +147,7 @@ def _rolling(values: Values, hours: int) -> Values:
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 
 
-def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
+def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
     """Return which share of the rain on the roof did not drain off it in the same hours (1).
 
     What drains in an hour is shared between rain and pumped water as they came in the six hours
@@ -208,70 +208,70 @@ class Metric:
 # --- what each sample gives ----------------------------------------------------------------------
 
 
-def _pump_starts(site: Site, one: Samples) -> Values:
-    pumping = one.pump > 0
-    return np.asarray(pumping & ~np.append(one.pumping_before, pumping[:-1]), dtype=float)
+def _pump_starts(site: Site, samples: Samples) -> Values:
+    pumping = samples.pump > 0
+    return np.asarray(pumping & ~np.append(samples.pumping_before, pumping[:-1]), dtype=float)
 
 
-def _start_times(site: Site, one: Samples) -> Values:
+def _start_times(site: Site, samples: Samples) -> Values:
     """Return when the pumps started (s, 0 is the first sample), the earlier starts first."""
-    times = np.cumsum(one.duration) - one.duration
-    return np.concatenate((one.earlier_starts, times[_pump_starts(site, one) > 0]))
+    times = np.cumsum(samples.duration) - samples.duration
+    return np.concatenate((samples.earlier_starts, times[_pump_starts(site, samples) > 0]))
 
 
-def _starts_in_hour(site: Site, one: Samples) -> Values:
+def _starts_in_hour(site: Site, samples: Samples) -> Values:
     """For each start the number of starts in the hour that ends with it, 0 elsewhere."""
-    times = _start_times(site, one)
+    times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
-    counts = _pump_starts(site, one)
-    counts[counts > 0] = (np.arange(1, len(times) + 1) - first)[len(one.earlier_starts) :]
+    counts = _pump_starts(site, samples)
+    counts[counts > 0] = (np.arange(1, len(times) + 1) - first)[len(samples.earlier_starts) :]
     return counts
 
 
-def _excess_starts(site: Site, one: Samples) -> Values:
-    return np.asarray(_starts_in_hour(site, one) > site.starts_per_hour, dtype=float)
+def _excess_starts(site: Site, samples: Samples) -> Values:
+    return np.asarray(_starts_in_hour(site, samples) > site.starts_per_hour, dtype=float)
 
 
-def _hydraulic_energy(site: Site, one: Samples) -> Values:
-    head = head_loss(site, one.cistern, one.pump)
-    return WATER_DENSITY * site.g * one.pump * head * one.duration / JOULES_PER_KWH
+def _hydraulic_energy(site: Site, samples: Samples) -> Values:
+    head = head_loss(site, samples.cistern, samples.pump)
+    return WATER_DENSITY * site.g * samples.pump * head * samples.duration / JOULES_PER_KWH
 
 
-def _deviation(site: Site, one: Samples) -> Values:
+def _deviation(site: Site, samples: Samples) -> Values:
     # Samples that are not a tick apart count with their time over tau.
-    return np.abs(one.roof - site.x2_star) * (one.duration / site.tau)
+    return np.abs(samples.roof - site.x2_star) * (samples.duration / site.tau)
 
 
-def _actual_and_potential(site: Site, one: Samples) -> Values | None:
-    if one.potential is None:
+def _actual_and_potential(site: Site, samples: Samples) -> Values | None:
+    if samples.potential is None:
         return None
-    return one.duration * np.stack((one.evapotranspiration, one.potential))
+    return samples.duration * np.stack((samples.evapotranspiration, samples.potential))
 
 
 def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
     """Return what gives the volume of a flow (m3)."""
 
-    def volume(site: Site, one: Samples) -> Values | None:
-        rate: Values | None = getattr(one, flow)
-        return None if rate is None else one.duration * rate
+    def volume(site: Site, samples: Samples) -> Values | None:
+        rate: Values | None = getattr(samples, flow)
+        return None if rate is None else samples.duration * rate
 
     return volume
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
     """Return what gives the ticks in which something is so."""
-    return lambda site, one: one.duration / site.tau * condition(site, one)
+    return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
-def _roof_water(site: Site, one: Samples) -> Values | None:
+def _roof_water(site: Site, samples: Samples) -> Values | None:
     """Return the hour of the run in which each begins; rain, pumped and drained water (m3)."""
-    if one.time is None:
+    if samples.time is None:
         return None
-    hour = (one.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
+    hour = (samples.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
     return np.stack((
-        hour, one.duration * one.precipitation * site.a2, one.duration * one.pump,
-        one.duration * one.drainage,
+        hour, samples.duration * samples.precipitation * site.a2, samples.duration * samples.pump,
+        samples.duration * samples.drainage,
     ))
 
 
@@ -284,21 +284,21 @@ METRICS = (
         "near_target_hours", "h", "near the target",
         f"at most {NEAR_TARGET:.0%} of x2* off it, over the ticks",
         _ticks_where(
-            lambda site, one: np.abs(one.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
+            lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
         form=".2f", finish=_hours,
     ),
     Metric(
         "mean_deviation_mm", "mm", "mean deviation",
         "mean of |x2 - x2*| over the ticks, as a depth on the roof",
-        lambda site, one: np.stack((_deviation(site, one), one.duration / site.tau)),
+        lambda site, samples: np.stack((_deviation(site, samples), samples.duration / site.tau)),
         _sums, ".2f", finish=lambda site, sums: 1000 * float(sums[0] / sums[1]) / site.a2,
     ),
     Metric(
         "stress_hours", "h", "water stress",
         "plants get less water than they ask for: K_s of FAO-56 below 1, or an empty roof",
         _ticks_where(
-            lambda site, one: (one.roof < soil_of(site).stress_volume) | (one.roof <= 0)
+            lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
         ),
         form=".2f", finish=_hours,
     ),
@@ -308,17 +308,17 @@ METRICS = (
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", "of the rain on the roof, what did not drain off it",
-        _roof_water, _sums_by, ".1%", finish=_kept,
+        _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
         "the same, of hours with more than 20 mm, within the hour",
-        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=20.0),
+        _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
         "the same, of any 24 hours with more than 10 mm",
-        _roof_water, _sums_by, ".1%", finish=partial(_kept, above=10.0, hours=24),
+        _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
@@ -326,34 +326,39 @@ METRICS = (
     ),
     Metric(
         "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
-        lambda site, one: one.duration * (one.pump if one.mains is None else one.pump - one.mains),
+        lambda site, samples: samples.duration * (
+            samples.pump if samples.mains is None else samples.pump - samples.mains
+        ),
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
-        lambda site, one: one.cistern, _last, ".6g",
+        lambda site, samples: samples.cistern, _last, ".6g",
     ),
     Metric(
         "final_roof_m3", "m3", "roof at the end", "the last x2",
-        lambda site, one: one.roof, _last, ".6g",
+        lambda site, samples: samples.roof, _last, ".6g",
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end", "of a measured roof",
-        lambda site, one: None if site.drainage_storage is None else one.layer, _last, ".6g",
+        lambda site, samples: None if site.drainage_storage is None else samples.layer,
+        _last, ".6g",
     ),
     Metric("pumped_m3", "m3", "pumped", "from the cistern to the roof", _volume("pump")),
     Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
     Metric("drainage_m3", "m3", "drainage", "off the roof", _volume("drainage")),
     Metric(
         "rain_m3", "m3", "rain", "into both tanks",
-        lambda site, one: one.duration * one.precipitation * (site.effective_catchment + site.a2),
+        lambda site, samples: (
+            samples.duration * samples.precipitation * (site.effective_catchment + site.a2)
+        ),
     ),
     Metric(
         "rain_cistern_m3", "m3", "rain into the cistern", "through its inlet",
-        lambda site, one: one.duration * one.precipitation * site.effective_catchment,
+        lambda site, samples: samples.duration * samples.precipitation * site.effective_catchment,
     ),
     Metric(
         "rain_roof_m3", "m3", "rain on the roof", "on the whole bed",
-        lambda site, one: one.duration * one.precipitation * site.a2,
+        lambda site, samples: samples.duration * samples.precipitation * site.a2,
     ),
     Metric(
         "evapotranspiration_m3", "m3", "evapotranspiration", "off the roof, at most what it held",
@@ -361,15 +366,15 @@ METRICS = (
     ),
     Metric(
         "max_command", "1", "largest command", "share of the maximum flow",
-        lambda site, one: one.command, _largest, ".6g", most=1,
+        lambda site, samples: samples.command, _largest, ".6g", most=1,
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "with a command above 1",
-        _ticks_where(lambda site, one: one.command > 1), form=".4f", most=0, finish=_hours,
+        _ticks_where(lambda site, samples: samples.command > 1), form=".4f", most=0, finish=_hours,
     ),
     Metric(
         "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
-        lambda site, one: one.limited, _count, "d", most=0,
+        lambda site, samples: samples.limited, _count, "d", most=0,
     ),
     Metric(
         "pump_starts", "1", "pump starts", "how often the flow went from 0 to more",
@@ -386,7 +391,7 @@ METRICS = (
     ),
     Metric(
         "pump_hours", "h", "pump running", "with a flow",
-        _ticks_where(lambda site, one: one.pump > 0), form=".3f", finish=_hours,
+        _ticks_where(lambda site, samples: samples.pump > 0), form=".3f", finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
@@ -395,7 +400,7 @@ METRICS = (
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
         "the hydraulic over pump_efficiency",
-        lambda site, one: _hydraulic_energy(site, one) / site.pump_efficiency,
+        lambda site, samples: _hydraulic_energy(site, samples) / site.pump_efficiency,
     ),
 )
 
@@ -411,11 +416,11 @@ def totals_of(
         before: the combined numbers of what came before them.
     """
     totals = _add(before or {}, site, samples)
-    found = (
+    values = (
         (metric.name, metric.finish(site, totals[metric.name]))
         for metric in METRICS if metric.name in totals
     )
-    return {name: value for name, value in found if value is not None}
+    return {name: value for name, value in values if value is not None}
 
 
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
@@ -423,12 +428,12 @@ def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, A
     result: dict[str, Any] = {}
     combined: dict[Any, Any] = {}  # several metrics may be made of it
     for metric in METRICS:
-        what = metric.function, metric.combine
-        if what not in combined:
+        key = metric.function, metric.combine
+        if key not in combined:
             values, before = metric.function(site, samples), totals.get(metric.name, 0.0)
-            combined[what] = None if values is None else metric.combine(before, values)
-        if combined[what] is not None:
-            result[metric.name] = combined[what]
+            combined[key] = None if values is None else metric.combine(before, values)
+        if combined[key] is not None:
+            result[metric.name] = combined[key]
     return result
 
 

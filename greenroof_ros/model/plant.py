@@ -80,7 +80,7 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 
 
 def command_to(
-    site: Site, soil: Soil, x1: float, x2: float, wanted: float, rain: float, asked: float
+    site: Site, soil: Soil, x1: float, x2: float, target: float, rain: float, potential: float
 ) -> float:
     """Return the command that leads a roof from x2 to a volume in a tick; 0 where none does.
 
@@ -89,16 +89,16 @@ def command_to(
         soil: of the site.
         x1: in the cistern (m3).
         x2: on the roof (m3).
-        wanted: on it at the end of the tick (m3).
+        target: on it at the end of the tick (m3).
         rain: in the tick (m/s).
-        asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+        potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
     """
-    kept = soil.kept_share(x2)
-    stays = kept * maximum_pump_flow(site, x1)
+    share = soil.kept_share(x2)
+    stays = share * maximum_pump_flow(site, x1)
     if stays <= 0:
         return 0.0
-    inflow = rain * site.a2 * kept - asked * soil.water_stress(x2)
-    return max(0.0, ((wanted - x2) / site.tau - inflow) / stays)
+    inflow = rain * site.a2 * share - potential * soil.water_stress(x2)
+    return max(0.0, ((target - x2) / site.tau - inflow) / stays)
 
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
@@ -170,12 +170,12 @@ class Plant:
         x1, x2 = self.x1, self.x2
         outflow = outlet_flow(self._site, x1) if x1 / self._a1 > self._lowest_outlet else 0.0
         limited = False
-        wanted = outflow + pump
+        demand = outflow + pump
         available = x1 / self._tau + precipitation * self._catchment
         if self._has_mains:
             available += mains_flow(self._site, x1)
-        if wanted > available:
-            share = available / wanted
+        if demand > available:
+            share = available / demand
             outflow *= share
             pump *= share
             limited = True

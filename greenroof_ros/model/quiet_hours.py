@@ -76,17 +76,17 @@ class QuietHours:
 
     def _day(self, day: int) -> NDArray[np.bool_]:
         """Return whether each minute of a day in UTC (since 1970) is quiet."""
-        known = self._days.get(day)
-        if known is None:
+        quiet = self._days.get(day)
+        if quiet is None:
             if len(self._days) >= _MOST_DAYS:
                 self._days.clear()
             clocks = (
                 datetime.fromtimestamp(day * _DAY_S + 60 * minute, self._zone)
                 for minute in range(_DAY_MINUTES)
             )
-            known = self._by_clock[[60 * clock.hour + clock.minute for clock in clocks]]
-            self._days[day] = known
-        return known
+            quiet = self._by_clock[[60 * clock.hour + clock.minute for clock in clocks]]
+            self._days[day] = quiet
+        return quiet
 
 
 def _minutes(interval: str) -> tuple[int, int]:

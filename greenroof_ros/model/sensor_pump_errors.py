@@ -73,7 +73,7 @@ class SensorPumpErrors:
             )
 
 
-PARAMETERS = {one.name: one for one in parameters_of(SensorPumpErrors)}
+PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorPumpErrors)}
 """of :class:`SensorPumpErrors`, by name"""
 
 
@@ -122,7 +122,7 @@ class Pump:
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False
         self._ticks = self._least_off  # for which they have been on, or off
-        self._held = 0.0
+        self._passed = 0.0
 
     def flow(self, plant: Plant, command: float, forbidden: bool) -> float:
         """Return what the pumps deliver in the present tick (m3/s); to be asked once a tick.
@@ -144,8 +144,8 @@ class Pump:
         if forbidden:
             return 0.0
         if self._on and command == 0 and self._ticks < self._least_on:
-            return self._held
+            return self._passed
         if not self._on and self._ticks < self._least_off:
             return 0.0
-        self._held = command
+        self._passed = command
         return command

@@ -362,16 +362,16 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
         path: of a file that :func:`read_site` accepts.
         values: by their symbols; one that the file does not have is added.
     """
-    given = {key: value for key, (_, _, value) in _given(path).items()}
-    new = {**given, **values}
+    current = {key: value for key, (_, _, value) in _entries(path).items()}
+    new = {**current, **values}
     for volume, factors in _FOLLOW.items():
-        if volume in given and volume not in values:
-            ratio = math.prod(new.get(name, 1.0) / given.get(name, 1.0) for name in factors)
-            new[volume] = given[volume] * ratio
-    other = {key: repr(value) for key, value in new.items() if value != given.get(key)}
-    if not other and _EXTENDS not in read_yaml(path):
+        if volume in current and volume not in values:
+            ratio = math.prod(new.get(name, 1.0) / current.get(name, 1.0) for name in factors)
+            new[volume] = current[volume] * ratio
+    changed = {key: repr(value) for key, value in new.items() if value != current.get(key)}
+    if not changed and _EXTENDS not in read_yaml(path):
         return read_text(path)
-    return _with(_whole(path), other)
+    return _with(_whole(path), changed)
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
@@ -394,13 +394,13 @@ def _whole(path: Path) -> str:
     def key(line: str) -> str:
         return line.partition(":")[0].strip("'\"")
 
-    own = [line for line in text.splitlines() if key(line) != _EXTENDS]
-    further, kept = [f"# From {base}"], True
+    own_lines = [line for line in text.splitlines() if key(line) != _EXTENDS]
+    further, copying = [f"# From {base}"], True
     for line in _whole(_base(path, base)).splitlines():
         if not line[:1].isspace():  # or it goes on with the one above it
-            kept = key(line) not in mapping
-        further += [line] * kept
-    return "\n".join([*own, "", *further, ""])
+            copying = key(line) not in mapping
+        further += [line] * copying
+    return "\n".join([*own_lines, "", *further, ""])
 
 
 def site_yaml() -> YAML:
@@ -419,29 +419,31 @@ def site_yaml() -> YAML:
     return yaml
 
 
-def _given(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
+def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
     """Return what a site file says, and what it does not say but the file that it extends.
 
     Of each value by its key: file, line and value.
     """
     mapping = read_yaml(path)
-    own = {key: (path, mapping.lines[key], value) for key, value in mapping.items()}
-    if _EXTENDS not in own:
-        return own
-    _, line, base = own.pop(_EXTENDS)
-    here = (*extended_by, path.resolve())
-    if not isinstance(base, str) or _base(path, base).resolve() in here:
+    entries = {key: (path, mapping.lines[key], value) for key, value in mapping.items()}
+    if _EXTENDS not in entries:
+        return entries
+    _, line, base = entries.pop(_EXTENDS)
+    chain = (*extended_by, path.resolve())
+    if not isinstance(base, str) or _base(path, base).resolve() in chain:
         raise ConfigurationError(
             "must be the name of another site file, such as site.yaml", file=path, line=line,
             key=_EXTENDS, value=base,
         )
-    return {**_given(_base(path, base), here), **own}
+    return {**_entries(_base(path, base), chain), **entries}
 
 
 def _base(path: Path, name: str) -> Path:
     """Return the file that a site file extends: beside it, or of this package."""
-    own = shared_directory() / "config" / name
-    return own if own.is_file() and not (path.parent / name).is_file() else path.parent / name
+    shipped = shared_directory() / "config" / name
+    return (
+        shipped if shipped.is_file() and not (path.parent / name).is_file() else path.parent / name
+    )
 
 
 def read_site(path: Path) -> Site:
@@ -454,34 +456,34 @@ def read_site(path: Path) -> Site:
         ConfigurationError: a parameter is missing, unknown, no number, beyond its range, or
             inconsistent with another; the message names the file, line, key and value.
     """
-    given = _given(path)
+    entries = _entries(path)
 
     def refuse(key: str, expected: str) -> ConfigurationError:
-        file, line, value = given[key]
+        file, line, value = entries[key]
         return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
-    known = {key.name: key for key in keys(Site)}
-    for name, (file, line, _) in given.items():
-        if name not in known and name not in _WITHOUT_EFFECT:
+    by_name = {key.name: key for key in keys(Site)}
+    for name, (file, line, _) in entries.items():
+        if name not in by_name and name not in _WITHOUT_EFFECT:
             raise ConfigurationError(
-                f"is not a parameter of a site; {did_you_mean(name, known)}",
+                f"is not a parameter of a site; {did_you_mean(name, by_name)}",
                 file=file, line=line, key=name,
             )
     values: dict[str, Any] = {}
-    for name, key in known.items():
-        if name not in given:
+    for name, key in by_name.items():
+        if name not in entries:
             if not key.optional and name not in _FOLLOW_FROM:
                 raise ConfigurationError("is missing", file=path, key=name)
             continue
-        one, value, whole = key.entry, given[name][2], key.kind is int
-        what = f"from {one.low:g} to {one.high:g}"
+        entry, value, whole = key.entry, entries[name][2], key.kind is int
+        limits = f"from {entry.low:g} to {entry.high:g}"
         if name == _CLIMATE:
             if not isinstance(value, list) or len(value) != 12 or not all(
-                type(month) in (int, float) and one.low <= month <= one.high for month in value
+                type(month) in (int, float) and entry.low <= month <= entry.high for month in value
             ):
                 raise refuse(
-                    name, f"must be twelve numbers in brackets, January to December, each {what} "
-                    f"{one.unit}",
+                    name, f"must be twelve numbers in brackets, January to December, each {limits} "
+                    f"{entry.unit}",
                 )
             values[name] = tuple(map(float, value))
             continue
@@ -490,15 +492,15 @@ def read_site(path: Path) -> Site:
             continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
-        if not one.low <= value <= one.high or (whole and value % 1):
-            unit = "" if one.unit == "1" else f"{one.unit}, "
-            what = f"a whole number {what}" if whole else what
-            raise refuse(name, f"must be {what} ({unit}{one.meaning})")
+        if not entry.low <= value <= entry.high or (whole and value % 1):
+            unit = "" if entry.unit == "1" else f"{entry.unit}, "
+            limits = f"a whole number {limits}" if whole else limits
+            raise refuse(name, f"must be {limits} ({unit}{entry.meaning})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
     site = Site(**values)
-    for name, expected in _contradictions(site, given):
+    for name, expected in _contradictions(site, entries):
         raise refuse(name, expected)
     return site
 
@@ -520,7 +522,7 @@ def _quiet_value(
                 "tzdata), such as America/Toronto",
             ) from None
     try:
-        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
             raise ValueError("they are no list of texts")
         QuietHours(value, timezone.utc)
     except ValueError as error:
@@ -531,12 +533,12 @@ def _quiet_value(
     return tuple(value)
 
 
-def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, str]]:
+def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, str]]:
     """Yield each parameter that cannot be right beside the others, and what would be.
 
     Args:
         site: with each parameter in its range.
-        given: those that its file has.
+        entries: those that its file has.
     """
     for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
         high = read_topics()[topic].high
@@ -546,10 +548,10 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
                 "refused; is a unit wrong?"
             )
     for names, further in _TOGETHER:
-        there = [name for name in names if name in given]
-        missing = [name for name in (*names, *further) if name not in given]
-        if there and missing:
-            yield there[0], f"needs {', '.join(missing)} as well"
+        present = [name for name in names if name in entries]
+        missing = [name for name in (*names, *further) if name not in entries]
+        if present and missing:
+            yield present[0], f"needs {', '.join(missing)} as well"
     lowest, name, suction = site.lowest_outlet, "z_o", site.suction_level
     if site.low_outlet_level is not None:
         name = "low_outlet_level"
@@ -573,19 +575,19 @@ def _contradictions(site: Site, given: Container[str]) -> Iterator[tuple[str, st
         for place, expected in unheld(site, site.initial_cistern, site.initial_roof):
             yield ("initial_cistern", "initial_roof")[place], expected
     if site.field_capacity is not None:
-        whole = site.a2 * site.z_soil
-        if site.wilting_volume >= whole * site.field_capacity:
+        soil_volume = site.a2 * site.z_soil
+        if site.wilting_volume >= soil_volume * site.field_capacity:
             yield "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
         if site.wilting_volume >= site.x2_star:
             yield "wilting_point", (
-                f"must be below x2_star / (a2 z_soil) = {site.x2_star / whole:g}, or plants take "
-                "no water at the target"
+                f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}, or plants "
+                "take no water at the target"
             )
     values = asdict(site)
     for name, factors in _FOLLOW_FROM.items():
         product = _product(name, values)
         if not math.isclose(values[name], product, rel_tol=_ROUNDING):
-            formula = " ".join(one for one in factors if values[one] is not None)
+            formula = " ".join(factor for factor in factors if values[factor] is not None)
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out and it is computed"
             )

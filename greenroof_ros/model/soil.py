@@ -1,6 +1,6 @@
 """The soil of a roof: the paper's, Eq. (4), or a measured one. Both have the same methods.
 
-:func:`soil_of` gives the one that a site has; :class:`PaperSoil` says what each method returns.
+:func:`soil_of` gives the soil of a site; :class:`PaperSoil` says what each method returns.
 """
 
 from __future__ import annotations
@@ -95,7 +95,9 @@ class PaperSoil:
         """Return the share of the evapotranspiration that a soil holding x2 (m3) gives (1)."""
         return 1.0
 
-    def tick(self, x2: float, layer: float, most: float, arriving: float, asked: float) -> Losses:
+    def tick(
+        self, x2: float, layer: float, most: float, arriving: float, potential: float
+    ) -> Losses:
         """Return what leaves the roof in a tick: no more than it holds and gets.
 
         Where that is less than Eqs. (1) and (4) ask for, both are scaled down to it.
@@ -105,17 +107,17 @@ class PaperSoil:
             layer: what the drainage layer holds (m3).
             most: that can leave the soil, what it holds and gets (m3/s).
             arriving: rain and pumped water (m3/s).
-            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
 
         Returns:
             Drainage and evapotranspiration (m3/s), and whether there was less than was asked for.
         """
         drainage = self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
-        wanted = asked + drainage
-        if wanted > most:
-            share = most / wanted
-            return drainage * share, asked * share, True
-        return drainage, asked, False
+        demand = potential + drainage
+        if demand > most:
+            share = most / demand
+            return drainage * share, potential * share, True
+        return drainage, potential, False
 
     def fastest_fall(self, level: float) -> float:
         """Return the most by which drainage lowers a level (m) as time goes by (m/s).
@@ -134,7 +136,8 @@ class PaperSoil:
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
 
     def after(
-        self, x2: Values, arriving: Values | float, asked: Values | float, seconds: Values | float
+        self, x2: Values, arriving: Values | float, potential: Values | float,
+        seconds: Values | float,
     ) -> Values:
         """Return what the roof holds after a step of any length (m3), in which rain comes first.
 
@@ -144,14 +147,14 @@ class PaperSoil:
             x2: what it holds before (m3).
             arriving: rain and pumped water in the step (m3), of a shape that goes with x2, as
                 asked and seconds.
-            asked: what would evaporate from plants that lack no water (m3).
+            potential: what would evaporate from plants that lack no water (m3).
             seconds: the step's length.
         """
         site = self._site
-        left = x2 + (arriving - asked)
-        drained = site.K / site.z_soil * (left + site.a2 * site.z_soil) * seconds
-        left = np.minimum(left, np.maximum(left - drained, self.keeps_all_below))
-        return np.maximum(left, 0.0)
+        remaining = x2 + (arriving - potential)
+        drained = site.K / site.z_soil * (remaining + site.a2 * site.z_soil) * seconds
+        remaining = np.minimum(remaining, np.maximum(remaining - drained, self.keeps_all_below))
+        return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
         """Return what must arrive on an empty roof until it holds x2 (m3), of any shape."""
@@ -161,20 +164,20 @@ class PaperSoil:
         """Return what an empty roof holds (m3) when so much has arrived (m3)."""
         return arrived
 
-    def free_changes(self, x2: float, rain: Values, asked: Values, lengths: Values) -> Values:
+    def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
         """Predict by how much the roof's volume changes in steps without pumping (m3).
 
         Args:
             x2: volume on the roof at the beginning (m3).
             rain: mean in each step (m/s), shape (n,).
-            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water,
+            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
             lengths: of the steps (s), shape (n,).
 
         Returns:
             Shape (n,).
         """
-        return np.asarray((rain * self._site.a2 - asked) * lengths)
+        return np.asarray((rain * self._site.a2 - potential) * lengths)
 
     def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
         """Predict which share of what fills the roof now is still on it in later steps (1): all.
@@ -190,7 +193,7 @@ class PaperSoil:
         return np.ones_like(changes)
 
     def follow(
-        self, layer: float, x2: Values, rain: Values, pump: Values, asked: Values,
+        self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> Followed:
         """Compute what nobody measures on a roof whose volume is known.
@@ -200,7 +203,7 @@ class PaperSoil:
             x2: at the beginning of each sample (m3), NaN where it is unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
             pump: from the cistern (m3/s), shape (n,).
-            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water,
+            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
             drainage: off the roof (m3/s), shape (n,); None where nobody says it.
             durations: of the samples (s), shape (n,).
@@ -208,8 +211,8 @@ class PaperSoil:
         if drainage is None:
             drainage = np.where(x2 >= self.keeps_all_below, self._darcy(x2), 0.0)
         # As Plant.flows: what is not there does not evaporate.
-        left = x2 / durations + rain * self._site.a2 + pump - drainage
-        evaporated = np.fmin(asked, np.maximum(left, 0.0))
+        available = x2 / durations + rain * self._site.a2 + pump - drainage
+        evaporated = np.fmin(potential, np.maximum(available, 0.0))
         return Followed(evaporated, drainage, np.full_like(x2, layer), layer)
 
     def _darcy(self, x2: Any) -> Any:
@@ -275,8 +278,8 @@ class MeasuredSoil:
         came, most, filled = arriving * seconds, self._available, self.filled_share(x2)
         first = min(came, max(0.0, self._wilting - x2))
         g = math.tanh((came - first) / most)
-        kept = first + most * g * (1 - filled * filled) / (1 + filled * g)
-        return max(0.0, arriving - kept / seconds)
+        retained = first + most * g * (1 - filled * filled) / (1 + filled * g)
+        return max(0.0, arriving - retained / seconds)
 
     def kept_share(self, x2: float) -> float:
         """Return 1 - S^2; the rest finds its way past the soil to the drainage layer."""
@@ -312,16 +315,18 @@ class MeasuredSoil:
         k = 1 / (site.layer_storage * site.drainage_time)
         rate = math.sqrt(inflow * k)
         g = math.tanh(rate * seconds) / rate if rate > 0 else seconds
-        left = min((layer + inflow * g) / (1 + k * layer * g), site.layer_storage)
-        return max(0.0, inflow + (layer - left) / seconds)
+        remaining = min((layer + inflow * g) / (1 + k * layer * g), site.layer_storage)
+        return max(0.0, inflow + (layer - remaining) / seconds)
 
-    def tick(self, x2: float, layer: float, most: float, arriving: float, asked: float) -> Losses:
+    def tick(
+        self, x2: float, layer: float, most: float, arriving: float, potential: float
+    ) -> Losses:
         """Return what leaves the layer and the plants: what percolates is always there."""
         percolated = self.drained(x2, arriving, self._tau)
-        evaporated, left = asked * self.water_stress(x2), most - percolated
-        limited = evaporated > left
+        evaporated, remaining = potential * self.water_stress(x2), most - percolated
+        limited = evaporated > remaining
         if limited:
-            evaporated = max(0.0, left)
+            evaporated = max(0.0, remaining)
         return self.layer_outflow(layer, percolated, self._tau), evaporated, limited
 
     def fastest_fall(self, level: float) -> float:
@@ -331,8 +336,8 @@ class MeasuredSoil:
     def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
         """Return the soil as it is, since it is continuous.
 
-        At the wilting point, the onset of stress and field capacity the slopes are those of one
-        side.
+        At the wilting point, the onset of stress and field capacity the slopes are taken from
+        one side.
         """
         filled, stress = self.filled_share(x2), self.water_stress(x2)
         excess = max(0.0, x2 - self._capacity)
@@ -344,21 +349,22 @@ class MeasuredSoil:
         )
 
     def after(
-        self, x2: Values, arriving: Values | float, asked: Values | float, seconds: Values | float
+        self, x2: Values, arriving: Values | float, potential: Values | float,
+        seconds: Values | float,
     ) -> Values:
         """Solve dS/dt = (1 - S^2) i, and then the decay below the onset of stress."""
         wilting, available, drying = self._wilting, self._available, self._drying
-        held = x2
+        water = x2
         if np.any(arriving):
             first = np.minimum(arriving, np.maximum(wilting - x2, 0.0))
             share = np.minimum(np.maximum((x2 - wilting) / available, 0.0), 1.0)
             gained = np.tanh((arriving - first) / available)
             wet = (share + gained) / (1 + share * gained)
-            held = np.minimum(x2, wilting) + first + available * wet
-        easy = np.minimum(np.maximum(held - (wilting + drying), 0.0), asked)
-        held = held - easy
-        lost = np.expm1((easy - asked) / drying)
-        return np.asarray(held + np.maximum(held - wilting, 0.0) * lost)
+            water = np.minimum(x2, wilting) + first + available * wet
+        easy = np.minimum(np.maximum(water - (wilting + drying), 0.0), potential)
+        water = water - easy
+        decay = np.expm1((easy - potential) / drying)
+        return np.asarray(water + np.maximum(water - wilting, 0.0) * decay)
 
     def water_to_fill(self, x2: Any) -> Any:
         """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
@@ -370,16 +376,16 @@ class MeasuredSoil:
         more = np.maximum(arrived - self._wilting, 0.0) / self._available
         return np.minimum(arrived, self._wilting) + self._available * np.tanh(more)
 
-    def free_changes(self, x2: float, rain: Values, asked: Values, lengths: Values) -> Values:
-        """Predict the change in steps as those of :meth:`after`, which may be long."""
+    def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
+        """Predict the change in steps that may be long, as in :meth:`after`."""
         dry, most, drying = self._wilting, self._available, self._drying
         stressed = dry + drying  # below it evapotranspiration decays
-        fallen, wanted = rain * self._a2 * lengths, asked * lengths
+        fallen, demand = rain * self._a2 * lengths, potential * lengths
         # Of most steps, all at once: those that begin above the wilting point, and end all
         # stressed.
-        steps = fallen, np.tanh(fallen / most), wanted, np.expm1(-wanted / drying)
+        steps = fallen, np.tanh(fallen / most), demand, np.expm1(-demand / drying)
         volumes = [x2]
-        for fell, gained, dried, lost in zip(*(part.tolist() for part in steps), strict=True):
+        for fell, gained, dried, decay in zip(*(part.tolist() for part in steps), strict=True):
             volume = volumes[-1]
             first = min(fell, max(dry - volume, 0.0))
             if first > 0:
@@ -391,11 +397,11 @@ class MeasuredSoil:
                 volume = dry + most * ((filled + gained) / (1 + filled * gained))
             easy = min(dried, max(volume - stressed, 0.0))
             if easy == dried:
-                lost = 0.0
+                decay = 0.0
             elif easy > 0:
-                lost = float(np.expm1((easy - dried) / drying))
+                decay = float(np.expm1((easy - dried) / drying))
             volume = volume - easy
-            volumes.append(volume + max(volume - dry, 0.0) * lost)
+            volumes.append(volume + max(volume - dry, 0.0) * decay)
         return np.diff(volumes)
 
     def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
@@ -412,18 +418,18 @@ class MeasuredSoil:
         return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))
 
     def follow(
-        self, layer: float, x2: Values, rain: Values, pump: Values, asked: Values,
+        self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> Followed:
         """Compute what the substrate lost, and the drainage whether or not anybody says it."""
-        samples = np.nan_to_num(x2), rain * self._a2 + pump, asked, durations
+        samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, drained, layers = array("d"), array("d"), array("d")
-        for volume, comes, wanted, seconds in zip(
-            *(array("d", one) for one in samples), strict=True
+        for volume, comes, demand, seconds in zip(
+            *(array("d", column) for column in samples), strict=True
         ):
             percolated = self.drained(volume, comes, seconds)
-            left = volume / seconds + comes - percolated
-            evaporated.append(max(0.0, min(wanted * self.water_stress(volume), left)))
+            available = volume / seconds + comes - percolated
+            evaporated.append(max(0.0, min(demand * self.water_stress(volume), available)))
             drained.append(self.layer_outflow(layer, percolated, seconds))
             layers.append(layer)
             layer = max(0.0, layer + seconds * (percolated - drained[-1]))
@@ -440,7 +446,7 @@ def soil_of(site: Site) -> Soil:
     return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
 
 
-def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, asked: float) -> float:
+def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
     """Return what a roof of x2 (m3) has at the end of a tick, below 0 where it would dry out.
 
     Args:
@@ -448,7 +454,7 @@ def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, asked: f
         tau: duration of the tick (s).
         x2: what it holds (m3).
         arriving: rain and pumped water (m3/s).
-        asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+        potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
     """
-    evaporated = asked * soil.water_stress(x2)
+    evaporated = potential * soil.water_stress(x2)
     return x2 + tau * (arriving - evaporated - soil.drained(x2, arriving, tau))

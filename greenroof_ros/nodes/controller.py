@@ -58,8 +58,8 @@ _KEEP_S = 600.0
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, what all have."""
-    own = [] if choice is None else choice.kind.parameters
-    return [LIVE, site_file(), STATE_FILE, *own, *LIVE_PARAMETERS]
+    of_class = [] if choice is None else choice.kind.parameters
+    return [LIVE, site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
 
 
 class ControllerNode(LinkedNode):
@@ -139,13 +139,13 @@ class ControllerNode(LinkedNode):
             self.publish(topic.name, value)
 
     def _decide(self, allowed: bool) -> float:
-        there = allowed and self._rain.good and self._evapotranspiration.good
+        usable = allowed and self._rain.good and self._evapotranspiration.good
         if self._site.quiet is not None:
             set_time(self._controller, self._time_ns)
         return decide(
             self._controller, allowed, self._cistern.value, self._roof.value,
-            self._rain_forecast() if there else (),
-            self._evapotranspiration.value if there else (), self._quiet,
+            self._rain_forecast() if usable else (),
+            self._evapotranspiration.value if usable else (), self._quiet,
         )
 
     def _command_live(self, allowed: bool) -> bool:
@@ -196,14 +196,14 @@ class ControllerNode(LinkedNode):
         """
         if not file or learned_by(self._controller) is None:
             return None
-        kept = Kept(Path(file))
+        memory = Kept(Path(file))
         try:
-            learned = kept.read()
+            learned = memory.read()
             if learned:
                 set_learned(self._controller, learned)
         except (ConfigurationError, KeyError) as error:
             self.get_logger().warning(f"what was learned is lost: {file}: {error}")
-        return kept
+        return memory
 
     def _keep_learned(self, every: float) -> None:
         """Keep what the controller has learned, if it was last kept so long ago (s)."""
@@ -213,8 +213,8 @@ class ControllerNode(LinkedNode):
         self._kept_at = now
         learned = learned_by(self._controller)
         if self._kept.problem:
-            said = f"what {self.get_name()} learned is not kept: {self._kept.problem}"
-            self.get_logger().warning(said)
+            warning = f"what {self.get_name()} learned is not kept: {self._kept.problem}"
+            self.get_logger().warning(warning)
         if learned is not None:
             self._kept.write(learned)
 
@@ -259,7 +259,8 @@ class ControllerNode(LinkedNode):
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
-            one.problem for one in (self._rain, self._evapotranspiration) if not one.good
+            forecast.problem for forecast in (self._rain, self._evapotranspiration)
+            if not forecast.good
         )
 
     def _say_forecast(self) -> None:
@@ -313,9 +314,14 @@ class ControllerNode(LinkedNode):
         """Return the solver's figures."""
         return {"solver": self._controller.statistics()}
 
-    def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
-        may_change = {one.name for one in self._choice.kind.parameters if one.may_change}
-        for name, value in ((one.name, one.value) for one in given if one.name in may_change):
+    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
+        may_change = {
+            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
+        }
+        for name, value in (
+            (parameter.name, parameter.value) for parameter in changes
+            if parameter.name in may_change
+        ):
             before, self._values[name] = self._values[name], value
             setattr(self._controller, name, value)
             self._parameter_change_count += 1
@@ -334,8 +340,8 @@ def _finite(value: float) -> float | None:
 
 def _help(controller: str | None) -> str:
     choice = None if controller is None else find_controller(controller)
-    name, own = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
-    start = f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"
+    name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
+    start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
     return node_help(
         f"controller --controller {name}", "controller",
         f"{__doc__}\nRegistered are {', '.join(controller_names())}.",

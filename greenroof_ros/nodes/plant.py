@@ -245,7 +245,7 @@ class PlantNode(LinkedNode):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the run's metrics, those of its weeks, and how long it took (s of wall time)."""
+        """Return the metrics of the run and of its weeks, and how long it took (s of wall time)."""
         return {
             "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
             "wall_s": self._wall_s,

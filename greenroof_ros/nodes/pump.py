@@ -196,17 +196,17 @@ class _Drive:
         snapshot = self.snapshot
         status = snapshot.status
         self._renew()
-        what = f"the drive does not stand at the end: {status}"
+        problem = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
             # A thread that still talks to it has not read that it stands.
-            what = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
+            problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
         elif status.stands:
             return f"let go of the drive: {status}"
-        known = "off" if snapshot.timeout_known else "not known"
-        rest = f"nothing but its own panel stops it now: its communication timeout is {known}"
+        timeout = "off" if snapshot.timeout_known else "not known"
+        ending = f"nothing but its own panel stops it now: its communication timeout is {timeout}"
         if snapshot.timeout_s is not None:
-            rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
-        raise OSError(f"{what}; {rest}")
+            ending = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
+        raise OSError(f"{problem}; {ending}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
         """Return why it is not run in lockstep before the plant has said at what speed; or empty.
@@ -248,7 +248,7 @@ class _Drive:
 
     def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
-        own, seconds = self.placed.guard, snapshot.timeout_s
+        guard, seconds = self.placed.guard, snapshot.timeout_s
         if not snapshot.timeout_known:
             why = f" could not be read ({snapshot.timeout_note})"
         elif seconds is None:
@@ -257,16 +257,16 @@ class _Drive:
             why = (
                 f" is {seconds:g} s, and must be at most {self._limit:g} s (drive_timeout_limit)"
             )
-        elif own is not None and own.local_settings_decide and not self._stops_locally:
+        elif guard is not None and guard.local_settings_decide and not self._stops_locally:
             return (
                 "after the drive's own communication timeout, or this node's end, the pump does "
                 "what is set in itself, which cannot be read: set it to stop there, see that it "
                 "does, and say so (local_settings_stop_the_pump: true); to set it: "
-                f"{own.how_to_set}"
+                f"{guard.how_to_set}"
             )
         else:
             return ""
-        repair = "" if own is None else f"; to set it: {own.how_to_set}"
+        repair = "" if guard is None else f"; to set it: {guard.how_to_set}"
         return f"the drive's own communication timeout{why}{repair}"
 
 
@@ -288,9 +288,9 @@ class PumpNode(Lifecycle, LinkedNode):
                 f"must be more than tau of the site, {site.tau:g} s: a command comes once in that "
                 "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
             )
-        given = {one.name: values[one.name] for one in pump_parameters(site)}
-        given["least_speed"] = max(given["least_speed"], self._drive.placed.file.least_speed)
-        self._settings = PumpSettings(**given)
+        settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
+        settings["least_speed"] = max(settings["least_speed"], self._drive.placed.file.least_speed)
+        self._settings = PumpSettings(**settings)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         # Within which time a drive that is not heard stands (s).
@@ -332,11 +332,11 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(Trigger, "~/page_clear", self._on_page_clear)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
-        given = values[PAUSE_UNTIL.name]
+        paused_until = values[PAUSE_UNTIL.name]
         # A pause that is over by now, or shorter than the one that is kept, changes nothing.
         least = max(time.time(), self._ledger.record.pause_until)
-        if given and read_start(given, key=PAUSE_UNTIL.name).timestamp() > least:
-            self._pause(given)
+        if paused_until and read_start(paused_until, key=PAUSE_UNTIL.name).timestamp() > least:
+            self._pause(paused_until)
         self._show_pause()
         self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())
@@ -348,8 +348,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._control = PumpControl(
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
-        kept = self._ledger.record
-        if why := kept.fault or kept.stop:
+        record = self._ledger.record
+        if why := record.fault or record.stop:
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
@@ -366,11 +366,11 @@ class PumpNode(Lifecycle, LinkedNode):
             shown = ends.isoformat(timespec="seconds")
         self.set_parameters([RosParameter(PAUSE_UNTIL.name, value=shown)])
 
-    def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
+    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
         try:
-            for one in given:
-                if one.name == PAUSE_UNTIL.name:
-                    self._pause(one.value)
+            for parameter in changes:
+                if parameter.name == PAUSE_UNTIL.name:
+                    self._pause(parameter.value)
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -465,9 +465,9 @@ class PumpNode(Lifecycle, LinkedNode):
                 self.get_logger().error(problem)
 
     def _let_go(self, within: float) -> None:
-        said = self._drive.let_go(within)
-        if said:
-            self.get_logger().info(said)
+        message = self._drive.let_go(within)
+        if message:
+            self.get_logger().info(message)
 
     def _start_by_itself(self, now: float) -> None:
         """Go towards *active* where that is possible, again and again."""
@@ -519,12 +519,12 @@ class PumpNode(Lifecycle, LinkedNode):
     def _on_dose_request(
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
-        given = {one.name: one.value.double_value for one in request.parameters}
+        fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
         self._step(boot_time())  # what speaks against it may have come just now
-        if given.keys() != {"volume", "asked_at"}:
+        if fields.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
         else:
-            refusal = self._control.ask_dose(given["asked_at"], given["volume"])
+            refusal = self._control.ask_dose(fields["asked_at"], fields["volume"])
         self._step(boot_time())
         response.result.successful = not refusal
         response.result.reason = refusal or self._state
@@ -618,10 +618,10 @@ class PumpNode(Lifecycle, LinkedNode):
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
             reasons["no_run"] = "" if self.live else self._drive.why_no_run(self.lockstep.run)
         reasons["no_permit"] = self._permit.missing(boot_time())
-        reasons["two_controllers"] = self._command.publishers.said(time.monotonic())
+        reasons["two_controllers"] = self._command.publishers.sentence(time.monotonic())
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons["two_pumps"] = self._own_flow.publishers.said(time.monotonic())
+            reasons["two_pumps"] = self._own_flow.publishers.sentence(time.monotonic())
         reasons["no_command"] = self._silence()
         return reasons
 
@@ -649,7 +649,7 @@ class PumpNode(Lifecycle, LinkedNode):
             return float(entry.value) if entry is not None and good else None
 
         status, frost = self._drive.status(now), value(self._frost)
-        seen = Observation(
+        observation = Observation(
             command=value(self._command),
             cistern_level=value(self._cistern),
             roof_level=value(self._roof),
@@ -673,7 +673,7 @@ class PumpNode(Lifecycle, LinkedNode):
             # Nobody was there at the ticks since, but for the present one.
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
-        self._decision = decision = self._control.step(dt, seen, drive_dt)
+        self._decision = decision = self._control.step(dt, observation, drive_dt)
         self._drive.exchange.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
@@ -686,19 +686,19 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
-        kept, decision, dose = self._ledger.record, self._decision, self._control.dose
+        record, decision, dose = self._ledger.record, self._decision, self._control.dose
         return {
             "pump": self._state, "pump_state": decision.state,
             "stands": decision.stands,
             "speed": decision.turns_at,
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
-            "fault": kept.fault,
-            "stop": kept.stop,
+            "fault": record.fault,
+            "stop": record.stop,
             "stopped_by": [
                 owner for owner, on in (
-                    ("service", kept.operator_stop), ("page", kept.page_stop),
-                    ("unknown state", kept.unknown),
+                    ("service", record.operator_stop), ("page", record.page_stop),
+                    ("unknown state", record.unknown),
                 ) if on
             ],
             "page_may_not_clear": self._control.page_may_not_clear,
@@ -723,9 +723,9 @@ class PumpNode(Lifecycle, LinkedNode):
             self._diagnose_dose()
         diagnose("flow", OK, f"known so: {decision.source}", "", "")
         self._diagnose_command()
-        bad = [one for one in (self._cistern, self._roof) if not one.good]
+        bad = [level for level in (self._cistern, self._roof) if not level.good]
         self.say(
-            "levels", "; ".join(one.problem for one in bad), "both levels are good",
+            "levels", "; ".join(level.problem for level in bad), "both levels are good",
             bad[0].verdict.code if bad else "",
         )
         blind = (
@@ -757,7 +757,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
             "flow": {"flow": flow},
             "command": {"command": self._command.value if self._command.good else None},
-            "levels": {name: one.value if one.good else None for name, one in inputs.items()},
+            "levels": {name: level.value if level.good else None for name, level in inputs.items()},
             "delivery": {"blind_for_s": decision.blind_for},
             "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
         }
@@ -787,7 +787,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _diagnose_command(self) -> None:
         command, silence = self._command, self._silence()
-        trouble = command.publishers.said(time.monotonic())
+        trouble = command.publishers.sentence(time.monotonic())
         if not trouble and not command.good:
             trouble = command.problem
         if silence and self.acted and not trouble:
@@ -812,14 +812,14 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}", code)
         else:
             local = "" if status.remote else "it is in local control"
-            said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
+            trouble = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
             code = "second_master" if snapshot.second_master else "drive_warning"
             self.say(
-                "drive", said and f"the drive: {said}", f"connected to {snapshot.identity}",
+                "drive", trouble and f"the drive: {trouble}", f"connected to {snapshot.identity}",
                 code if status.remote else "drive_local", WARN,
             )
-        own = self._drive.placed.guard
-        beware = f"; beware: {own.traps}" if own is not None and own.traps else ""
+        guard = self._drive.placed.guard
+        beware = f"; beware: {guard.traps}" if guard is not None and guard.traps else ""
         problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
         if problem and not self._without_timeout:
             self.diagnose("drive timeout", ERROR, problem + beware, "drive_timeout")

@@ -78,7 +78,7 @@ class RecorderNode(LinkedNode):
             self.acted = True
             now = decode_clock(self._queues[CLOCK][0])
             try:
-                self._bag.write_tick(now, [one.popleft() for one in self._every_queue])
+                self._bag.write_tick(now, [queue.popleft() for queue in self._every_queue])
             except OSError as error:
                 self._closed = True  # closing would only fail again
                 raise self._damaged(error) from error

@@ -159,17 +159,17 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
         raise ConfigurationError(
             str(error), key=f"parameter {name} of weather", value=values[name]
         ) from error
-    given = {name: values[f"forecast_{name}"] for name in OPTIONS}
-    if given["delay"] == NUMBERS["delay"].default:
-        del given["delay"]
+    options = {name: values[f"forecast_{name}"] for name in OPTIONS}
+    if options["delay"] == NUMBERS["delay"].default:
+        del options["delay"]
     if values["dressed"]:
         if choice.file is None:
             raise ConfigurationError(
                 f"is for a file of forecasts; the forecast is {choice}",
                 key="parameter dressed of weather", value=values["dressed"],
             )
-        given["dressed"] = Path(values["dressed"])
-    return replace(choice, **given)
+        options["dressed"] = Path(values["dressed"])
+    return replace(choice, **options)
 
 
 class _Records:
@@ -202,8 +202,8 @@ class _Records:
         Raises:
             LockstepError: none does.
         """
-        tick, rest = divmod(time_ns - self._start_ns, self._tick_ns)
-        if rest or not 0 <= tick <= self.run_length:
+        tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
+        if remainder or not 0 <= tick <= self.run_length:
             raise LockstepError(
                 f"/clock is at tick {tick} of a run of {self.run_length}; plant and weather were "
                 "started for different runs"

@@ -252,10 +252,10 @@ class DeliveryCheck:
         """Return the fault of a roof, or of both tanks, that did not change while water came."""
         site = self._site
         (_, cistern), (_, roof) = self._still
-        both = roof if roof.elapsed > cistern.elapsed else cistern
+        longer = roof if roof.elapsed > cistern.elapsed else cistern
         for since, area, share, stuck in (
             (roof, site.a2, self._kept_share, "the roof's sensor is stuck"),
-            (both, site.a1, 1.0, "both sensors are stuck"),
+            (longer, site.a1, 1.0, "both sensors are stuck"),
         ):
             unseen = share * (now.least_pumped - since.least_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
@@ -283,8 +283,8 @@ def _lost_from_cistern(over: _Sums) -> str:
         "is measured" if over.roof > fell / 2
         else "a leak, or somebody else takes water"
     )
-    taken = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
+    by_outlet = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
     return (
         f"delivery: the cistern fell by {fell:.2f} m3 in {over.elapsed / 60:.1f} min, but only "
-        f"{over.most_pumped:.2f} m3 were pumped{taken}: perhaps {cause}"
+        f"{over.most_pumped:.2f} m3 were pumped{by_outlet}: perhaps {cause}"
     )

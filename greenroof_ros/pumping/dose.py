@@ -12,7 +12,7 @@ from greenroof_ros.model.site import Site
 
 EXPIRES_S = 60.0
 """A request counts for so long (s): until it comes here, and until its dose begins."""
-# So far may the clock of who asks be ahead of this one (s).
+# So far may the asker's clock be ahead of this machine's (s).
 _AHEAD_S = 5.0
 # The flow falls with what is left, so that this would take so long (s), and the end is exact.
 _SLOWS_S = 30.0
@@ -50,12 +50,12 @@ class Dose:
     @property
     def said(self) -> str:
         """How it is, as a sentence."""
-        how = f"{self.delivered:.3f} of {self.volume:g} m3"
+        progress = f"{self.delivered:.3f} of {self.volume:g} m3"
         if not self.over:
-            return f"a dose: {how}; {self.why}" if self.begun else f"a dose waits: {self.why}"
+            return f"a dose: {progress}; {self.why}" if self.begun else f"a dose waits: {self.why}"
         if self.over == DONE:
             return f"the dose of {self.volume:g} m3 was delivered"
-        return f"the dose ended early, at {how}: {self.why}"
+        return f"the dose ended early, at {progress}: {self.why}"
 
 
 class Doses:
@@ -82,7 +82,7 @@ class Doses:
 
     @property
     def present(self) -> Dose | None:
-        """The one that waits or runs; None without one."""
+        """The dose that waits or runs; None without one."""
         return None if self.last is None or self.last.over else self.last
 
     def refusal(self, against: str) -> str:

@@ -121,8 +121,10 @@ def evaluate(reasons: Mapping[str, str]) -> dict[str, str]:
     if unknown:
         raise KeyError(*unknown)
     active: dict[str, str] = {}
-    for code, one in INTERLOCKS.items():
-        explained = one.follows and any(INTERLOCKS[other].kind == one.kind for other in active)
+    for code, interlock in INTERLOCKS.items():
+        explained = interlock.follows and any(
+            INTERLOCKS[earlier].kind == interlock.kind for earlier in active
+        )
         if reasons.get(code) and not explained:
             active[code] = reasons[code]
     return active

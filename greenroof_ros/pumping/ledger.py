@@ -7,7 +7,7 @@ page long, which a kill does not tear; a power cut may. Then the other line is w
 one may have been a stop or a fault: the pump is stopped until somebody releases it.
 
 The disk's thread writes: a slow disk keeps the pump's control from nothing. A lock, on a file
-beside, lets only one ledger write: another one's record would erase a stop or a fault.
+beside, lets only one ledger write: the record of another would erase a stop or a fault.
 
 The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
 site: of the steady clock, or simulated. Time for which the node was down counts by the system
@@ -94,8 +94,8 @@ class Record:
 
 def state_directory() -> Path:
     """Return where state is kept that nobody gave a place: the user's, by the XDG's rules."""
-    given = os.environ.get("XDG_STATE_HOME")
-    return (Path(given) if given else Path.home() / ".local" / "state") / "greenroof_ros"
+    directory = os.environ.get("XDG_STATE_HOME")
+    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 class Ledger:
@@ -122,7 +122,7 @@ class Ledger:
         self._unsaved = 0.0
         self._unseen = 0.0
         self._only: FileIO | None = None  # the lock
-        self.record = self._found = Record()
+        self.record = self._at_start = Record()
         if file is not None:
             self._lines = _Lines(file)
             self._newest = Newest(self._lines.write, partial(_why, file))
@@ -137,7 +137,7 @@ class Ledger:
         """
         if self._file is None or self._only is not None or not self._lock(self._file):
             return False
-        mine, before = self.record, self._found
+        mine, before = self.record, self._at_start
         self._begin(self._file)
         if mine.operator_stop and mine.operator_stop != before.operator_stop:
             self.stop(mine.operator_stop)
@@ -163,15 +163,15 @@ class Ledger:
 
     def _begin(self, file: Path) -> None:
         """Begin with what the file says, and the time since that was written."""
-        self.record, self._lines.sequence, whole = _read(file)
-        self._found = self.record
+        self.record, self._lines.sequence, intact = _read(file)
+        self._at_start = self.record
         down = self._clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
         if self.record.on:
             self._unseen = down if known else math.inf
         if known:
             self._pass(down)
-        if not whole:
+        if not intact:
             self._save()
 
     @property
@@ -311,8 +311,8 @@ def _why(file: Path, error: Exception) -> str:
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} has it already; end "
-            "that one, and this one goes on by itself, or give this one another file (--state, "
-            "state_file)"
+            "that process, and this one goes on by itself, or give this one another file "
+            "(--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
@@ -325,7 +325,7 @@ def _line(sequence: int, record: Record) -> bytes:
     """Return a record as a line of the file."""
 
     def short(text: str) -> str:
-        printable = "".join(one if one.isprintable() else " " for one in text[:_TEXT])
+        printable = "".join(letter if letter.isprintable() else " " for letter in text[:_TEXT])
         return printable.encode()[:_TEXT].decode(errors="ignore")
 
     record = replace(
@@ -333,7 +333,7 @@ def _line(sequence: int, record: Record) -> bytes:
         fault=short(record.fault),
     )
     content = {"sequence": sequence, **asdict(record)}
-    content["starts"] = [round(one, 1) for one in record.starts[-_STARTS:]]
+    content["starts"] = [round(start, 1) for start in record.starts[-_STARTS:]]
     text = json.dumps(content, ensure_ascii=False).encode()
     line = b"%08x " % zlib.crc32(text) + text
     assert len(line) < _LINE
@@ -385,7 +385,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
         The newest record; its number, 0 where the file must be made; and whether all was whole. A
         broken record is one that stops the pump.
     """
-    found, problems = [], []
+    numbered, problems = [], []
     try:
         if not stat.S_ISREG(file.stat().st_mode):
             raise ValueError("it is no file")
@@ -395,7 +395,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
             raise ValueError(f"it must be {2 * _LINE} bytes long")
         for number in range(2):
             try:
-                found.append(_parse(content[number * _LINE : (number + 1) * _LINE], number))
+                numbered.append(_parse(content[number * _LINE : (number + 1) * _LINE], number))
             except ValueError as error:
                 problems.append(f"line {number + 1}: {error}")
     except FileNotFoundError:
@@ -403,7 +403,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     except (OSError, ValueError) as error:
         problems = [str(error)]
     # The broken line's turn is next, so that the file is whole again then.
-    sequence, record = max(found, key=lambda one: one[0], default=(0, Record()))
+    sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, Record()))
     if problems:
         unknown = (
             f"{file} cannot be read ({'; '.join(problems)}), so whether there was a stop or a "

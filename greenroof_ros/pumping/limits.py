@@ -134,12 +134,12 @@ class PumpSettings:
         """Refuse what contradicts itself.
 
         Raises:
-            ConfigurationError: a pump at its least speed would count as one that stands.
+            ConfigurationError: a pump at its least speed would count as standing.
         """
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
-                f"must be less than least_speed, {self.least_speed:g}: a pump that stands would "
-                "count as one that runs, and one that runs on after a stop as one that stands",
+                f"must be less than least_speed, {self.least_speed:g}: a pump that "
+                "stands would count as running, and a pump that runs on after a stop as standing",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
 
@@ -158,9 +158,11 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     )
 
 
-def settings_for(site: Site, **given: float) -> PumpSettings:
+def settings_for(site: Site, **changes: float) -> PumpSettings:
     """Return settings for a site: those given, and the default of every other."""
-    return PumpSettings(**{one.name: one.default for one in pump_parameters(site)} | given)
+    return PumpSettings(**{
+        parameter.name: parameter.default for parameter in pump_parameters(site)
+    } | changes)
 
 
 class Limits:

@@ -128,7 +128,7 @@ class PumpControl:
         self._doses = Doses(site, ledger.now)
         self._against = "it was not looked at yet"  # running, at the last step
         self._least_pulse = math.inf  # at the last level (m3)
-        self._asked: float | None = None
+        self._setpoint: float | None = None
         # What the slowest drive that is allowed turns at on its way to the speed asked for, share
         # of the rated speed; before the first step it may have run.
         self._ramped = 1.0
@@ -226,7 +226,7 @@ class PumpControl:
         Args:
             dt: since the last step (s).
         """
-        self._turned = max(self._turned, self._asked or 0.0)
+        self._turned = max(self._turned, self._setpoint or 0.0)
         ran = min(dt, self._drive_stops_after - self._unknown_for)
         if self._must_stand():
             ran = 0.0
@@ -238,73 +238,77 @@ class PumpControl:
         self._blind_for += dt
         self._pulses.clear()
         self._doses.end(UNSEEN, f"nobody watched the pump for {dt:.0f} s")
-        if self._asked is not None:
+        if self._setpoint is not None:
             self._limits.switch(False)
-        self._asked = None
+        self._setpoint = None
 
-    def step(self, dt: float, seen: Observation, drive_dt: float | None = None) -> Decision:
+    def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
         """Decide.
 
         Args:
             dt: time since the last step (s), 0 at the first.
-            seen: what is known.
+            observed: what is known.
             drive_dt: for how long the drive could be watched since then (s): where the site is
                 simulated the time may be another, and in a suspend nobody watches it; None where
                 both are one.
         """
         drive_dt = dt if drive_dt is None else drive_dt
-        heard, backwards, said = seen.speed is not None, _backwards(seen), seen.speed
-        seen = _believable(seen)
+        heard, backwards, reported = (
+            observed.speed is not None, _backwards(observed), observed.speed
+        )
+        observed = _believable(observed)
         warnings: list[str] = []
         computed = None
-        if seen.speed is not None and seen.cistern_level is not None:
-            computed = flow_at(self._site, seen.speed, seen.cistern_level)
-        known_flow, source = self._flow(seen, computed, warnings)
+        if observed.speed is not None and observed.cistern_level is not None:
+            computed = flow_at(self._site, observed.speed, observed.cistern_level)
+        known_flow, source = self._flow(observed, computed, warnings)
         flow = 0.0 if known_flow is None else known_flow
-        self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
-        known = self._turned if seen.speed is None else seen.speed
-        self._turned = max(known, self._asked or 0.0)
-        unseen = self._unseen_flow(seen)
+        self._unknown_for = self._unknown_for + drive_dt if observed.speed is None else 0.0
+        latest = self._turned if observed.speed is None else observed.speed
+        self._turned = max(latest, self._setpoint or 0.0)
+        unseen = self._unseen_flow(observed)
         # A meter may say that nothing flows, against a closed valve or because it is broken, while
         # the pump runs.
         least = max(flow, computed or 0.0)
-        self._account(dt, seen.speed, unseen, least)
+        self._account(dt, observed.speed, unseen, least)
         under_way = self._doses.present is not None
         self._doses.pass_time(drive_dt, max(least, unseen) * dt)
         self._pulses.account(flow * dt, dt)
         undelivered = self._delivery.step(
-            dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt,
-            seen.displacements,
+            dt, observed.cistern_level, observed.roof_level, least * dt, max(flow, unseen) * dt,
+            observed.displacements,
         )
-        sees = seen.cistern_level is not None and seen.roof_level is not None
+        sees = observed.cistern_level is not None and observed.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        command, refused = seen.command, ""
+        command, refused = observed.command, ""
         if command is not None and not 0 <= command < math.inf:
             refused = f"the command {command:g} is refused: it must be a number from 0 to 1"
             command = None
         elif command is not None and command > 1:
             warnings.append(f"the command {command:g} is above 1 and taken as 1")
             command = 1.0
-        full = seen.roof_level is not None and seen.roof_level >= self._site.z_veg
+        full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
         if full:
             self._doses.end(FULL, "the roof is at its target")
         if under_way and self._doses.present is None:
             self._pulses.clear()  # what was asked for in a dose is no debt
         dosed = command is not None and self._doses.present is not None
-        unheard = seen.speed is None and not backwards
+        unheard = observed.speed is None and not backwards
         active = evaluate({
-            **self._faults(drive_dt, seen, backwards, undelivered),
+            **self._faults(drive_dt, observed, backwards, undelivered),
             **self._limits.reasons(
-                1.0 if dosed else command, seen.cistern_level, seen.roof_level, seen.frost,
-                seen.time_ns,
+                1.0 if dosed else command, observed.cistern_level, observed.roof_level,
+                observed.frost, observed.time_ns,
             ),
-            **seen.reasons,
-            "command_unknown": "there is no command" if seen.command is None else "",
+            **observed.reasons,
+            "command_unknown": "there is no command" if observed.command is None else "",
             "command_refused": refused,
             "drive_speed_unknown": "the speed of the drive is unknown" if unheard else "",
-            "drive_not_ready": "" if seen.drive_ready or backwards else "the drive is not ready",
+            "drive_not_ready": (
+                "" if observed.drive_ready or backwards else "the drive is not ready"
+            ),
         })
-        asked = None
+        setpoint = None
         if active:
             state = _STATES[INTERLOCKS[next(iter(active))].kind]
             why = "; ".join(active.values())
@@ -313,44 +317,45 @@ class PumpControl:
             self._against = why
         else:
             assert command is not None
-            assert seen.cistern_level is not None
-            self._least_pulse = self._pulses.least_pulse(seen.cistern_level)
+            assert observed.cistern_level is not None
+            self._least_pulse = self._pulses.least_pulse(observed.cistern_level)
             if dosed:
-                command = self._dose_command(seen.cistern_level)
-            asked, why = self._follow(dt, command, full, seen.cistern_level, warnings)
-            state = "off" if asked is None else "running"
+                command = self._dose_command(observed.cistern_level)
+            setpoint, why = self._follow(dt, command, full, observed.cistern_level, warnings)
+            state = "off" if setpoint is None else "running"
             self._against = "the roof is at its target" if full else ""
-            assert seen.roof_level is not None
-            room = self._site.x2_star - self._site.roof_volume(seen.roof_level)
+            assert observed.roof_level is not None
+            room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
             if not full and room < self._least_pulse:
                 self._against = (
                     "the roof lacks less of its target than the pump delivers once it is on"
                 )
             if (dose := self._doses.present) is not None:
-                dose.begun, dose.why = dose.begun or asked is not None, why
+                dose.begun, dose.why = dose.begun or setpoint is not None, why
                 why = f"a dose of {dose.volume:g} m3: {why}"
-        if (asked is None) != (self._asked is None):
-            self._limits.switch(asked is not None)
-        self._asked = asked
+        if (setpoint is None) != (self._setpoint is None):
+            self._limits.switch(setpoint is not None)
+        self._setpoint = setpoint
 
-        turning = seen.speed is not None and seen.speed > STANDS
-        if state == "running" and self._has_follow_error(seen.speed):
+        turning = observed.speed is not None and observed.speed > STANDS
+        if state == "running" and self._has_follow_error(observed.speed):
             state = "starting"
         elif state == "off" and turning:
             state = "stopping"
         elif state in ("fault", "held") and turning:
-            why += f"; the pump still turns, at {seen.speed:.2f} of its speed"
-        if seen.speed is None:
+            why += f"; the pump still turns, at {observed.speed:.2f} of its speed"
+        if observed.speed is None:
             # One that is heard, and says what cannot be, is not silent enough for its own timeout.
             stands = not heard and self._must_stand()
             if not stands and not backwards:
                 why += "; whether the pump stands is not known"
                 state = "unknown" if state == "off" else state
         else:
-            stands = asked is None and not turning
+            stands = setpoint is None and not turning
         return Decision(
-            asked, state, why, active, flow, source, "; ".join(warnings), stands,
-            said if backwards else seen.speed, stands or known_flow is not None, self._blind_for,
+            setpoint, state, why, active, flow, source, "; ".join(warnings), stands,
+            reported if backwards else observed.speed, stands or known_flow is not None,
+            self._blind_for,
         )
 
     def _dose_command(self, cistern_level: float) -> float:
@@ -359,21 +364,23 @@ class PumpControl:
         return max(self._doses.share(greatest), self._pulses.least_share(cistern_level))
 
     def _flow(
-        self, seen: Observation, computed: float | None, warnings: list[str]
+        self, observed: Observation, computed: float | None, warnings: list[str]
     ) -> tuple[float | None, str]:
         """Return the present flow (m3/s), None where it is unknown, and how it is known.
 
         Args:
-            seen: with what is measured.
+            observed: with what is measured.
             computed: what should flow at the present speed (m3/s); None where that is unknown.
             warnings: to which those are added about what is not believed.
         """
         site = self._site
-        if self._asked is None and seen.speed is not None and seen.speed <= STANDS:
+        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDS:
             return 0.0, "the pump stands"
-        level = site.z_o if seen.cistern_level is None else seen.cistern_level
+        level = site.z_o if observed.cistern_level is None else observed.cistern_level
         most = _GREATEST_FLOW * flow_at(site, 1.0, level)
-        for flow, source in ((seen.flow, "flow meter"), (seen.drive_flow, "the drive's own")):
+        for flow, source in (
+            (observed.flow, "flow meter"), (observed.drive_flow, "the drive's own")
+        ):
             if flow is not None and flow <= most:
                 return flow, source
             if flow is not None:
@@ -383,28 +390,28 @@ class PumpControl:
                 )
         return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
-    def _unseen_flow(self, seen: Observation) -> float:
+    def _unseen_flow(self, observed: Observation) -> float:
         """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
-        if seen.speed is not None or self._must_stand():
+        if observed.speed is not None or self._must_stand():
             return 0.0
-        level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
+        level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         return flow_at(self._site, min(1.0, self._turned), level)
 
     def _must_stand(self) -> bool:
         """Whether a pump whose speed is unknown stood before, or does by the drive's timeout."""
         return self._turned <= STANDS or self._unknown_for > self._drive_stops_after
 
-    def _account(self, dt: float, speed: float | None, unseen: float, seen: float) -> None:
+    def _account(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
         """Count what the last step's decision made of the time since, by both flows (m3/s)."""
         turns = speed is not None and speed > STANDS
-        on = self._asked is not None or turns or unseen > seen
+        on = self._setpoint is not None or turns or unseen > measured
         self._limits.account(dt, on)
-        self._ledger.count(dt, dt if on else 0.0, max(seen, unseen) * dt)
+        self._ledger.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
 
     def _has_follow_error(self, speed: float | None) -> bool:
         """Whether the pump turns at another speed than the one asked for, beyond the tolerance."""
-        asked = self._asked or 0.0
-        return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
+        setpoint = self._setpoint or 0.0
+        return speed is not None and abs(speed - setpoint) > self._settings.follow_tolerance
 
     def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
         """Whether the pump is at a speed that the drive's ramp does not explain.
@@ -413,28 +420,28 @@ class PumpControl:
         ramp goes on from there, so that a new speed counts from where the drive then is. It begins
         when a pump that stood turns.
         """
-        if self._asked is not None and speed <= STANDS:
+        if self._setpoint is not None and speed <= STANDS:
             self._ramped = speed
             return True
-        asked, ramp, tolerance = (
-            self._asked or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
+        setpoint, ramp, tolerance = (
+            self._setpoint or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
         )
         most = drive_dt / ramp if ramp else math.inf
-        self._ramped += min(max(asked - self._ramped, -most), most)
-        least, greatest = sorted((asked, self._ramped))
+        self._ramped += min(max(setpoint - self._ramped, -most), most)
+        least, greatest = sorted((setpoint, self._ramped))
         if least <= speed <= greatest:
             self._ramped = speed
         return not least - tolerance <= speed <= greatest + tolerance
 
-    def _flows_at_rest(self, drive_dt: float, seen: Observation) -> str:
+    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> str:
         """Return that a meter shows a flow while the pump stands by its drive; empty for none.
 
         A drive knows its motor, and a relay what it was ordered; neither sees a welded contact.
         """
-        level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
+        level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         least = self._settings.least_flow * flow_at(self._site, 1.0, level)
-        measured = max(seen.flow or 0.0, seen.drive_flow or 0.0)
-        stands = self._asked is None and seen.speed is not None and seen.speed <= STANDS
+        measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
+        stands = self._setpoint is None and observed.speed is not None and observed.speed <= STANDS
         self._flowed_for = self._flowed_for + drive_dt if stands and measured > least else 0.0
         if self._flowed_for <= self._settings.follow_time:
             return ""
@@ -445,69 +452,69 @@ class PumpControl:
         )
 
     def _faults(
-        self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
+        self, drive_dt: float, observed: Observation, backwards: str, undelivered: str
     ) -> dict[str, str]:
         """Return the faults by interlock: those now, and the first one, kept until it is reset.
 
         Beside them, what else the ledger keeps the pump off for: a stop, and a record not read.
         """
-        failed_start = seen.reasons.get("start_failed", "")
-        if failed_start and self._asked is not None:
+        failed_start = observed.reasons.get("start_failed", "")
+        if failed_start and self._setpoint is not None:
             self._failed_starts += 1
-        if seen.speed is not None:  # what is not heard for a moment may go on
-            beyond = self._is_beyond_ramp(seen.speed, drive_dt)
+        if observed.speed is not None:  # what is not heard for a moment may go on
+            beyond = self._is_beyond_ramp(observed.speed, drive_dt)
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
-            if self._asked is not None and not beyond and not failed_start:
+            if self._setpoint is not None and not beyond and not failed_start:
                 self._failed_starts = 0
-        found = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, seen)}
-        if seen.speed is not None and self._follow_error_for > self._settings.follow_time:
-            off = self._asked is None
-            asked = "it was ordered to stop" if off else f"{self._asked:.2f} is asked for"
-            found["runs_on" if off else "speed_not_followed"] = (
-                f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
-                f"{asked}, for {self._follow_error_for:.0f} s, which a ramp of "
+        reasons = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, observed)}
+        if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
+            off = self._setpoint is None
+            expected = "it was ordered to stop" if off else f"{self._setpoint:.2f} is asked for"
+            reasons["runs_on" if off else "speed_not_followed"] = (
+                f"the speed does not follow: the pump turns at {observed.speed:.2f} of its speed, "
+                f"and {expected}, for {self._follow_error_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         if self._failed_starts >= _FAILED_STARTS:
-            found["speed_not_followed"] = (
+            reasons["speed_not_followed"] = (
                 f"it was started {self._failed_starts} times, and each time {failed_start}"
             )
-        found["turns_backwards"] = backwards
-        if seen.drive_fault:
-            code = "runs_on" if seen.runs_on else "drive_fault"
-            found[code] = f"the drive reports: {seen.drive_fault}"
-        latched = evaluate(found)
+        reasons["turns_backwards"] = backwards
+        if observed.drive_fault:
+            code = "runs_on" if observed.runs_on else "drive_fault"
+            reasons[code] = f"the drive reports: {observed.drive_fault}"
+        latched = evaluate(reasons)
         # The first fault is kept, but what the page may clear hides nothing that it may not.
         worst = next((code for code in latched if not INTERLOCKS[code].on_page), "")
-        kept = INTERLOCKS.get(self._ledger.record.fault_code)
+        interlock = INTERLOCKS.get(self._ledger.record.fault_code)
         if not self._ledger.record.fault:
             worst = worst or next(iter(latched), "")
-        elif kept is None or not kept.on_page:
+        elif interlock is None or not interlock.on_page:
             worst = ""
         if worst:
             self._ledger.fault(latched[worst], worst)
         record = self._ledger.record
-        found |= {
+        reasons |= {
             "operator_stop": record.operator_stop, "record_unknown": record.unknown,
             "page_stop": PAGE_STOPPED if record.page_stop else "", "paused": self._paused(),
         }
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
-            found[record.fault_code if known else "fault_unknown"] = record.fault
-        return found
+            reasons[record.fault_code if known else "fault_unknown"] = record.fault
+        return reasons
 
     def _follow(
         self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[str]
     ) -> tuple[float | None, str]:
         """Return the speed for a command against which nothing speaks (None is off), and why."""
-        pulses, on = self._pulses, self._asked is not None
-        wanted = 0.0 if full else command
+        pulses, on = self._pulses, self._setpoint is not None
+        demanded = 0.0 if full else command
         since_start = self._limits.since_start
-        share = pulses.ask(wanted, cistern_level, on, since_start)
+        share = pulses.ask(demanded, cistern_level, on, since_start)
         least, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
         why = "as commanded"
-        if wanted < least:
+        if demanded < least:
             why = "a pulse, since the command is below the least flow"
             if pulses.outstanding > pulse:
                 warnings.append(
@@ -524,31 +531,31 @@ class PumpControl:
                 return None, "the roof is at its target"
             return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
         speed = pulses.speed(share, cistern_level)
-        if self._asked is None:
+        if self._setpoint is None:
             return pulses.speed(least, cistern_level), why
         change = self._settings.ramp * dt
-        return min(max(speed, self._asked - change), self._asked + change), why
+        return min(max(speed, self._setpoint - change), self._setpoint + change), why
 
 
-def _backwards(seen: Observation) -> str:
+def _backwards(observed: Observation) -> str:
     """Return that the pump turns backwards, beyond noise; empty where it does not."""
-    if seen.speed is None or not -_GREATEST_SPEED <= seen.speed < -STANDS:
+    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDS:
         return ""
-    return f"the pump turns backwards, at {-seen.speed:.2f} of its speed"
+    return f"the pump turns backwards, at {-observed.speed:.2f} of its speed"
 
 
-def _believable(seen: Observation) -> Observation:
+def _believable(observed: Observation) -> Observation:
     """Return an observation in which what no sensor or drive can mean is unknown."""
 
-    def known(value: float | None, least: float, most: float) -> float | None:
+    def checked(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None
 
-    speed = known(seen.speed, -STANDS, _GREATEST_SPEED)
+    speed = checked(observed.speed, -STANDS, _GREATEST_SPEED)
     return replace(
-        seen,
-        cistern_level=known(seen.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
-        roof_level=known(seen.roof_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
+        observed,
+        cistern_level=checked(observed.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
+        roof_level=checked(observed.roof_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
         speed=None if speed is None else max(0.0, speed),
-        flow=known(seen.flow, 0.0, math.inf),
-        drive_flow=known(seen.drive_flow, 0.0, math.inf),
+        flow=checked(observed.flow, 0.0, math.inf),
+        drive_flow=checked(observed.drive_flow, 0.0, math.inf),
     )

@@ -102,21 +102,21 @@ def load_bag(
     Raises:
         ConfigurationError: the bag is damaged, foreign, or its values cannot be true.
     """
-    found = _read_series(bag, repair)
+    recorded = _read_series(bag, repair)
     notes = [
-        f"{topic} is not in the bag and counts as 0" for topic in _COLUMNS if topic not in found
+        f"{topic} is not in the bag and counts as 0" for topic in _COLUMNS if topic not in recorded
     ]
     interface, highest = read_topics(), _highest_of_site(site)
     series = {}
-    for topic, one in found.items():
+    for topic, of_topic in recorded.items():
         if own:
-            one, note = _as_the_plant_took_it(interface[topic], one, external_pump)
+            of_topic, note = _as_the_plant_took_it(interface[topic], of_topic, external_pump)
         else:
-            one, note = _without_outliers(bag, interface[topic], highest.get(topic), one)
+            of_topic, note = _without_outliers(bag, interface[topic], highest.get(topic), of_topic)
         notes += note
-        if len(one.times):  # else it was never known
-            series[topic] = one
-    stamps = np.unique(np.concatenate([one.times for one in series.values()]))
+        if len(of_topic.times):  # else it was never known
+            series[topic] = of_topic
+    stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
         raise ConfigurationError(
@@ -160,11 +160,13 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         with highlevel.AnyReader(
             [bag], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         ) as reader:
-            found = {connection.topic: connection.msgtype for connection in reader.connections}
-            namespace = find_namespace(found, list(_NEEDED), bag)
+            types = {connection.topic: connection.msgtype for connection in reader.connections}
+            namespace = find_namespace(types, list(_NEEDED), bag)
             names = {f"{namespace}{topic}": topic for topic in _COLUMNS}
-            _check_topics(bag, found, names)
-            connections = [one for one in reader.connections if one.topic in names]
+            _check_topics(bag, types, names)
+            connections = [
+                connection for connection in reader.connections if connection.topic in names
+            ]
             for connection, stamp, raw in reader.messages(connections=connections):
                 topic = names[connection.topic]
                 message: Any = reader.deserialize(raw, connection.msgtype)
@@ -183,25 +185,25 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
 
 
-def _check_topics(bag: Path, found: Mapping[str, str], names: Mapping[str, str]) -> None:
+def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
     """Refuse a bag that lacks a needed topic, or has one of another type.
 
     Args:
         bag: its directory.
-        found: the type of each of its topics.
+        types: the type of each of its topics.
         names: the name in the interface of each that is used, by its name in the bag.
     """
-    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in found]
+    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:
-        there = ", ".join(sorted(found)) or "none"
+        topics = ", ".join(sorted(types)) or "none"
         raise ConfigurationError(
-            f"has no {', '.join(missing)}, which the report needs; its topics are: {there}",
+            f"has no {', '.join(missing)}, which the report needs; its topics are: {topics}",
             file=bag,
         )
     for name in names:
-        if found.get(name, _TYPE) != _TYPE:
+        if types.get(name, _TYPE) != _TYPE:
             raise ConfigurationError(
-                f"must be of type {_TYPE}, not {found[name]}", file=bag, key=name
+                f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
             )
 
 

@@ -239,7 +239,7 @@ class BagFile:
 
     @property
     def size(self) -> int:
-        """How many bytes of it are written; those of the present chunk are not yet."""
+        """How many bytes of it are written, without the present chunk."""
         return self._stream.tell()
 
     def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
@@ -316,7 +316,7 @@ class BagWriter(BagFile):
 
         Args:
             directory: must not exist.
-            topics: those of each tick, in the order in which they are written.
+            topics: of each tick, in the order in which they are written.
 
         Raises:
             FileExistsError: the directory exists.
@@ -458,16 +458,16 @@ def _metadata(files: Sequence[FileIndex]) -> str:
                 }
             count = file.statistics.channel_message_counts.get(channel.id, 0)
             topics[channel.topic]["message_count"] += count
-    seen = [file.statistics for file in files]
-    start = min(one.message_start_time for one in seen)
-    end = max(one.message_end_time for one in seen)
+    statistics = [file.statistics for file in files]
+    start = min(of_file.message_start_time for of_file in statistics)
+    end = max(of_file.message_end_time for of_file in statistics)
     return _yaml({
         "rosbag2_bagfile_information": {
             "version": _METADATA_VERSION,
             "storage_identifier": "mcap",
             "duration": {"nanoseconds": end - start},
             "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(one.message_count for one in seen),
+            "message_count": sum(of_file.message_count for of_file in statistics),
             "topics_with_message_count": list(topics.values()),
             # Of whole files; the chunks in them are compressed, which mcap says itself.
             "compression_format": "",
@@ -476,11 +476,13 @@ def _metadata(files: Sequence[FileIndex]) -> str:
             "files": [
                 {
                     "path": file.name,
-                    "starting_time": {"nanoseconds_since_epoch": one.message_start_time},
-                    "duration": {"nanoseconds": one.message_end_time - one.message_start_time},
-                    "message_count": one.message_count,
+                    "starting_time": {"nanoseconds_since_epoch": of_file.message_start_time},
+                    "duration": {
+                        "nanoseconds": of_file.message_end_time - of_file.message_start_time
+                    },
+                    "message_count": of_file.message_count,
                 }
-                for file, one in zip(files, seen, strict=True)
+                for file, of_file in zip(files, statistics, strict=True)
             ],
             "custom_data": None,
             "ros_distro": "jazzy",

@@ -48,8 +48,8 @@ class Trajectory:
     def thinned(self, every: int) -> Trajectory:
         """Return the first of so many samples each, and the last of all."""
         last = len(self.time) - 1
-        kept = np.unique(np.append(np.arange(0, last, every), last))
-        return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
+        index = np.unique(np.append(np.arange(0, last, every), last))
+        return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
     def to_parquet(self) -> bytes:
         """Return the file that :func:`read_parquet` reads.
@@ -68,7 +68,7 @@ class Trajectory:
 
 # Attribute: column of the file.
 _COLUMNS: dict[str, str] = {
-    one.name: one.metadata["column"] for one in fields(Trajectory) if one.metadata
+    column.name: column.metadata["column"] for column in fields(Trajectory) if column.metadata
 }
 
 

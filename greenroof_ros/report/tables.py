@@ -263,7 +263,7 @@ def incident_tables(report: Report) -> list[Table]:
     rows = [
         {
             "incident": Cell(str(incident.number), f"{place:06} {incident.number:06}"),
-            "run": cell(row["run"]), "part": cell(incident.what),
+            "run": cell(row["run"]), "part": cell(incident.subject),
             "from": _moment(report, row, incident.began, incident.began_tick),
             "until": _moment(report, row, incident.ended, incident.ended_tick),
             "duration (s of wall time)":

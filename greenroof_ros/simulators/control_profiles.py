@@ -208,11 +208,11 @@ class CimProfile(SimulatedDrive):
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
 
     @property
-    def wanted(self) -> float:
+    def setpoint(self) -> float:
         """The set-point is a speed in one control mode alone."""
         modes = self.get("control_mode"), self.get("operation_mode")
         follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
-        return super().wanted if follows else self._OTHER_MODE
+        return super().setpoint if follows else self._OTHER_MODE
 
     def status(self) -> int:
         """Bits as in section 9.5."""

@@ -105,9 +105,9 @@ class ForecastService:
         begins = [first + hour * HOUR for hour in range(24 * days)]
         hourly: dict[str, Any] = {"time": [f"{time:%Y-%m-%dT%H:%M}" for time in begins]}
         units = {"time": "iso8601"}
-        wanted = query.get("hourly", [""])[0].split(",")
+        variables = query.get("hourly", [""])[0].split(",")
         for quantity, variable in VARIABLES.items():
-            if variable not in wanted:
+            if variable not in variables:
                 continue
             # Rain and radiation are of the hour before their time.
             before = int(quantity in (PRECIPITATION, RADIATION))

@@ -18,10 +18,10 @@ _MESSAGES = 5
 
 def payload(raw: float, sensor: MqttSensor) -> str:
     """Return a message with a number where a sensor has it."""
-    found: Any = raw
+    content: Any = raw
     for step in reversed(sensor.steps):
-        found = {step: found} if isinstance(step, str) else [None] * step + [found]
-    return json.dumps(found)
+        content = {step: content} if isinstance(step, str) else [None] * step + [content]
+    return json.dumps(content)
 
 
 class SimulatedMqttSensor:

@@ -1,4 +1,4 @@
-"""Modbus servers, which can be as bad as those of the real world, and a simulator of them."""
+"""Modbus servers, which can be as bad as real ones, and a simulator of them."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class StandingFault:
     """The fault that stands; changed at run time.
 
     Attributes:
-        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; those of the wire are done
-            here.
+        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; faults of the wire are
+            made here.
         parameter: of it.
     """
 
@@ -72,10 +72,10 @@ class Device:
                 return self.write(address, [int(value) for value in values])
             # The answer to a write repeats what was written, whatever is in the register then.
             if function not in _WRITES:
-                known, wanted = self.read(), range(address, address + count)
-                if any(register not in known for register in wanted):
+                present, addresses = self.read(), range(address, address + count)
+                if any(register not in present for register in addresses):
                     return ExcCodes.ILLEGAL_ADDRESS
-                current[address:address + count] = [known[register] for register in wanted]
+                current[address:address + count] = [present[register] for register in addresses]
             return None
 
         everything = SimData(0, count=65536, datatype=DataType.REGISTERS)
@@ -249,21 +249,21 @@ class PseudoLine:
     def join(self) -> None:
         """Hand on, in the running loop, what is sent at either end."""
         loop = asyncio.get_running_loop()
-        for one, other in (self._masters, self._masters[::-1]):
-            loop.add_reader(one, self._hand_on, one, other)
+        for source, target in (self._masters, self._masters[::-1]):
+            loop.add_reader(source, self._hand_on, source, target)
 
     @staticmethod
-    def _hand_on(one: int, other: int) -> None:
-        data = os.read(one, 4096)
+    def _hand_on(source: int, target: int) -> None:
+        data = os.read(source, 4096)
         with contextlib.suppress(BlockingIOError):  # nobody reads there: as on a line, it is lost
-            os.write(other, data)
+            os.write(target, data)
 
 
 class Bench(ABC):
     """A simulator: its servers with a workbench beside them, until somebody ends them.
 
     Attributes:
-        fault: the one that stands.
+        fault: the present fault.
         registers: of the workbench, by number.
         servers: of the simulator itself.
     """
@@ -350,10 +350,12 @@ class Bench(ABC):
             server.close()
 
     def _write(self, address: int, values: list[int]) -> ExcCodes | None:
-        wanted = range(address, address + len(values))
-        if any(each == faults.SPEED or each not in self.registers for each in wanted):
+        addresses = range(address, address + len(values))
+        if any(
+            register == faults.SPEED or register not in self.registers for register in addresses
+        ):
             return ExcCodes.ILLEGAL_ADDRESS
-        for register, value in zip(wanted, values, strict=True):
+        for register, value in zip(addresses, values, strict=True):
             if register != faults.FAULT:
                 self.adjust(register, value)
                 continue

@@ -87,7 +87,7 @@ class SimulatedDrive(ABC):
     DELIVERED: ClassVar[tuple[int, int]]
     """time and action of the timeout as delivered (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
-    """actions of the timeout that trip the drive; the first is the one that is set"""
+    """actions of the timeout that trip the drive; the first is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
     """code, or bits, of the fault after the timeout of each interface"""
     UNGUARDED_S: ClassVar[float] = 0.0
@@ -107,7 +107,7 @@ class SimulatedDrive(ABC):
 
         Args:
             file: the make.
-            settings: of this one.
+            settings: of this drive.
             clock: tells the time (s).
             interface: by which it is spoken to, ``serial`` or ``tcp``; the timeout of the drive
                 file's other one is as delivered, and guards nothing.
@@ -166,20 +166,20 @@ class SimulatedDrive(ABC):
     def _write_timeouts(self) -> set[str]:
         """Set the timeouts of all interfaces; return the names of their registers."""
         names = set()
-        for each in (*self._file.timeout.known.values(), self.timeout):
+        for timeout in (*self._file.timeout.known.values(), self.timeout):
             when, action = self.DELIVERED
-            if each is self.timeout and self.settings.timeout_s is not None:
-                register = self._registers[each.register]
+            if timeout is self.timeout and self.settings.timeout_s is not None:
+                register = self._registers[timeout.register]
                 seconds = min(self.settings.timeout_s, register.high)
                 when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)
-            self.put(each.register, when)
-            names.add(each.register)
-            if each.action is not None:
-                names.add(each.action.register)
-                self.put(each.action.register, action)
-            if each.mode is not None:
-                names.add(each.mode.register)
-                self.put(each.mode.register, min(each.mode.stops))
+            self.put(timeout.register, when)
+            names.add(timeout.register)
+            if timeout.action is not None:
+                names.add(timeout.action.register)
+                self.put(timeout.action.register, action)
+            if timeout.mode is not None:
+                names.add(timeout.mode.register)
+                self.put(timeout.mode.register, min(timeout.mode.stops))
         return names
 
     # --- what differs between the makes -----------------------------------------------------------
@@ -246,7 +246,7 @@ class SimulatedDrive(ABC):
         self.take_over_settings()
 
     @property
-    def wanted(self) -> float:
+    def setpoint(self) -> float:
         """The speed that it ramps to (share of rated); pumps do not turn backwards."""
         register = self._registers["reference"]
         return min(max(self.get("reference") * self._unit(register), 0.0), 1.0)
@@ -292,17 +292,17 @@ class SimulatedDrive(ABC):
             return
         stays = self._standing in ("speed_stays", "stuck_running") or motion is Motion.HOLD
         if not stays:
-            wanted = self.wanted if motion is Motion.FOLLOW else 0.0
+            setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
             reach = self.settings.speed * step / full if full else math.inf
-            self.speed += min(max(wanted - self.speed, -reach), reach)
+            self.speed += min(max(setpoint - self.speed, -reach), reach)
         if not self.speed:
             self.standstill()
 
     @property
     def _ignores_stop(self) -> bool:
         """Whether it is to stop, and runs on while it says that it is off."""
-        off = self.motion is not Motion.FOLLOW or not self.wanted
+        off = self.motion is not Motion.FOLLOW or not self.setpoint
         return self._standing == "runs_on" and off and self._at >= self._answers_from
 
     @property
@@ -313,7 +313,7 @@ class SimulatedDrive(ABC):
     @property
     def at_speed(self) -> bool:
         """Whether it has reached its reference."""
-        return self.motion is Motion.FOLLOW and abs(self.speed - self.wanted) < _AT_SPEED
+        return self.motion is Motion.FOLLOW and abs(self.speed - self.setpoint) < _AT_SPEED
 
     @property
     def warning(self) -> bool:
@@ -392,7 +392,7 @@ class SimulatedDrive(ABC):
         """Let a fault of the drive stand instead of the present one; a trip stays until its reset.
 
         Args:
-            name: of one of `faults.DRIVE_FAULTS`; those of the wire change nothing here.
+            name: of one of `faults.DRIVE_FAULTS`; faults of the wire change nothing here.
             parameter: of it.
         """
         self.advance()
@@ -464,8 +464,8 @@ class DriveBench(Bench):
         """
         super().__init__(faults.DRIVE_FAULTS, workbench)
         self._line = PseudoLine() if address.line == _PTY else None
-        own = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(own, gateway=not own.line and file.timeout.tcp is None)
+        place = address if self._line is None else Address(line=self._line.ends[0])
+        self._reached = replace(place, gateway=not place.line and file.timeout.tcp is None)
         self._device_id = file.device_id_at(self._reached)
         self.drive = make(file, settings, interface=self._reached.interface)
         self.drive.say = self.say
@@ -479,7 +479,7 @@ class DriveBench(Bench):
         }
         device = Device(self.drive.registers, self.drive.write, self._hears)
         self.servers.append(
-            Server(own, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
+            Server(place, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
         )
 
     @property

@@ -76,7 +76,7 @@ class SimulatedRelay(ABC):
         self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it as told, unless it is deaf, for a time (s; None for good)."""
+        """Switch it on or off, unless it is deaf, for a time (s; None for good)."""
         self.advance()
         if self.deaf:
             return
@@ -112,23 +112,23 @@ class Shelly(SimulatedRelay):
         try:
             request = json.loads(payload)
             answer = {"id": request["id"], "src": self._device, "dst": request["src"]}
-            method, given = request["method"], request.get("params", {})
+            method, params = request["method"], request.get("params", {})
         except (ValueError, TypeError, KeyError):
             return
-        result = self._call(method, given)
+        result = self._call(method, params)
         answer |= {"error": {"code": 404, "message": f"No handler for {method}"}} \
             if result is None else {"result": result}
         yield f"{request['src']}/rpc", json.dumps(answer)
 
-    def _call(self, method: str, given: Mapping[str, Any]) -> dict[str, Any] | None:
+    def _call(self, method: str, params: Mapping[str, Any]) -> dict[str, Any] | None:
         if method == "Shelly.GetDeviceInfo":
             return {"name": None, "id": self._device, "gen": 2, "app": " ".join(SIMULATOR)}
-        if given.get("id") != 0:
+        if params.get("id") != 0:
             return None
         match method:
             case "Switch.Set":
                 was_on = self.on
-                self.switch(bool(given["on"]), given.get("toggle_after", self.timer_s))
+                self.switch(bool(params["on"]), params.get("toggle_after", self.timer_s))
                 return {"was_on": was_on}
             case "Switch.GetStatus":
                 self.advance()
@@ -169,10 +169,10 @@ class Tasmota(SimulatedRelay):
                     "Version": " ".join(SIMULATOR),
                 }})
             case ("pulsetime1", ""):
-                left = max(0.0, self._off_at - self._clock()) if self.on else 0.0
+                remaining = max(0.0, self._off_at - self._clock()) if self.on else 0.0
                 yield self._result({"PulseTime1": {
                     "Set": _pulse_time(self.timer_s), "Remaining": _pulse_time(
-                        left if math.isfinite(left) else None),
+                        remaining if math.isfinite(remaining) else None),
                 }})
             case ("poweronstate", ""):
                 yield self._result({"PowerOnState": 3 if self.on_after_power_up else 0})
@@ -312,8 +312,8 @@ class RelayBench(Bench):
         if time.monotonic() < self._answers_from:
             return
         late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
-        for where, said in self.relay.hear(topic, payload.decode(errors="replace")):
+        for answer_topic, answer in self.relay.hear(topic, payload.decode(errors="replace")):
             if self.fault.name == "garbage":
-                said = secrets.token_bytes(self.fault.parameter).decode("latin-1")
+                answer = secrets.token_bytes(self.fault.parameter).decode("latin-1")
             if self.fault.name != "silence":
-                self._loop.call_later(late_s, self._client.publish, where, said)
+                self._loop.call_later(late_s, self._client.publish, answer_topic, answer)

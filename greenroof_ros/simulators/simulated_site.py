@@ -98,7 +98,7 @@ class SiteBench(Bench):
             line = next(iter(next(iter(by_id.values())).values())).serial
             self.servers.append(Server(
                 parse_address(address),
-                {device_id: self._device(each) for device_id, each in by_id.items()}, line,
+                {device_id: self._device(sensors) for device_id, sensors in by_id.items()}, line,
             ))
 
     def _device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
@@ -148,7 +148,7 @@ class SiteBench(Bench):
         return self.fault.name == f"{section}_{name}"
 
     def _raw(self, section: str) -> float:
-        """Return the raw value of a sensor, absurd ones aside."""
+        """Return the raw value of a sensor, unless a fault makes it absurd."""
         sensor, parameter = self._sensors[section], self.fault.parameter
         if self._has_fault(section, "frozen") and section in self._frozen:
             return self._frozen[section]
@@ -185,7 +185,7 @@ class SiteBench(Bench):
             )
         if self._output is not None:
             print(*COLUMNS, sep=",", file=self._output, flush=True)
-        publishing = [asyncio.create_task(each.run(ended)) for each in self._publishers]
+        publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
         began = time.monotonic()
         speed = await self._speed()
         while not ended.is_set():

@@ -58,8 +58,8 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     """Another one would not understand it, and write over it."""
     monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", controller])
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
-    (kept,) = (node.parameters["state_file"] for node in nodes if node.name == controller)
-    assert kept == str(tmp_path / f"{controller}.json")
+    (path,) = (node.parameters["state_file"] for node in nodes if node.name == controller)
+    assert path == str(tmp_path / f"{controller}.json")
 
 
 def test_plant_external_is_live(tmp_path: Path) -> None:
@@ -121,17 +121,17 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
-@pytest.mark.parametrize(("options", "said"), [
+@pytest.mark.parametrize(("options", "message"), [
     # What has a thermometer of its own needs no other one: only the drive is missing.
     (("--drive", "no_such_drive", "--drive-at", "tcp://127.0.0.1:1"), "no_such_drive"),
     (("--pump", "external", "--thermometer", "external"),
      "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer"),
 ])
 def test_a_thermometer_in_the_sensor_file(
-    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], message: str
 ) -> None:
     sensors = str(CHECKOUT / "config" / "sensors_mqtt.yaml")
-    assert said in refused(
+    assert message in refused(
         monkeypatch, "live", "--sensors", sensors, "--controller", "onoff", *options
     )
 
@@ -140,8 +140,8 @@ def test_a_thermometer_in_the_sensor_file(
 def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         make_parser().parse_args(["--namespace", name])
-    said = capsys.readouterr().err
-    assert name in said and "such as site1" in said
+    message = capsys.readouterr().err
+    assert name in message and "such as site1" in message
 
 
 def test_a_serial_line_of_a_sensor_and_the_drive(
@@ -226,7 +226,7 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
-    assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
+    assert {file.name for file in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(
@@ -259,10 +259,10 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
             "the pump",
         )
         assert wire.connections == 0
-        told = "bringup told the drive to stop, which said then: speed 0.0%"
-        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(told)
+        message = "bringup told the drive to stop, which said then: speed 0.0%"
+        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
         driver.release()
-        assert stop(1)[0] and stop(1)[1].startswith(told)
+        assert stop(1)[0] and stop(1)[1].startswith(message)
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
@@ -282,10 +282,10 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
     """Which has what the pump node says of it, and what to look at; no log."""
     assert in_the_loop._DRIVE_LIMIT_S == 60.0
     monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 0.1)
-    said = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
+    report = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
     silent: Any = SimpleNamespace(check=lambda *_: None, say=lambda _: None, waiting=lambda _: None)
     supervisor: Any = SimpleNamespace(
-        permit=lambda _: None, listen=lambda: None, check=lambda _: None, last={"pump": said}
+        permit=lambda _: None, listen=lambda: None, check=lambda _: None, last={"pump": report}
     )
     with pytest.raises(NodeFailed) as failed:
         in_the_loop.wait_for_drive(supervisor, silent, "pump.json", silent)
@@ -297,14 +297,14 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
 
 def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     """As all else, by the thread: the interpreter would wait for who reads standard error."""
-    kept: list[tuple[str, ...]] = []
-    record: Any = SimpleNamespace(write=lambda *what: kept.append(what), wait=lambda: None)
+    written: list[tuple[str, ...]] = []
+    record: Any = SimpleNamespace(write=lambda *line: written.append(line), wait=lambda: None)
     supervisor: Any = SimpleNamespace(may_run="")
     with pytest.raises(ValueError, match="a mistake") as caught:
         raise ValueError("a mistake")
     assert live._end(record, supervisor, caught.value) == 1
     assert LINES.wait(60)
-    assert kept == [("failed", "ValueError: a mistake")]
+    assert written == [("failed", "ValueError: a mistake")]
     first, second, *_, last = capfd.readouterr().err.splitlines()
     assert (first, last) == ("error: ValueError: a mistake", "ValueError: a mistake")
     assert second.startswith("Traceback")

@@ -60,11 +60,11 @@ def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     """By the next process; before the first there is nothing."""
     file = tmp_path / "site" / "numbers.json"
-    kept = Kept(file)
-    assert kept.read() == {}
-    kept.write({"a": 1.5, "b": -0.1})
-    kept.close()
-    assert kept.problem == ""
+    numbers = Kept(file)
+    assert numbers.read() == {}
+    numbers.write({"a": 1.5, "b": -0.1})
+    numbers.close()
+    assert numbers.problem == ""
     assert Kept(file).read() == {"a": 1.5, "b": -0.1}
 
 
@@ -79,20 +79,20 @@ def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     """A pipe that nobody reads: the end waits two seconds, and what is newest is written later."""
     os.mkfifo(tmp_path / "numbers.part")
-    kept = Kept(tmp_path / "numbers.json")
+    numbers = Kept(tmp_path / "numbers.json")
     began = time.monotonic()
-    kept.write({"a": 1.0})
-    kept.write({"a": 2.0})
-    assert kept.problem == "" and time.monotonic() - began < 1.0
-    kept.close()
+    numbers.write({"a": 1.0})
+    numbers.write({"a": 2.0})
+    assert numbers.problem == "" and time.monotonic() - began < 1.0
+    numbers.close()
     assert time.monotonic() - began < 5.0
     time.sleep(max(0.0, began + 2.5 - time.monotonic()))
-    assert kept.problem == "the disk takes nothing"
+    assert numbers.problem == "the disk takes nothing"
     woken = (tmp_path / "numbers.part").rename(tmp_path / "pipe")
     with woken.open() as pipe:  # the disk wakes up
         assert '"a": ' in pipe.read()
-    kept.close()
-    assert kept.read() == {"a": 2.0} and kept.problem == ""
+    numbers.close()
+    assert numbers.read() == {"a": 2.0} and numbers.problem == ""
 
 
 def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
@@ -112,29 +112,29 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
     """Or a power cut may leave the name with nothing behind it."""
     file = tmp_path / "numbers.json"
     file.write_text('{"a": 1.0}')
-    seen = []
+    contents = []
 
     def fsync(number: int) -> None:
         part = tmp_path / "numbers.part"
         assert part.samefile(f"/dev/fd/{number}")
-        seen.append((part.read_text(), file.read_text()))
+        contents.append((part.read_text(), file.read_text()))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    kept = Kept(file)
-    kept.write({"a": 2.0})
-    kept.close()
-    assert seen == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
-    assert kept.read() == {"a": 2.0}
+    numbers = Kept(file)
+    numbers.write({"a": 2.0})
+    numbers.close()
+    assert contents == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
+    assert numbers.read() == {"a": 2.0}
 
 
 def test_what_went_wrong_is_said(tmp_path: Path) -> None:
     """As long as it is so; the next writing is tried again."""
     (tmp_path / "state").write_text("a file where a directory is due")
-    kept = Kept(tmp_path / "state" / "numbers.json")
-    kept.write({"a": 1.0})
-    kept.close()
-    assert "File exists" in kept.problem or "Not a directory" in kept.problem
+    numbers = Kept(tmp_path / "state" / "numbers.json")
+    numbers.write({"a": 1.0})
+    numbers.close()
+    assert "File exists" in numbers.problem or "Not a directory" in numbers.problem
     (tmp_path / "state").unlink()
-    kept.write({"a": 2.0})
-    kept.close()
-    assert kept.problem == ""
+    numbers.write({"a": 2.0})
+    numbers.close()
+    assert numbers.problem == ""

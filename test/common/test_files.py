@@ -41,7 +41,7 @@ def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
     ours = read_ros_parameters(file)["/**"]["ros__parameters"]
 
     def exactly(value: Any) -> object:
-        return [exactly(each) for each in value] if isinstance(value, list) else (
+        return [exactly(item) for item in value] if isinstance(value, list) else (
             type(value), "nan" if isinstance(value, float) and math.isnan(value) else value
         )
 
@@ -61,8 +61,8 @@ def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None
     file.write_text(
         "/**/anticipating_onoff:\n  ros__parameters: {horizon: 010, fraction: 5e-1}\n"
     )
-    found = find_controller("anticipating_onoff").read_parameters(file, PAPER_SITE)
-    assert (found["horizon"], found["fraction"]) == (8.0, 0.5)
+    values = find_controller("anticipating_onoff").read_parameters(file, PAPER_SITE)
+    assert (values["horizon"], values["fraction"]) == (8.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -111,12 +111,12 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    there = tmp_path / "there.csv"
-    there.touch()
+    existing = tmp_path / "there.csv"
+    existing.touch()
     for file, reason in (
         (tmp_path / "a.pdf", "must be the name of a file that ends in .html or .csv"),
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
-        (there, "exists; name another file"),
+        (existing, "exists; name another file"),
     ):
         with pytest.raises(ConfigurationError) as caught:
             refuse_unwritable(file, (".html", ".csv"), "--output")

@@ -72,7 +72,7 @@ def test_outputs_of_a_controller_are_optional_topics() -> None:
 
 
 def test_types_match_ros() -> None:
-    """Definitions and hashes in msg_defs/types.yaml are those of the installed ROS 2."""
+    """Definitions and hashes in msg_defs/types.yaml agree with the installed ROS 2."""
     rclpy = pytest.importorskip("rclpy", reason="the message packages come with ROS 2")
     assert rclpy
     types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
@@ -133,19 +133,19 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
             )
             expected[name] = (["plant"] if name == "/pump/flow" else sorted(publish), sorted(take))
 
-        def found() -> dict[str, tuple[list[str], list[str]]]:
+        def ends() -> dict[str, tuple[list[str], list[str]]]:
             return {
                 name: (
-                    sorted(each.node_name for each in node.get_publishers_info_by_topic(name)),
-                    sorted(each.node_name for each in node.get_subscriptions_info_by_topic(name)),
+                    sorted(info.node_name for info in node.get_publishers_info_by_topic(name)),
+                    sorted(info.node_name for info in node.get_subscriptions_info_by_topic(name)),
                 )
                 for name, _ in node.get_topic_names_and_types()
                 if name not in ("/rosout", "/parameter_events")
             }
 
-        wait_for(lambda: found() == expected, 60, "discovery of the topics")
+        wait_for(lambda: ends() == expected, 60, "discovery of the topics")
         time.sleep(1)  # of one too many, too
-        assert found() == expected
+        assert ends() == expected
         kinds = dict(node.get_topic_names_and_types())
         for name, topic in interface.items():
             assert kinds[name] == [topic.type]

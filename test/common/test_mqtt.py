@@ -13,9 +13,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client, parse_broker, parse_topic
 
 
-def until(there: Callable[[], object], seconds: float = 10.0) -> None:
+def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
     end = time.monotonic() + seconds
-    while not there():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -42,30 +42,30 @@ def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
 
 @needs_mosquitto
 def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> None:
-    heard: list[bytes] = []
+    payloads: list[bytes] = []
     connected: list[int | None] = []
     with mosquitto(tmp_path) as server:
         client = make_client(
             parse_broker(server.address, "broker"), "roof",
             lambda: connected.append(client.subscribe("level")[1]),
-            lambda topic, payload, retained: heard.append(payload),
+            lambda topic, payload, retained: payloads.append(payload),
         )
         client.loop_start()
         try:
             until(lambda: connected)
             client.publish("level", "1")
-            until(lambda: heard)
+            until(lambda: payloads)
             server.kill()
             until(lambda: not client.is_connected())
             client.publish("level", "2")
             server.start()
             until(lambda: len(connected) > 1)
             client.publish("level", "3")
-            until(lambda: b"3" in heard)
+            until(lambda: b"3" in payloads)
         finally:
             client.disconnect()
             client.loop_stop()
-    assert heard == [b"1", b"3"]
+    assert payloads == [b"1", b"3"]
 
 
 @needs_mosquitto

@@ -22,8 +22,8 @@ def test_lines_come_in_order(capfd: pytest.CaptureFixture[str]) -> None:
     for number in range(50):
         say(f"line {number}\n  more of it, in °C")
     assert standard_error.LINES.wait(TOO_LONG_S)
-    said = capfd.readouterr().err
-    assert said == "".join(f"line {number}\n  more of it, in °C\n" for number in range(50))
+    printed = capfd.readouterr().err
+    assert printed == "".join(f"line {number}\n  more of it, in °C\n" for number in range(50))
 
 
 def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
@@ -37,10 +37,10 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
             lines.say(f"line {number}")
         assert not lines.wait(0.0)
         assert time.monotonic() - began < 2.0
-        said = b""
-        while not said.endswith(b"line 99\n"):
-            said += os.read(reading, 1 << 20)
-    assert said.lstrip(b"\0").decode().splitlines() == [
+        printed = b""
+        while not printed.endswith(b"line 99\n"):
+            printed += os.read(reading, 1 << 20)
+    assert printed.lstrip(b"\0").decode().splitlines() == [
         "first", "90 lines were dropped: standard error took nothing",
         *(f"line {number}" for number in range(90, 100)),
     ]
@@ -70,8 +70,8 @@ def test_the_end_of_a_process(full: bool) -> None:
             _empty(reading)
         command = [sys.executable, "-c", program]
         assert subprocess.run(command, cwd=CHECKOUT, stderr=writing, timeout=20).returncode == 0
-        said = _empty(reading).lstrip(b"\0")
-    assert said == (b"" if full else b"line 0\nline 1\nline 2\n")
+        printed = _empty(reading).lstrip(b"\0")
+    assert printed == (b"" if full else b"line 0\nline 1\nline 2\n")
 
 
 def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
@@ -86,7 +86,7 @@ def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
 def test_a_line_every_ten_seconds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Told every second for 35 s: what was told at 10, 20 and 30 s is printed."""
+    """Of progress every second for 35 s, what came at 10, 20 and 30 s is printed."""
     now = 1000.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     lines = ProgressLines()
@@ -99,11 +99,11 @@ def test_a_line_every_ten_seconds(
 def _empty(reading: int) -> bytes:
     """Return all that is in a pipe, without waiting for more."""
     os.set_blocking(reading, False)
-    said = b""
+    printed = b""
     try:
         while True:
-            said += os.read(reading, 1 << 20)
+            printed += os.read(reading, 1 << 20)
     except BlockingIOError:
-        return said
+        return printed
     finally:
         os.set_blocking(reading, True)

@@ -35,12 +35,12 @@ def anticipating(fraction: float = 1.0) -> AnticipatingOnOff:
 
 def medians(values: Array, weights: Array) -> list[float]:
     """Return the lower median until each step, by its definition."""
-    found = []
+    medians = []
     for k in range(1, len(values) + 1):
         order = np.argsort(values[:k], kind="stable")
         reached = np.cumsum(weights[:k][order])
-        found.append(float(values[:k][order][np.searchsorted(reached, reached[-1] / 2)]))
-    return found
+        medians.append(float(values[:k][order][np.searchsorted(reached, reached[-1] / 2)]))
+    return medians
 
 
 @given(

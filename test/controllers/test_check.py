@@ -27,8 +27,8 @@ def returning(code: str) -> tuple[str, str]:
 
 def planning(plan: str) -> tuple[str, str]:
     """Do the same for one whose plan is no plan."""
-    own = f'    outputs = {{"/controller/plan": "plan"}}\n    import numpy\n    plan = {plan}\n'
-    return HEAD, own + HEAD
+    outputs = f'    outputs = {{"/controller/plan": "plan"}}\n    import numpy\n    plan = {plan}\n'
+    return HEAD, outputs + HEAD
 
 
 FINITE = "its commands are finite and not negative, at all levels and forecasts"
@@ -92,13 +92,13 @@ def test_broken_controllers(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "broken", raising=False)
     findings = check_controller(find_controller("broken:Proportional"), PAPER_SITE)
-    assert problem in {one.check: one.problem for one in findings}[rule]
+    assert problem in {finding.check: finding.problem for finding in findings}[rule]
 
 
 def test_the_command(tmp_path: Path) -> None:
     """Exit code 0 where all is right, 1 where something is wrong, 2 of what cannot be imported."""
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
-    for reference, directory, code, said in (
+    for reference, directory, code, message in (
         (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),
         ("broken:Proportional", tmp_path, 1, "command() returns None; it must return a float"),
         ("nothing:Here", tmp_path, 2, ""),
@@ -107,4 +107,4 @@ def test_the_command(tmp_path: Path) -> None:
             "check_controller", reference, cwd=directory, env={**os.environ, "COLUMNS": "250"}
         )
         assert result.returncode == code, result.stderr
-        assert said in result.stdout and "Traceback" not in result.stderr
+        assert message in result.stdout and "Traceback" not in result.stderr

@@ -26,7 +26,7 @@ START, HOURS = datetime.fromisoformat("2021-07-07T18:00-04:00"), 20
 BEGINS = 360  # ticks from the start to the quiet hours
 
 
-def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **given: float) -> Run:
+def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **changes: float) -> Run:
     """Build a run on a roof at three quarters of its target, with a forecast that comes true.
 
     Args:
@@ -39,7 +39,7 @@ def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **give
     for hour, depth in rain.items():
         fallen[hour] = depth
     choice = find_controller(controller)
-    parameters = {**choice.defaults(site), **given}
+    parameters = {**choice.defaults(site), **changes}
     return build_run(
         Path("site.yaml"), site, weather_of(fallen, 4.0, START), START.isoformat(), HOURS * 360,
         choice, parameters, "custom", (70.0, 0.75 * site.x2_star), ForecastChoice(),
@@ -61,11 +61,11 @@ def deviation(ticks: list[Tick]) -> float:
 )
 def test_no_controller_pumps_in_quiet_hours(controller: str) -> None:
     """Each begins to pump before, on a roof that is never full, and goes on when they end."""
-    given = {"days_after": 0.0} if controller in ("lookahead", "anticipating_onoff") else {}
+    changes = {"days_after": 0.0} if controller in ("lookahead", "anticipating_onoff") else {}
     if controller == "onoff":
-        given["fraction"] = 0.001
+        changes["fraction"] = 0.001
     site = replace(EVENING, quiet_hours=("18:30-19:00",), a_hat=-5.78e9)  # a pump that is weak
-    run = replace(run_of(controller, {}, site, **given), steps=720)
+    run = replace(run_of(controller, {}, site, **changes), steps=720)
     commands = [tick.command for tick in ticks_of(run)]
     # mpc must not begin at once.
     assert max(commands[:180]) > 0

@@ -39,9 +39,9 @@ SITES = {
 
 def fallen(time: Array) -> Array:
     """Return the rain until a time (m)."""
-    whole, since = np.divmod(time, 3 * DAY_S)
+    periods, since = np.divmod(time, 3 * DAY_S)
     rained = np.clip(since - 2 * DAY_S, 0.0, 2 * HOUR_S)
-    return np.asarray(STORM * (2 * HOUR_S * whole + rained))
+    return np.asarray(STORM * (2 * HOUR_S * periods + rained))
 
 
 def truth(time: float) -> Array:
@@ -72,8 +72,8 @@ def season(
     """
     of = SITES[site]
     choice = find_controller("lookahead")
-    given = {"horizon": HORIZON, "trust_memory": memory}
-    controller = choice.make(of, {**choice.defaults(of), **given})
+    changes = {"horizon": HORIZON, "trust_memory": memory}
+    controller = choice.make(of, {**choice.defaults(of), **changes})
     assert isinstance(controller, Lookahead)
     plant, off, trust = Plant(of, 57.0, of.x2_star), [], []
     losses = np.full(len(ENDS) - 1, EVAPORATES * of.a2)
@@ -133,12 +133,12 @@ def test_trust_comes_back() -> None:
 
 @pytest.mark.parametrize("site", SITES)
 def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
-    """The one of no trust is the roof without a forecast, that of all trust the one with it."""
+    """The shadow with no trust is a roof without a forecast, with full trust a roof with it."""
     controller, _, _ = season(site, always)
     for shadow, forecast in ((0, dry), (-1, always)):
         _, off, _ = season(site, forecast, memory=0.0)
-        kept = np.exp(-np.arange(len(off))[::-1] * HOUR_S / DAY_S / 30)
-        assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.1)
+        weights = np.exp(-np.arange(len(off))[::-1] * HOUR_S / DAY_S / 30)
+        assert controller._trust.losses[shadow] == pytest.approx((off * weights).sum(), rel=0.1)
 
 
 def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
@@ -164,12 +164,12 @@ def test_what_is_left_for_rain() -> None:
     assert leave(np.array([0.5, 1.0]), -1.0, -1.0, 4.0).tolist() == [2.0, -1.0]
 
 
-@pytest.mark.parametrize("asked", [3e-6, 0.0])
+@pytest.mark.parametrize("potential", [3e-6, 0.0])
 @pytest.mark.parametrize("share", SHARES[:-1])
-def test_the_plan_leaves_the_room_that_the_command_leaves(share: float, asked: float) -> None:
+def test_the_plan_leaves_the_room_that_the_command_leaves(share: float, potential: float) -> None:
     """It is held there until the next step may raise it, by night, too, when nothing dries."""
     controller, steps = lookahead(horizon=HORIZON), len(ENDS) - 1
     controller.learned = {**controller.learned, "trust": share}
-    controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [asked] * steps)
+    controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [potential] * steps)
     ends, _, levels, _ = controller.plan.T
     assert levels[ends == 120] == pytest.approx(controller.fill_to, abs=1e-5)

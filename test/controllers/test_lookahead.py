@@ -79,7 +79,7 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
         alone = min(max(roof + tiny.rain[member][hour] - tiny.evaporated[hour], 0), MOST)
         return straight(roof, alone), alone, water
 
-    def held(hour: int, member: int, roof: int, water: int) -> tuple[float, int, int]:
+    def holding(hour: int, member: int, roof: int, water: int) -> tuple[float, int, int]:
         _, alone, _ = ended(hour, member, roof, water)
         goal = min(roof, roof + tiny.pumps[hour] - tiny.evaporated[hour])
         after = max(alone, min(goal, alone + water))
@@ -96,26 +96,27 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
     @cache
     def decided(hour: int, group: int, roof: int, water: int) -> int | None:
         """Return the level to fill to, None to leave it."""
-        members = [one for one, label in enumerate(groups[hour]) if label == group]
-        best, least = None, worst_mean([cost(hour, one, roof, water, None) for one in members])
+        members = [member for member, label in enumerate(groups[hour]) if label == group]
+        best = None
+        least = worst_mean([cost(hour, member, roof, water, None) for member in members])
         for level in range(roof, TARGET + 1):
             reached = roof + tiny.pumps[hour] - tiny.evaporated[hour]
             if level > roof and (level > reached or level - roof > water):
                 break
-            costs = worst_mean([cost(hour, one, roof, water, level) for one in members])
+            costs = worst_mean([cost(hour, member, roof, water, level) for member in members])
             if costs < least - 1e-9:
                 best, least = level, costs
         return best
 
     def cost(hour: int, member: int, roof: int, water: int, level: int | None) -> float:
         if level is None:
-            here, after, left = ended(hour, member, roof, water)
+            here_cost, after, left = ended(hour, member, roof, water)
         else:
             filled = level - roof
-            here, after, left = held(hour, member, level, water - filled)
+            here_cost, after, left = holding(hour, member, level, water - filled)
             if filled:
-                here += filled * filled / (2 * tiny.pumps[hour])
-        return here + value(hour + 1, member, after, left)
+                here_cost += filled * filled / (2 * tiny.pumps[hour])
+        return here_cost + value(hour + 1, member, after, left)
 
     @cache
     def value(hour: int, member: int, roof: int, water: int) -> float:
@@ -146,15 +147,15 @@ def tiny_problems(
 
 
 def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
-    """Return how far the recursion's cost is from that of trying all (units)."""
-    found = tiny.solved(np.array(groups).T).cost
-    return abs(found - exhaustive(tiny, groups)) / UNIT
+    """Return how far the recursion's cost is from the least of all plans (units)."""
+    cost = tiny.solved(np.array(groups).T).cost
+    return abs(cost - exhaustive(tiny, groups)) / UNIT
 
 
 @settings(max_examples=30)
 @given(tiny_problems())
 def test_one_forecast_and_strong_pumps(tiny: Tiny) -> None:
-    """The least cost is that of trying all."""
+    """The least cost is the least of all plans."""
     assert apart(tiny) < 0.1
 
 
@@ -181,7 +182,7 @@ def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
     assert apart(replace(tiny, water=water)) < 4.5
 
 
-# --- members that are told apart -----------------------------------------------------------------
+# --- members that can be distinguished -----------------------------------------------------------
 
 
 def test_the_drier_half_parts_from_the_wetter() -> None:
@@ -255,7 +256,7 @@ def planned_volumes(controller: Lookahead) -> Array:
 
 
 def test_what_is_above_the_outlet_is_not_counted_on() -> None:
-    """A cistern full to 3.9 m, of which 1.1 m are gone in minutes, for a roof of 91 m3."""
+    """A cistern full to 3.9 m, 1.1 m too much and gone in minutes, for a roof of 91 m3."""
     site = site_with(a2=2000.0, a_in=1e-9)
     controller = lookahead(site)
     assert controller.command(3.9, 0.0, DRY, DRY) > 0.9
@@ -347,11 +348,11 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
 def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
     """A plan for 12 h is followed for a quarter of an hour; only then the roof is filled."""
     controller = lookahead()
-    none: list[float] = []
+    nothing: list[float] = []
     assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
-    waited = [controller.command(2.3, 0.03, none, none) for _ in range(899)]
+    waited = [controller.command(2.3, 0.03, nothing, nothing) for _ in range(899)]
     assert not any(waited)
-    assert controller.command(2.3, 0.03, none, none) > 0
+    assert controller.command(2.3, 0.03, nothing, nothing) > 0
     assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
     assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
 
@@ -387,13 +388,13 @@ def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
 def test_the_order_of_members_does_not_matter() -> None:
     """Bit for bit, nor does their order in memory."""
     storms = [rain_in((5, 7), depth) for depth in (0.0, 0.004, 0.006, 0.01)]
-    made = [lookahead() for _ in range(3)]
+    three = [lookahead() for _ in range(3)]
     for controller, members in zip(
-        made, (storms, storms[::-1], np.asfortranarray(storms)), strict=True
+        three, (storms, storms[::-1], np.asfortranarray(storms)), strict=True
     ):
         controller.command(2.3, 0.03, members, [2e-6] * STEPS)
-    assert made[0].fill_to == made[1].fill_to == made[2].fill_to > 0.03
-    assert made[0].plan.tobytes() == made[1].plan.tobytes() == made[2].plan.tobytes()
+    assert three[0].fill_to == three[1].fill_to == three[2].fill_to > 0.03
+    assert three[0].plan.tobytes() == three[1].plan.tobytes() == three[2].plan.tobytes()
 
 
 def test_it_plans_again_when_something_changed() -> None:

@@ -43,7 +43,7 @@ class Walk(NamedTuple):
 
 @cache
 def walk(weight: float, *options: str, max_command: float = math.inf) -> Walk:
-    """Run the controller against the exact plant, from low-low unless told else."""
+    """Run the controller against the exact plant, from low-low unless another state is given."""
     run = paper_run(*options)
     controller = Mpc(run.site, weight, max_command)
     x, w, u, cost = [], [], [], []
@@ -106,7 +106,7 @@ def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
     run = walk(weight, *RUNS[weight])
     assert (run.u[-1] == 0) == (weight == 1e-5)
     G, r = programs(run)
-    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
+    U = np.array([solution(*program, weight) for program in zip(G, r, strict=True)])
     np.testing.assert_allclose(run.u, U[:, 0], rtol=0, atol=1e-8)
     assert run.u.min() >= 0
     # J of Eq. (11) counts the depth now, too.
@@ -159,7 +159,7 @@ def test_first_command_of_any_site_is_exact(
 
 
 def test_weight_may_change_between_two_ticks() -> None:
-    """The command is that of the new weight, about the old command."""
+    """The command follows from the new weight, about the old command."""
     mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     before = mpc.command(*first_inputs())
     mpc.weight = 1e-2
@@ -172,8 +172,8 @@ def test_unsolved_program_pumps_nothing(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
-    with monkeypatch.context() as few:
-        few.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
+    with monkeypatch.context() as patch:
+        patch.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
         mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     for fallbacks in (1, 2, 3):
         caplog.clear()

@@ -27,13 +27,13 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
     """
     content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
     assert list(content) == [f"/**/{name}"]
-    given = content[f"/**/{name}"]["ros__parameters"]
+    values = content[f"/**/{name}"]["ros__parameters"]
     defaults = {
-        one.name: one.default for one in find_controller(name).kind.parameters
-        if one.measured is None
+        parameter.name: parameter.default for parameter in find_controller(name).kind.parameters
+        if parameter.measured is None
     }
-    assert list(given.items()) == list(defaults.items())
-    assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]
+    assert list(values.items()) == list(defaults.items())
+    assert list(map(type, values.values())) == list(map(type, defaults.values()))
 
 
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,8 +49,8 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
     )
-    given = find_controller("mpc").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
-    assert given["weight"] == 5.0
+    values = find_controller("mpc").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
+    assert values["weight"] == 5.0
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
         ("onof", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("planning_mpc", "was replaced by lookahead"),
         ("a b:C", "must be of the form package.module:Class"),
-        ("package:Plant", "its node would be named plant, as another one is"),
+        ("package:Plant", "its node would be named plant, as another node is"),
         ("package:Mpc", "its node would be named mpc"),
     ],
 )
@@ -159,9 +159,9 @@ def test_a_controller_that_a_package_registers(
         assert controller_names() == [*BUILT_IN, "gentle"]
     finally:
         registry._of_other_packages.cache_clear()
-    given = choice.read_parameters(tmp_path / "gentle.yaml", PAPER_SITE)
-    assert (choice.name, given) == ("gentle", {"gain": 10.0})
-    assert choice.make(PAPER_SITE, given).command(3.0, 0.0, [0.0], [0.0]) > 0
+    values = choice.read_parameters(tmp_path / "gentle.yaml", PAPER_SITE)
+    assert (choice.name, values) == ("gentle", {"gain": 10.0})
+    assert choice.make(PAPER_SITE, values).command(3.0, 0.0, [0.0], [0.0]) > 0
 
 
 @pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])

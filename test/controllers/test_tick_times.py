@@ -10,12 +10,12 @@ from greenroof_ros.controllers.tick_times import TickTimes
 
 @pytest.mark.parametrize("count", [0, 1, 5000, 100_000])
 def test_times_of_ticks(count: int) -> None:
-    """They are numpy's; of a hundred thousand the percentile is that of the last 65,536."""
+    """They are numpy's; of a hundred thousand the percentile is of the last 65,536."""
     times, drawn = TickTimes(), np.random.default_rng(4).exponential(1e-4, count)
     for seconds in drawn.tolist():
         times.append(seconds)
-    found = times.statistics(7, 2)
-    assert (len(times), found["solves"], found["fallbacks"]) == (count, 7, 2)
-    assert found["max_s"] == drawn.max(initial=0)
-    assert found["mean_s"] == pytest.approx(drawn.mean() if count else 0, rel=1e-9)
-    assert found["p99_s"] == (np.percentile(drawn[-65_536:], 99) if count else 0)
+    statistics = times.statistics(7, 2)
+    assert (len(times), statistics["solves"], statistics["fallbacks"]) == (count, 7, 2)
+    assert statistics["max_s"] == drawn.max(initial=0)
+    assert statistics["mean_s"] == pytest.approx(drawn.mean() if count else 0, rel=1e-9)
+    assert statistics["p99_s"] == (np.percentile(drawn[-65_536:], 99) if count else 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adversaries import TOGETHER, told
+from adversaries import TOGETHER, with_forecasts
 from numpy.typing import NDArray
 from paper import (
     PAPER_SITE,
@@ -67,7 +67,7 @@ def test_it_begins_with_the_mean() -> None:
 
 @pytest.mark.parametrize("tau", [1.0, 10.0])
 def test_noise_of_any_size_is_noise(tau: float) -> None:
-    """It is averaged over 300 s: the error is that of the average alone, with no jumps to it."""
+    """It is averaged over 300 s: the error is the average's alone, with no jumps to it."""
     site, noise = replace(PAPER_SITE, tau=tau), 0.005
     estimate = RoofObserver(site, 300.0)
     errors = []
@@ -144,11 +144,11 @@ def test_an_adversary_costs_at_most_the_budget(
     """On/off and its share, the budget, and at most what is lost until the pumps may start."""
     plain = deviation_of(a_week(tmp_path, "--controller", "onoff", "--fraction", "0.05"))
     run = a_week(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
-    false = told(run, kind, 48)
+    false = with_forecasts(run, kind, 48)
 
     def reached(budget: float) -> float:
-        given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
-        return deviation_of(false, run.controller.make(run.site, given))
+        parameters = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
+        return deviation_of(false, run.controller.make(run.site, parameters))
 
     limit = (1 + SHARE) * plain + BUDGET_H * EMPTY_HOUR
     assert reached(BUDGET_H) <= limit + 0.1 * EMPTY_HOUR
@@ -162,8 +162,8 @@ def test_what_overflows_while_the_roof_waits_is_missing_later() -> None:
     for _ in range(2):
         budget.move(80.0, 2.0, 2.0, 1.0, 0.0)
     out, first, _ = exact_flows(PAPER_SITE, 80.0, 2.0, 1.0)
-    less, second, _ = exact_flows(PAPER_SITE, 80.0 - first, 2.0 + first, 1.0)
-    assert budget._stored == pytest.approx(out - less - first - second, rel=1e-9)
+    out_less, second, _ = exact_flows(PAPER_SITE, 80.0 - first, 2.0 + first, 1.0)
+    assert budget._stored == pytest.approx(out - out_less - first - second, rel=1e-9)
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
@@ -171,10 +171,10 @@ def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
     rain = [3e-6 if 7200 <= begin < 14_400 else 0.0 for begin in growing_steps(12)[:-1]]
     for budget, pumps in ((72.0, False), (0.01, True)):
         controller = lookahead(waiting_budget=budget, waiting_share=0.0)
-        given = 2.3, 0.04, [rain], [0.0] * STEPS
-        commands = [controller.command(*given) for _ in range(600)]
+        inputs = 2.3, 0.04, [rain], [0.0] * STEPS
+        commands = [controller.command(*inputs) for _ in range(600)]
         assert any(commands) is pumps
-    assert ["more than plain on/off" in said for said in caplog.messages] == [True]
+    assert ["more than plain on/off" in message for message in caplog.messages] == [True]
 
 
 def test_a_low_outlet_limits_the_waiting_by_hand() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.parameter import Word
 from greenroof_ros.drives.drive import PlacedDrive
 from greenroof_ros.drives.drive_file import Codes, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
@@ -51,7 +52,7 @@ SECONDS = "    type: uint16\n    unit: s"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
          "registers.control.manual = 400001: must be 400002: address 1 + numbering.offset 400001; "
@@ -64,6 +65,9 @@ SECONDS = "    type: uint16\n    unit: s"
          "sequences.stop.2.value = 'speed': can be written in sequences.run only"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
          "status.running.value = '0x0005': has bits outside of the mask 0x0004: it could never"),
+        (BIT_2, BIT_2.replace("mask: 0x0004", "mask: 0"),
+         "status.running.mask = 0: must be from 1 to 4"),
+        ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be from 1 to 2"),
         (BIT_2, BIT_2.replace("}", ", register: speed}"),
          "status.running.register = 'speed': must be a register of the type uint16 or uint32"),
         (SECONDS, SECONDS.replace("16", "32"),
@@ -82,13 +86,13 @@ SECONDS = "    type: uint16\n    unit: s"
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, old: str, new: str, says: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     """The line that is named is the changed one, or the head of what lacks something."""
     assert ABB.count(old) == 1, f"{old!r} is not once in the file"
     path = tmp_path / "drive.yaml"
     path.write_text(ABB.replace(old, new), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: {re.escape(says)}"):
+    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: {re.escape(message)}"):
         read_drive_file(path)
 
 
@@ -97,42 +101,45 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(ABB.replace("least_speed: 0.3", "least_speed: 30"), encoding="utf-8")
     line = 1 + path.read_text(encoding="utf-8").split("\n").index("least_speed: 30")
-    says = rf"mine.yaml, line {line}: least_speed = 30: must be from 0 to 1"
-    with pytest.raises(ConfigurationError, match=says):
+    message = rf"mine.yaml, line {line}: least_speed = 30: must be from 0 to 1"
+    with pytest.raises(ConfigurationError, match=message):
         read_drive_file(find_drive_file(str(path)))
-    says = "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202,"
-    with pytest.raises(ConfigurationError, match=says):
+    message = "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202,"
+    with pytest.raises(ConfigurationError, match=message):
         find_drive_file("siemens")
 
 
 @pytest.mark.parametrize(
-    ("text", "address", "interface", "asked"),
+    ("text", "address", "interface", "device_id"),
     [
         ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp", 3),
         ("tcp://[::1]:502", Address(host="::1", port=502), "tcp", 3),
         ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True), "serial", 17),
         ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0"), "serial", 17),
         ("gateway://10.0.0.7:41,200", Address("10.0.0.7", 41, "", True, 200), "serial", 200),
+        ("tcp://10.0.0.7:1", Address("10.0.0.7", 1), "tcp", 3),
+        ("tcp://10.0.0.7:65535", Address("10.0.0.7", 65535), "tcp", 3),
         ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247), "serial", 247),
     ],
 )
-def test_addresses(text: str, address: Address, interface: str, asked: int) -> None:
+def test_addresses(text: str, address: Address, interface: str, device_id: int) -> None:
     """A gateway leads to the serial port; the device asked is the address's, or the file's."""
     assert parse_drive_address(text, "at") == address
     assert str(address) == text and address.interface == interface
     assert address.device_id is not None or parse_address(text) == address
     read = read_drive_file(SHIPPED[0])
-    two = replace(
+    numbered = replace(
         read, serial=replace(read.serial, device_id=17), tcp=replace(read.tcp, device_id=3)
     )
-    assert two.line(address, 1.0).where == f"{text}, device {asked}"
+    assert numbered.line(address, 1.0).where == f"{text}, device {device_id}"
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         *((text, "must be tcp://HOST, tcp://HOST:PORT, gateway:")
-          for text in ("10.0.0.7", "tcp://host:70000", "udp://host", "COM3", "somewhere,17")),
+          for text in ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "COM3",
+                       "somewhere,17")),
         ("tcp://10.0.0.7,256", "must be the drive's device id, 0 to 255"),
         ("gateway://10.0.0.7,0", "must be the drive's device id, 1 to 247"),
         ("/dev/ttyUSB0,x", "must be the drive's device id, 1 to 247"),
@@ -173,6 +180,13 @@ def test_limits_are_those_of_the_type(kind: str, low: int, high: int) -> None:
 def test_a_fault_that_is_the_timeout_and_no_other(kind: str, raw: int, only: bool) -> None:
     """Code 7, or bits 1 and 7: with no bit at all there is no such fault."""
     assert Codes("fault", kind, {}).only(raw, (7,) if kind == "code" else (1, 7)) is only
+
+
+def test_the_bits_of_a_word_in_words() -> None:
+    """From the lowest to the highest of 32, those without a text by their number."""
+    codes = Codes("fault", "bits", {Word(0): "low", Word(31): "high"})
+    assert codes.text(0x8000_0003) == "low, bit 1, high"
+    assert codes.text(0) == ""
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

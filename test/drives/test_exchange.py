@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, over_serial
@@ -48,8 +49,8 @@ def abb(unguarded_s: float = 0.0) -> DriveFile:
     read = read_drive_file(find_drive_file("abb_acs880"))
     assert read.timeout.serial is not None
     assert read.timeout.serial.unguarded_after_power_up_s == 30.0
-    own = replace(read.timeout.serial, unguarded_after_power_up_s=unguarded_s)
-    return replace(read, timeout=Timeouts(own))
+    timeout = replace(read.timeout.serial, unguarded_after_power_up_s=unguarded_s)
+    return replace(read, timeout=Timeouts(timeout))
 
 
 ABB = abb()
@@ -70,8 +71,8 @@ class Bench:
         self.drive = acs880()
         self.wire = Wire(self.drive)
         self.exchange = DriveExchange(
-            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")), PERIOD,
-            **{"dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
+            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")),
+            **{"period_s": PERIOD, "dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
         )
         self.speed: float | None = None
         self._ended = threading.Event()
@@ -108,9 +109,9 @@ class Bench:
     def until_half(self) -> None:
         wait(lambda: self.drive.values[4] == 10000)
 
-    def until_said(self, what: Callable[[DriveStatus], object]) -> None:
+    def until_said(self, condition: Callable[[DriveStatus], object]) -> None:
         """Wait until the drive says something."""
-        wait(lambda: self.now.status and what(self.now.status))
+        wait(lambda: self.now.status and condition(self.now.status))
 
     def written_in(self, rounds: int) -> list[tuple[int, int]]:
         """Return what is written in so many rounds, of two words at least, from now on."""
@@ -132,8 +133,8 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    with closing(Bench()) as made:
-        yield made
+    with closing(Bench()) as bench:
+        yield bench
 
 
 def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
@@ -148,7 +149,7 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
     time.sleep(5 * PERIOD)
     assert RUN not in bench.drive.written
     assert bench.drive.written.count(OFF) > 3  # which keeps the drive's own timeout fed
-    assert sum("0316b7" in each for each in bench.wire.frames) == 1  # 58.16 is not read each time
+    assert sum("0316b7" in frame for frame in bench.wire.frames) == 1  # 58.16 is not read each time
 
 
 def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
@@ -188,6 +189,16 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     count = len(drive.written)
     time.sleep(4 * PERIOD)
     assert len(drive.written) == count
+
+
+def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
+    """A run and a stop go out at once, however seldom the drive is asked; half a speed may wait."""
+    with closing(Bench(period_s=20.0, dead_man_s=60.0)) as bench:
+        bench.connect()
+        bench.speed = 0.5
+        assert wait(lambda: bench.drive.values[0] == 0x047F) < 2.0
+        bench.speed = None
+        assert wait(lambda: bench.drive.values[0] == 0x047E) < 2.0
 
 
 def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
@@ -268,16 +279,16 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None
 
 
 def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
-    seen = set()
+    fault_texts = set()
     bench.drive.values.update({3: 0x1238, 400: 0x6681})  # EFB communication loss
     bench.exchange.start()
     bench.speed = 0.5
     while bench.drive.values[4] != 10000:
         if bench.now.status is not None:
-            seen.add(bench.now.status.fault)
+            fault_texts.add(bench.now.status.fault)
         time.sleep(0.001)
     assert bench.drive.written[:3] == [OFF, (1, 0), OFF] and ACKNOWLEDGE in bench.drive.written
-    assert seen <= {""}
+    assert fault_texts <= {""}
     assert bench.now.errors == 1
 
 
@@ -506,13 +517,13 @@ class Stopping:
         while self.now < until:
             self.now += 0.1
             self.obedience.stop_written(self.now)
-            said = speed(self.now)
+            read = speed(self.now)
             try:
-                if said is None:
+                if read is None:
                     self.lose()
                 else:
                     self.obedience.heard()
-                    status = DriveStatus(True, True, "", "", said, None, remote)
+                    status = DriveStatus(True, True, "", "", read, None, remote)
                     self.faults.add(self.obedience.judge(status, self.now).fault)
             except RunsOnError as error:
                 self.obedience.lost(True, self.now)
@@ -553,7 +564,7 @@ def test_one_that_does_not_slow_down_is_left_and_again_after_a_minute(
     assert stopping.faults <= {"", acknowledges}
     assert any(stopping.faults) == ("fallen" in why)
     assert [at for at, _ in stopping.left] == pytest.approx(left, abs=0.2)
-    assert all(why in said for _, said in stopping.left)
+    assert all(why in reason for _, reason in stopping.left)
 
 
 def test_what_is_known_of_the_speed_outlives_connections_that_break() -> None:
@@ -680,8 +691,8 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     assert bench.wire.connections == 0
     assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
     (lock,) = (
-        found for directory in ("/run/lock", "/tmp")
-        for found in Path(directory).glob(f"greenroof_ros-127.0.0.1-{port}-1.lock")
+        file for directory in ("/run/lock", "/tmp")
+        for file in Path(directory).glob(f"greenroof_ros-127.0.0.1-{port}-1.lock")
     )
     assert lock.stat().st_mode & 0o777 == 0o666
     first.release()
@@ -692,41 +703,43 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
 
 def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
-    one, two = (
+    first, second = (
         DriveLock(PlacedDrive(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
         for name in ("ttyUSB0,1", "by-id,2")
     )
-    one.take()
+    first.take()
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
-        two.take()
-    one.release()
-    two.take()
-    two.release()
+        second.take()
+    first.release()
+    second.take()
+    second.release()
 
 
 # --- what must not happen -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("what", ["connect", "close"])
+@pytest.mark.parametrize(
+    ("owner", "method"), [(ModbusLine, "connect"), (ModbusLine, "close"), (Obedience, "lost")]
+)
 def test_whatever_fails_the_next_step_begins_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, what: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
 ) -> None:
     """No file descriptor is left, for instance."""
     bench.run()
-    does, errors, problems = getattr(ModbusLine, what), [OSError("torn out")], set[str]()
+    original, errors, problems = getattr(owner, method), [OSError("torn out")], set[str]()
 
-    def fail_once(self: ModbusLine) -> None:
+    def fail_once(*arguments: Any) -> Any:
         problems.add(bench.now.problem)
         if errors:
             raise errors.pop()
-        does(self)
+        return original(*arguments)
 
-    monkeypatch.setattr(ModbusLine, what, fail_once)
+    monkeypatch.setattr(owner, method, fail_once)
     bench.drive.values[4] = 0
     bench.wire.drop()
     wait(lambda: not errors and bench.now.connected)
     bench.until_half()
-    if what == "connect":  # that one is seen at the next attempt
+    if method == "connect":  # that one is seen at the next attempt
         assert "talking to the drive failed: OSError('torn out')" in problems
 
 
@@ -754,17 +767,17 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     monkeypatch.setattr(exchange, "LEAVE_S", 2.0)
     monkeypatch.setattr(exchange, "STILL_S", 1.0)
     second = acs880()
-    with closing(Wire(second)) as other, ThreadPoolExecutor() as pool:
+    with closing(Wire(second)) as second_wire, ThreadPoolExecutor() as pool:
         falls_for(bench.drive, seconds)
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(other.at)))
+        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(second_wire.at)))
         bench.exchange.close()
-        left = stop.result()
+        status = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
     assert bench.now.status is not None
-    assert (bench.now.status.stands, left.stands) == (stands, stands)
+    assert (bench.now.status.stands, status.stands) == (stands, stands)
 
 
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
@@ -780,11 +793,11 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
         wait(lambda: "runs this drive already" in bench.now.problem)
-        left = stop.result()
+        at_end = stop.result()
     assert time.monotonic() - began < 2.0
     wait(lambda: bench.now.connected)
     bench.close_within(2.0)
-    for status in (left, bench.now.status):
+    for status in (at_end, bench.now.status):
         assert str(status) == "speed 100.0%, running, local control"
         assert status is not None and not status.stands
 
@@ -812,8 +825,8 @@ def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() 
     leave = exchange.LEAVE_S
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
-    (line,) = (one for one in service.splitlines() if one.startswith("TimeoutStopSec="))
-    others = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
+    (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
+    others_end = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
     assert float(line.partition("=")[2]) > max(
         PUMP_ENDING_S + KILLING_S + leave, 2 * leave
-    ) + others
+    ) + others_end

@@ -31,7 +31,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
 
 
 @contextmanager
-def heard(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
+def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
     """Hear a sensor that says metres up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": f"{broker.address}/{TOPIC}", "scale": 1.0, "low": 0.0, "high": 6.0, "median": 1,
@@ -47,14 +47,14 @@ def heard(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
 
 def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | str | None]:
     """Return what comes of each message: the value, or what is said instead."""
-    found: list[float | str | None] = []
+    results: list[float | str | None] = []
     for message in messages:
         before = reader.snapshot
         talker.say(TOPIC, message)
         until(lambda before=before: reader.snapshot is not before, 20)
         now = reader.snapshot
-        found.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
-    return found
+        results.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
+    return results
 
 
 def begin(reader: MqttReader, talker: Talker, message: str) -> None:
@@ -76,7 +76,7 @@ def begin(reader: MqttReader, talker: Talker, message: str) -> None:
 MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("2.31", {}, 2.31),
     (" 2310\n", {"scale": 0.001, "offset": -0.5}, 1.81),
-    # Tasmota's, and that of a gateway with several sensors.
+    # Tasmota's message, and a gateway's with several sensors.
     ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 1234}}',
      {"value": "ANALOG.Range1", "scale": 0.001}, 1.234),
     ('{"sensors": [{"distance": 9}, {"distance": 350}]}',
@@ -112,19 +112,19 @@ MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
 def test_what_a_message_says(
     shared: Mosquitto, message: str, changed: dict[str, object], expected: float | str
 ) -> None:
-    with heard(shared, **changed) as reader, Talker(shared) as talker:
+    with reading(shared, **changed) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
-        (found,) = after(reader, talker, message)
-        assert found == (expected if isinstance(expected, str) else pytest.approx(expected))
+        (result,) = after(reader, talker, message)
+        assert result == (expected if isinstance(expected, str) else pytest.approx(expected))
         assert (reader.snapshot.value is None) == isinstance(expected, str)
 
 
 def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
     """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
-    with heard(shared, median=3) as reader, Talker(shared) as talker:
+    with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "7")
-        found = after(reader, talker, "1", "5", "2", "7", "4", "3")
-    assert found == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
+        results = after(reader, talker, "1", "5", "2", "7", "4", "3")
+    assert results == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
 
 
 # --- old messages ---------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
     """A retained message may be of last year; one that comes now counts, whatever its flag."""
     with Talker(shared) as talker:
         talker.say(TOPIC, "1.5", retain=True)
-        with heard(shared) as reader:
+        with reading(shared) as reader:
             until(lambda: "what the broker kept may be old" in reader.snapshot.problem, 20)
             assert reader.snapshot.value is None
             talker.say(TOPIC, "1.6", retain=True)
@@ -143,7 +143,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
 
 
 def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
-    with heard(shared, max_age=0.5) as reader, Talker(shared) as talker:
+    with reading(shared, max_age=0.5) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
         talker.say(TOPIC, "2")
         until(lambda: reader.snapshot.value == 2.0, 20)
@@ -160,7 +160,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
     # Asked for when nothing is heard yet, and with each message.
     slept = chain([0.0] * 3, repeat(3600.0))
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
-    with heard(shared, median=3) as reader, Talker(shared) as talker:
+    with reading(shared, median=3) as reader, Talker(shared) as talker:
         time.sleep(0.5)  # until it has subscribed
         assert after(reader, talker, "1", "1") == [1.0, 1.0]
         slept_for = "may have said this before the machine was suspended"
@@ -176,7 +176,7 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
     shared: Mosquitto
 ) -> None:
     """Unlike a value, that is known from what the broker kept."""
-    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
         unknown = "is not there: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
@@ -190,14 +190,14 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         assert after(reader, talker, "2") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
         until(lambda: "is there, and" in reader.snapshot.problem, 20)
-    with heard(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
         until(lambda: "is there, and" in reader.snapshot.problem, 20)
         assert after(reader, talker, "3") == [3.0]
 
 
 def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
     """It is said at once that it is lost; one that hangs, within 15 s."""
-    with mosquitto(tmp_path) as broker, heard(broker, max_age=1.0) as reader:
+    with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
 
         def talk(message: str) -> None:
             with Talker(broker) as talker:
@@ -258,9 +258,9 @@ def test_login_and_encryption(tmp_path: Path) -> None:
                 address=f"mqtts://127.0.0.1:{broker.port}/{TOPIC}", scale=1.0, low=0.0, high=6.0,
                 median=1, max_age=30.0, **files,
             )
-            found = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
-            found.start()
-            return found
+            reader = stack.enter_context(closing(MqttReader("roof_sensor", sensor, "m")))
+            reader.start()
+            return reader
 
         let_in = reader(login=str(login), authority=str(certificate))
         refused = reader(login=str(wrong), authority=str(certificate))
@@ -280,7 +280,7 @@ def test_login_and_encryption(tmp_path: Path) -> None:
 
 def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
     """A gauge of 0.2 mm a tip, which says its total in mm."""
-    with heard(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
+    with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
 
         def rate(total: str, pause: float) -> tuple[float, float]:
@@ -288,21 +288,21 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
             time.sleep(pause)
             nonlocal at
             before, at = at, time.monotonic()
-            (found,) = after(reader, talker, total)
-            assert isinstance(found, float)
-            return found, at - before
+            (value,) = after(reader, talker, total)
+            assert isinstance(value, float)
+            return value, at - before
 
         at = time.monotonic()
         assert after(reader, talker, "17.4") == [None]  # the first of two
         assert reader.snapshot.problem == ""
-        found, passed = rate("17.8", 0.5)
-        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        value, passed = rate("17.8", 0.5)
+        assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert rate("17.8", 0.1)[0] == 0.0
         at = time.monotonic()
         assert after(reader, talker, "0.2") == [None]  # it has started again
         assert reader.snapshot.problem == ""
-        found, passed = rate("0.6", 0.5)
-        assert found == pytest.approx(0.4e-3 / passed, rel=0.2)
+        value, passed = rate("0.6", 0.5)
+        assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert "which is not from 0 to 0.01 m" in str(after(reader, talker, "900")[0])
         # What was refused is nothing to count from.
         assert after(reader, talker, "901") == [None]
@@ -325,7 +325,7 @@ def test_the_shipped_file_is_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
+    ("old", "new", "line", "message"),
     [
         ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
          "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
@@ -350,12 +350,12 @@ def test_the_shipped_file_is_read() -> None:
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
-    tmp_path: Path, old: str, new: str, line: int, said: str
+    tmp_path: Path, old: str, new: str, line: int, message: str
 ) -> None:
     assert old in SHIPPED
     file = tmp_path / "own.yaml"
     file.write_text(SHIPPED.replace(old, new, 1))
     with pytest.raises(ConfigurationError) as caught:
         read_sensors(file, {"level_limit": 5.0})
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert f"own.yaml, line {line}: " in str(caught.value)

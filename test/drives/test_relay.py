@@ -38,9 +38,9 @@ SLACK_S = 1.0
 
 
 def placed(make: str, address: str) -> PlacedRelay:
-    found = place_drive(find_drive_file(make), address, "at")
-    assert isinstance(found, PlacedRelay)
-    return found
+    drive = place_drive(find_drive_file(make), address, "at")
+    assert isinstance(drive, PlacedRelay)
+    return drive
 
 
 class Wiretap:
@@ -66,10 +66,10 @@ class Wiretap:
     def switched(self, on: bool) -> list[float]:
         """Return when *on* or *off* was ordered."""
         return [
-            at for at, topic, said, _ in self.heard
-            if (topic.endswith("/Power1") and said == ("ON" if on else "OFF"))
-            or (topic.endswith("/rpc") and '"Switch.Set"' in said
-                and json.loads(said)["params"]["on"] is on)
+            at for at, topic, payload, _ in self.heard
+            if (topic.endswith("/Power1") and payload == ("ON" if on else "OFF"))
+            or (topic.endswith("/rpc") and '"Switch.Set"' in payload
+                and json.loads(payload)["params"]["on"] is on)
         ]
 
     def close(self) -> None:
@@ -132,14 +132,14 @@ class Bench:
 
 @contextmanager
 def bench_of(make: str, directory: Path, *options: str, **special: Any) -> Iterator[Bench]:
-    with closing(Bench(make, directory, *options, **special)) as made:
-        yield made
+    with closing(Bench(make, directory, *options, **special)) as bench:
+        yield bench
 
 
 @pytest.fixture(params=MAKES)
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    with bench_of(request.param, tmp_path) as made:
-        yield made
+    with bench_of(request.param, tmp_path) as bench:
+        yield bench
 
 
 def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
@@ -175,7 +175,7 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "fault", "says"),
+    ("make", "fault", "note"),
     [
         ("tasmota", "timer_off", r"^PulseTime1.Set is 0: off$"),
         ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, and must be true$"),
@@ -187,7 +187,7 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
     ],
 )
 def test_one_that_nothing_would_switch_off_is_not_switched_on(
-    make: str, fault: str, says: str, tmp_path: Path
+    make: str, fault: str, note: str, tmp_path: Path
 ) -> None:
     """Whoever asks for it."""
     with bench_of(make, tmp_path, "--fault", fault) as bench, closing(
@@ -195,7 +195,7 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
     ) as tap:
         bench.connect()
         assert bench.now.timeout_s is None and bench.now.timeout_known
-        assert re.search(says, bench.now.timeout_note), bench.now.timeout_note
+        assert re.search(note, bench.now.timeout_note), bench.now.timeout_note
         bench.speed = 1.0
         wait(lambda: "its own timer does not guard" in bench.now.problem, 5)
         assert not tap.switched(on=True) and not bench.closed
@@ -247,11 +247,11 @@ def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: B
 
 def closed_for(bench: Bench, seconds: float) -> float:
     """Return for how much of a time the contact is closed (s)."""
-    seen, ended = [], time.monotonic() + seconds
+    closed, ended = [], time.monotonic() + seconds
     while time.monotonic() < ended:
-        seen.append(bench.closed)
+        closed.append(bench.closed)
         time.sleep(0.005)
-    return seconds * sum(seen) / len(seen)
+    return seconds * sum(closed) / len(closed)
 
 
 def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
@@ -275,7 +275,7 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
 
 @pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
 def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
-    """Silence obeys what it is told, so the end of a connection switches it off at once."""
+    """Silence obeys every message, so the end of a connection switches it off at once."""
     bench.run()
     bench.relay.inject(fault)
     took = wait(lambda: not bench.closed, 20)
@@ -335,7 +335,7 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) -> None:
-    """Those of the list that doc/reference/relays.md gives; the relay and this are anonymous."""
+    """The rules that doc/reference/relays.md lists; the relay and this are anonymous."""
     page = (CHECKOUT / "doc/reference/relays.md").read_text(encoding="utf-8")
     block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
     topics = [line.split() for line in block.splitlines() if line.startswith("topic ")]
@@ -378,8 +378,8 @@ def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
         assert relay.why_no_simulator() == ""
     finally:
         relay.line.close()
-    there = placed("tasmota", "mqtt://192.0.2.1/roof")
-    assert "not at loopback" in there.connection().why_no_simulator()
+    remote = placed("tasmota", "mqtt://192.0.2.1/roof")
+    assert "not at loopback" in remote.connection().why_no_simulator()
 
 
 def test_another_relay_is_none(tmp_path: Path) -> None:
@@ -427,7 +427,7 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    ("text", "old", "new", "says"),
+    ("text", "old", "new", "message"),
     [
         (TASMOTA, "state: {question: state,", "state: {question: status,",
          "state.question = 'status': must be one of questions: state, timer, power_up, restart"),
@@ -442,14 +442,14 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, text: str, old: str, new: str, says: str
+    tmp_path: Path, text: str, old: str, new: str, message: str
 ) -> None:
     assert text.count(old) == 1
     path = tmp_path / "relay.yaml"
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: ") as caught:
         read_relay_file(path)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -457,8 +457,8 @@ def test_wrong_files_are_refused_by_line_key_and_value(
 )
 def test_pulse_times_as_tasmota_documents_them(raw: float, seconds: float | None) -> None:
     timer = read_relay_file(CONFIG / "drives" / "tasmota.yaml").timer
-    found = timer.seconds(raw)
-    assert found == pytest.approx(seconds) if seconds is not None else found is None
+    result = timer.seconds(raw)
+    assert result == pytest.approx(seconds) if seconds is not None else result is None
 
 
 def test_addresses_and_logins(tmp_path: Path) -> None:

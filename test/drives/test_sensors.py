@@ -32,29 +32,30 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
 
 def levels(readings: list[str], **changed: object) -> list[float | str]:
     """Return what comes of the data of answers to function 04: levels, or what is said instead."""
-    left = list(readings)
+    remaining = list(readings)
 
     def answer(request: bytes) -> Answer:
-        if not left:
+        if not remaining:
             return []
         assert request[7] == (4 if changed.get("kind", "input") == "input" else 3)
-        data = bytes.fromhex(left.pop(0))
-        rest = bytes([request[6], request[7], len(data)]) + data
-        return [(0.0, request[:4] + len(rest).to_bytes(2, "big") + rest)]
+        data = bytes.fromhex(remaining.pop(0))
+        body = bytes([request[6], request[7], len(data)]) + data
+        return [(0.0, request[:4] + len(body).to_bytes(2, "big") + body)]
 
-    found: list[float | str] = []
+    results: list[float | str] = []
     with closing(Wire(answer)) as wire, closing(
         ModbusReader(sensor(wire.at, **changed), "m", timeout_s=0.3)
     ) as client:
         before = client.snapshot
         client.start()
-        while len(found) < len(readings):
+        while len(results) < len(readings):
             now = client.snapshot
             if now is not before:
-                found.append(now.problem.removeprefix(f"{wire.at}, device 1: ") or now.value or 0.0)
+                problem = now.problem.removeprefix(f"{wire.at}, device 1: ")
+                results.append(problem or now.value or 0.0)
             before = now
             time.sleep(0.001)
-    return found
+    return results
 
 
 # --- readings -------------------------------------------------------------------------------------
@@ -77,15 +78,15 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
 def test_scale_offset_type_and_word_order(
     data: str, changed: dict[str, object], level: float | str
 ) -> None:
-    (found,) = levels([data], **changed)
-    assert found == (level if isinstance(level, str) else pytest.approx(level))
+    (result,) = levels([data], **changed)
+    assert result == (level if isinstance(level, str) else pytest.approx(level))
 
 
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:
     """Of three: 1, 1 (of 1, 9: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
     data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
-    said = "says 0xFFFF, which means that there is no reading"
-    assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, said, 3.0, 3.0]
+    no_reading = "says 0xFFFF, which means that there is no reading"
+    assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, no_reading, 3.0, 3.0]
 
 
 def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,8 +107,8 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
         silent = False
 
         def answer(request: bytes) -> Answer:
-            whole = request[:4] + bytes.fromhex("0005 01 04 02 2710")
-            return [] if silent else [(0.0, whole)]
+            answer = request[:4] + bytes.fromhex("0005 01 04 02 2710")
+            return [] if silent else [(0.0, answer)]
 
         with closing(Wire(answer, port=port)):
             until(lambda: exchange.snapshot.value == 1.0)
@@ -140,7 +141,7 @@ def test_the_shipped_file_is_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "line", "said"),
+    ("changes", "line", "message"),
     [
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
@@ -156,7 +157,7 @@ def test_the_shipped_file_is_read() -> None:
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
-    tmp_path: Path, changes: list[str], line: int, said: str
+    tmp_path: Path, changes: list[str], line: int, message: str
 ) -> None:
     """What any file may have wrong, as an unknown key, test_drive_files.py shows."""
     link, text = tmp_path / "line", SHIPPED
@@ -167,5 +168,5 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
     file.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
         read_sensors(file)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert f"own.yaml, line {line}: " in str(caught.value)

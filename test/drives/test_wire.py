@@ -36,13 +36,13 @@ def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
 
 
 def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> Any:
-    """Do something; every request must be that of the dialogue, byte for byte."""
+    """Do something; every request must be the dialogue's, byte for byte."""
     requests, answer = script(dialogue)
     with closing(Wire(answer)) as wire:
         try:
             return talk(name, wire.gateway if gateway else wire.at, task, timeout_s=3.0)
         finally:
-            assert wire.frames == [each.hex() for each in requests]
+            assert wire.frames == [request.hex() for request in requests]
 
 
 def against(answer: Callable[[bytes], Answer], task: Task, timeout_s: float = 0.3) -> Any:
@@ -209,8 +209,8 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
         drive.stop()
         return [drive.intruder() for _ in range(3)]
 
-    said = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
-    assert said[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in said[2]
+    results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
+    assert results[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in results[2]
 
 
 # --- what it says ---------------------------------------------------------------------------------
@@ -263,10 +263,10 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "dialogue", "says"), READS)
-def test_what_it_says(name: str, dialogue: str, says: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("name", "dialogue", "expected"), READS)
+def test_what_it_says(name: str, dialogue: str, expected: dict[str, Any]) -> None:
     status = follow(name, dialogue, Drive.read)
-    assert {key: getattr(status, key) for key in says} == says
+    assert {key: getattr(status, key) for key in expected} == expected
 
 
 def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
@@ -320,12 +320,12 @@ TIMEOUTS = [
 ]
 
 
-@pytest.mark.parametrize(("where", "expected", "dialogue"), [
-    (where, expected, "\n".join(lines)) for where, expected, *lines in TIMEOUTS
+@pytest.mark.parametrize(("interface", "expected", "dialogue"), [
+    (interface, expected, "\n".join(lines)) for interface, expected, *lines in TIMEOUTS
 ])
-def test_own_timeout(where: str, expected: float | None, dialogue: str) -> None:
+def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> None:
     """Behind a gateway, at its serial port, unless it is said to be at an Ethernet port."""
-    name, _, port = where.partition(" ")
+    name, _, port = interface.partition(" ")
     seconds, note = follow(name, dialogue, Drive.timeout, gateway=port != "tcp")
     assert seconds == (None if expected is None else pytest.approx(expected))
     assert bool(note) == (expected is None)
@@ -349,32 +349,32 @@ def test_start_on_a_serial_line() -> None:
 
     with closing(SerialWire(over_line)) as wire:
         talk("abb_acs880", wire.line, run)
-        assert wire.seen == [each[6:] + crc(each[6:]) for each in requests]
+        assert wire.seen == [request[6:] + crc(request[6:]) for request in requests]
 
 
 def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
     with closing(SerialWire(lambda _request: frame("01 03 02 1231 0000"))) as wire, pytest.raises(
         DriveError
-    ) as got:
+    ) as raised:
         talk("abb_acs880", wire.line, Drive.read)
-    assert got.value.kind == "connection" and "no valid answer within 0.3 s" in str(got.value)
+    assert raised.value.kind == "connection" and "no valid answer within 0.3 s" in str(raised.value)
 
 
 # --- wrong answers --------------------------------------------------------------------------------
 
 def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
     """Answer the first request so, every other one as a good drive."""
-    rest = iter([list(answers)])
+    remaining = iter([list(answers)])
 
     def answer(request: bytes) -> Answer:
         value = b"\x13\x37" if request[8:10] == b"\0\3" else b"\x1d\x4c"
-        return next(rest, [(0.0, request[:4] + frame("0005 01 03 02") + value)])
+        return next(remaining, [(0.0, request[:4] + frame("0005 01 03 02") + value)])
 
     return answer
 
 
 @pytest.mark.parametrize(
-    ("answers", "kind", "says"),
+    ("answers", "kind", "message"),
     [
         ([(0, frame("0001 0000 0003 01 83 02"))], "answer", "exception 2, illegal data address"),
         ([(0, frame("0001 0000 0003 01 83 63"))], "answer", "exception 99, unknown"),
@@ -388,15 +388,15 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
     ],
 )
 def test_wrong_answers_have_a_name_and_a_time(
-    answers: list[tuple[float, bytes]], kind: str, says: str
+    answers: list[tuple[float, bytes]], kind: str, message: str
 ) -> None:
     with closing(Wire(first(*answers))) as wire:
         began = time.monotonic()
-        with pytest.raises(DriveError) as got:
+        with pytest.raises(DriveError) as raised:
             talk("abb_acs880", wire.at, Drive.read)
         assert time.monotonic() - began < 1.0
-        assert got.value.kind == kind and says in str(got.value)
-        assert f":{wire.port}, device 1: reading register 3" in str(got.value)
+        assert raised.value.kind == kind and message in str(raised.value)
+        assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
         assert len(wire.seen) == 1  # nothing is asked for twice
 
 
@@ -413,16 +413,16 @@ def test_a_late_answer_is_not_taken_for_the_next() -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "kind", "says"),
+    ("answer", "kind", "message"),
     [
         ([(0, frame("0001 0000 0006 01 06 0000 047F"))], "answer", "0x047E to register 0: the an"),
         (None, "connection", "the connection was closed"),
     ],
 )
-def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, says: str) -> None:
-    with pytest.raises(DriveError, match=says) as got:
+def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, message: str) -> None:
+    with pytest.raises(DriveError, match=message) as raised:
         against(lambda _request: answer, Drive.stop)
-    assert got.value.kind == kind
+    assert raised.value.kind == kind
 
 
 def test_a_connection_without_an_answer_is_reset() -> None:
@@ -457,13 +457,13 @@ NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
 ]
 
 
-@pytest.mark.parametrize(("name", "dialogue", "task", "kind", "says"), REFUSED)
+@pytest.mark.parametrize(("name", "dialogue", "task", "kind", "message"), REFUSED)
 def test_what_cannot_be_done_or_believed(
-    name: str, dialogue: str, task: Task, kind: str, says: str
+    name: str, dialogue: str, task: Task, kind: str, message: str
 ) -> None:
-    with pytest.raises(DriveError, match=says) as got:
+    with pytest.raises(DriveError, match=message) as raised:
         follow(name, dialogue, task)
-    assert got.value.kind == kind
+    assert raised.value.kind == kind
 
 
 def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
@@ -481,24 +481,25 @@ def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> 
 def test_local_control_is_named() -> None:
     """Inhibited, and bit 9 is 0."""
     drive = Registers({0: 0, 3: 0x1070})
-    with pytest.raises(DriveError, match="it is in local control") as got:
+    with pytest.raises(DriveError, match="it is in local control") as raised:
         against(drive, run)
-    assert got.value.kind == "drive"
-    assert "control = 0x047E had no effect within 2 s" in str(got.value)
-    assert "switch-on inhibited" in str(got.value)
+    assert raised.value.kind == "drive"
+    assert "control = 0x047E had no effect within 2 s" in str(raised.value)
+    assert "switch-on inhibited" in str(raised.value)
+    assert "tripped" not in str(raised.value)  # only bits that are set
 
 
 def test_giving_up_in_the_middle_of_a_start() -> None:
     """Off asked for while the drive does not get ready: no wait, no speed, no run."""
-    asked = iter([True, False])
+    answers = iter([True, False])
     follow("abb_acs880", """
               : 03 0003 0001 -> 03 02 1270
               : 06 0000 047E
               : 03 0003 0001 -> 03 02 1270 : not ready
-""", lambda drive: drive.run(0.5, lambda: next(asked)))
+""", lambda drive: drive.run(0.5, lambda: next(answers)))
 
 
-@pytest.mark.parametrize("speed", [-0.1, float("nan")])
+@pytest.mark.parametrize("speed", [-0.1, 1.01, float("nan")])
 def test_no_speed(speed: float) -> None:
     with pytest.raises(ValueError, match="no share"):
         follow("abb_acs880", "", lambda drive: drive.run(speed))

@@ -84,10 +84,10 @@ def test_refused(
     monkeypatch.setattr(sys, "argv", ["simulate", *options.split()])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = capsys.readouterr()
-    assert (ended.value.code, said.out) == (2, "")
-    assert said.err.count("error:") == 1, said.err
-    assert OPTIONS[options] in said.err.partition("error:")[2]
+    output = capsys.readouterr()
+    assert (ended.value.code, output.out) == (2, "")
+    assert output.err.count("error:") == 1, output.err
+    assert OPTIONS[options] in output.err.partition("error:")[2]
     assert sorted(tmp_path.rglob("*")) == before
 
 

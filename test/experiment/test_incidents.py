@@ -16,7 +16,7 @@ from greenroof_ros.experiment import incidents
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog, read_incidents
 
 
-def says(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, Any]]:
+def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, Any]]:
     """Return a node's report in which each of these parts is at a level, and says why."""
     diagnoses = {
         part: {"level": level, "message": f"{part} {level}", "code": "" if level == "OK" else code}
@@ -29,13 +29,13 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     """With ticks and wall time, kept at each change; what lasts has no end."""
     now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
     monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
-    said: list[str] = []
-    log = IncidentLog(said.append, tmp_path / INCIDENTS)
-    log.look(says("pump", drive="OK"), 1)
+    messages: list[str] = []
+    log = IncidentLog(messages.append, tmp_path / INCIDENTS)
+    log.look(report_of("pump", drive="OK"), 1)
     assert log.count == 0
     assert read_incidents(tmp_path) == []
-    log.look(says("pump", drive="ERROR"), 5)
-    log.look(says("pump", drive="ERROR"), 6)
+    log.look(report_of("pump", drive="ERROR"), 5)
+    log.look(report_of("pump", drive="ERROR"), 6)
     assert DISK.wait(60)
     (lasting,) = read_incidents(tmp_path)
     assert (lasting.number, lasting.node, lasting.part, lasting.cause, lasting.code) == (
@@ -45,8 +45,8 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         5, None, None, None
     )
     now += timedelta(seconds=0.2)
-    log.look(says("pump", drive="OK"), 9)
-    log.look(says("pump", drive="ERROR"), 11)
+    log.look(report_of("pump", drive="OK"), 9)
+    log.look(report_of("pump", drive="ERROR"), 11)
     assert DISK.wait(60)
     ended, again = read_incidents(tmp_path)
     assert (ended.number, ended.began, ended.ended_tick) == (1, lasting.began, 9)
@@ -54,9 +54,9 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert (again.number, again.began_tick, again.ended) == (2, 11, None)
     assert log.as_dicts() == [asdict(ended), asdict(again)]
     assert (log.count, log.lasting) == (2, True)
-    assert said[0] == "incident 1 at tick 5: pump: drive ERROR"
-    assert said[1].startswith("incident 1 is over at tick 9, after 0.2 s")
-    assert said[2] == "incident 2 at tick 11: pump: drive ERROR"
+    assert messages[0] == "incident 1 at tick 5: pump: drive ERROR"
+    assert messages[1].startswith("incident 1 is over at tick 9, after 0.2 s")
+    assert messages[2] == "incident 2 at tick 11: pump: drive ERROR"
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
     """A pump that is held, frost and limits are no loss; a sensor may miss one reading."""
     log = IncidentLog(lambda _: None)
-    log.look(says("node", **{part: level}))
+    log.look(report_of("node", **{part: level}))
     assert log.count == counts
 
 
@@ -84,7 +84,7 @@ def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -
         (106.9, "ERROR", 0), (107.0, "ERROR", 1), (120.0, "ERROR", 1),
     ):
         now = at
-        log.look(says("roof_sensor", sensor=level))
+        log.look(report_of("roof_sensor", sensor=level))
         assert log.count == count, at
 
 
@@ -93,17 +93,17 @@ def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyP
     clock = iter(range(1000))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
-    lost = {**says("roof_sensor", sensor="ERROR"), **says("pump", levels="ERROR")}
+    errors = {**report_of("roof_sensor", sensor="ERROR"), **report_of("pump", levels="ERROR")}
     for _ in range(40):
-        log.look(lost)
-    assert [one.part for one in log.incidents] == ["sensor"]
-    alone = {**says("roof_sensor", sensor="OK"), **says("pump", levels="ERROR")}
+        log.look(errors)
+    assert [incident.part for incident in log.incidents] == ["sensor"]
+    alone = {**report_of("roof_sensor", sensor="OK"), **report_of("pump", levels="ERROR")}
     looks = 0
     while log.count == 1:
         log.look(alone)
         looks += 1
     assert looks > 25
-    assert [one.part for one in log.incidents] == ["sensor", "levels"]
+    assert [incident.part for incident in log.incidents] == ["sensor", "levels"]
 
 
 def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,35 +113,36 @@ def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch
     log = IncidentLog(lambda _: None)
     for _ in range(40):
         log.look({
-            **says("mpc", "no_forecast", forecast="WARN"), **says("weather", forecast="ERROR")
+            **report_of("mpc", "no_forecast", forecast="WARN"),
+            **report_of("weather", forecast="ERROR"),
         })
-    assert [one.node for one in log.incidents] == ["weather"]
-    log.look({**says("mpc", forecast="OK"), **says("weather", forecast="OK")})
+    assert [incident.node for incident in log.incidents] == ["weather"]
+    log.look({**report_of("mpc", forecast="OK"), **report_of("weather", forecast="OK")})
     assert not log.lasting
     for _ in range(40):
-        log.look(says("mpc", "no_forecast", forecast="WARN"))
-    assert [one.node for one in log.incidents] == ["weather", "mpc"]
+        log.look(report_of("mpc", "no_forecast", forecast="WARN"))
+    assert [incident.node for incident in log.incidents] == ["weather", "mpc"]
 
 
 def test_what_has_not_come_yet_is_not_lost() -> None:
     log = IncidentLog(lambda _: None)
     for level in ("WARN", "ERROR"):
-        log.look(says("pump", drive=level), starting=True)
+        log.look(report_of("pump", drive=level), starting=True)
     assert log.count == 0
-    log.look(says("pump", drive="OK"), starting=True)
-    log.look(says("pump", drive="ERROR"), starting=True)
+    log.look(report_of("pump", drive="OK"), starting=True)
+    log.look(report_of("pump", drive="ERROR"), starting=True)
     assert log.count == 1
 
 
 def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
     """A directory stands in the place of the file: it cannot be written, and that is said."""
-    said: list[str] = []
+    messages: list[str] = []
     (tmp_path / INCIDENTS).mkdir()
-    log = IncidentLog(said.append, tmp_path / INCIDENTS)
-    log.look(says("pump", drive="ERROR"), 5)
+    log = IncidentLog(messages.append, tmp_path / INCIDENTS)
+    log.look(report_of("pump", drive="ERROR"), 5)
     assert log.count == 1
     assert DISK.wait(60)
-    assert any("Is a directory" in line for line in said)
+    assert any("Is a directory" in line for line in messages)
 
 
 def test_a_file_that_is_read_back(tmp_path: Path) -> None:
@@ -149,7 +150,7 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
     line = json.dumps(asdict(Incident(1, "pump", "drive", "gone", "2026-11-23T20:55:01+00:00")))
     path = tmp_path / INCIDENTS
     path.write_text(f"{line}\n{line[:40]}")
-    assert [one.number for one in read_incidents(tmp_path)] == [1]
+    assert [incident.number for incident in read_incidents(tmp_path)] == [1]
     for broken in ("nonsense", '{"number": 1}', "[]"):
         path.write_text(f"{line}\n{broken}\n{line}\n")
         with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is no incident"):
@@ -160,13 +161,13 @@ def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPa
     """Not since a minute later, when it is no longer waited for."""
     now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
     monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
-    said: list[str] = []
-    log = IncidentLog(said.append)
+    messages: list[str] = []
+    log = IncidentLog(messages.append)
     now += timedelta(seconds=60)
-    log.look(says("pump", drive="ERROR"))
+    log.look(report_of("pump", drive="ERROR"))
     now += timedelta(seconds=10)
-    log.look(says("pump", drive="OK"))
-    assert said == [
+    log.look(report_of("pump", drive="OK"))
+    assert messages == [
         "incident 1: pump: since the start: drive ERROR",
         "incident 1 is over, after 70.0 s: pump: drive",
     ]
@@ -176,16 +177,16 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     """Numbers go on; what lasted ended by then at the latest; a line that was cut is dropped."""
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("OK", "ERROR", "OK", "ERROR"):
-        first.look(says("pump", drive=level))
+        first.look(report_of("pump", drive=level))
     assert DISK.wait(60)
     with (tmp_path / INCIDENTS).open("a") as stream:
         stream.write('{"number": 3, "no')
     second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     second.go_on()
-    second.look(says("pump", drive="OK"))
-    second.look(says("pump", drive="ERROR"))
+    second.look(report_of("pump", drive="OK"))
+    second.look(report_of("pump", drive="ERROR"))
     assert DISK.wait(60)
-    found = read_incidents(tmp_path)
-    assert [one.number for one in found] == [1, 2, 3]
-    assert [one.ended is None for one in found] == [False, False, True]
+    incidents = read_incidents(tmp_path)
+    assert [incident.number for incident in incidents] == [1, 2, 3]
+    assert [incident.ended is None for incident in incidents] == [False, False, True]
     assert second.count == 1

@@ -73,7 +73,7 @@ def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return make_run_directory(None, "mpc")
 
     with ThreadPoolExecutor(count) as threads:
-        made = list(threads.map(make, range(count)))
-    assert sorted(made) == sorted((tmp_path / "runs").iterdir())
-    assert len(set(made)) == count
-    assert all((directory / "configuration").is_dir() for directory in made)
+        directories = list(threads.map(make, range(count)))
+    assert sorted(directories) == sorted((tmp_path / "runs").iterdir())
+    assert len(set(directories)) == count
+    assert all((directory / "configuration").is_dir() for directory in directories)

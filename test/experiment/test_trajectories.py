@@ -24,14 +24,14 @@ def test_every_so_many_ticks_and_the_last() -> None:
     """Of 1,000 ticks each 300th is kept, and the last: the same by both ways."""
     run = paper_run("--controller", "onoff", "--hours", "0.2777777777777778")
     assert run.steps == 1000
-    whole = record(run, closed_loop(run, run.make_controller(), Metrics()))
-    few = record(run, closed_loop(run, run.make_controller(), Metrics()), 300)
-    assert whole.time.tolist() == list(range(1001))
-    assert few.time.tolist() == [0, 300, 600, 900, 1000]
+    every_tick = record(run, closed_loop(run, run.make_controller(), Metrics()))
+    thinned = record(run, closed_loop(run, run.make_controller(), Metrics()), 300)
+    assert every_tick.time.tolist() == list(range(1001))
+    assert thinned.time.tolist() == [0, 300, 600, 900, 1000]
     for name in COLUMNS:
-        for trajectory in (few, whole.thinned(300)):
-            kept = getattr(whole, name)[[0, 300, 600, 900, 1000]]
-            assert getattr(trajectory, name).tobytes() == np.ascontiguousarray(kept).tobytes()
+        for trajectory in (thinned, every_tick.thinned(300)):
+            expected = getattr(every_tick, name)[[0, 300, 600, 900, 1000]]
+            assert getattr(trajectory, name).tobytes() == np.ascontiguousarray(expected).tobytes()
 
 
 def test_csv(tmp_path: Path) -> None:

@@ -34,15 +34,15 @@ def main() -> None:
         sys.exit(1)
     os.set_blocking(SOCKET, False)
     while True:
-        says = marks / f"{kind}-says"
-        said: dict[str, object] = {}
-        if says.exists():
-            said = {"pump": says.read_text(), "pump_state": says.read_text().partition(":")[0]}
+        state = marks / f"{kind}-says"
+        numbers: dict[str, object] = {}
+        if state.exists():
+            numbers = {"pump": state.read_text(), "pump_state": state.read_text().partition(":")[0]}
         if (marks / f"{kind}-stands").exists():
-            said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
-        report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
+            numbers["stands"] = json.loads((marks / f"{kind}-stands").read_text())
+        report("starting" if (marks / f"{kind}-waits").exists() else "ready", **numbers)
         with suppress(BlockingIOError), (marks / "permits").open("ab") as stream:
-            stream.write(os.read(SOCKET, 65536))  # those of the pump node
+            stream.write(os.read(SOCKET, 65536))  # the pump node's permits
         time.sleep(0.05)
 
 

@@ -66,23 +66,23 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "how", ["ctrl-c", "sigterm under nohup", "plant", "weather", "controller"]
+    "cause", ["ctrl-c", "sigterm under nohup", "plant", "weather", "controller"]
 )
-def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
+def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
     """A signal, or kill -9 of a node: at once, with its name, no traceback, and nothing left.
 
     By a signal the exit code is 130, and the bag is closed. What is ignored, as under nohup and in
     a shell's background, ends nothing. The recorder is killed in test_recorder.py.
     """
-    ignored = (signal.SIGHUP, signal.SIGINT) if how == "sigterm under nohup" else ()
+    ignored = (signal.SIGHUP, signal.SIGINT) if cause == "sigterm under nohup" else ()
     process, nodes = started(domain, tmp_path, ignored=ignored)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    if how in NODES:
-        os.kill(nodes[how], signal.SIGKILL)
-        code, status, reason = 1, "failed", f"node {NODES[how]} ended (SIGKILL)"
+    if cause in NODES:
+        os.kill(nodes[cause], signal.SIGKILL)
+        code, status, reason = 1, "failed", f"node {NODES[cause]} ended (SIGKILL)"
     else:
-        for each in ignored:
-            process.process.send_signal(each)
+        for signal_number in ignored:
+            process.process.send_signal(signal_number)
         process.wait_for_ticks(size=30_000)
         number = signal.SIGTERM if ignored else signal.SIGINT
         process.process.send_signal(number)
@@ -90,7 +90,7 @@ def test_what_ends_a_run(domain: int, tmp_path: Path, how: str) -> None:
     assert process.wait(300) == code
     assert "Traceback" not in process.stderr()
     assert_gone(nodes)
-    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists() or how in NODES
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists() or cause in NODES
     assert_ended_early(process, status, reason)
 
 
@@ -163,7 +163,7 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
 
     It listens on 127.0.0.1 alone, and uses none of the shared memory that others could lock. What
     another process left there, killed while it made a port (it has its size, but nothing in it
-    yet), is nothing to it either; those of the domain's first participants are at
+    yet), is nothing to it either; the ports of the domain's first participants are at
     7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
     """
     ports = [

@@ -89,7 +89,7 @@ def test_same_bits_at_a_wet_site(
 ) -> None:
     """Graph and simulate: equal in every bit of every value, over the change of the hour.
 
-    Simulated they are those of the authors' published code: see test_fidelity.py.
+    Simulated they agree with the authors' published code: see test_fidelity.py.
 
     The site has a drainage layer and its own initial state, and a catchment of which a part
     arrives in a cistern that drains by itself.
@@ -159,10 +159,10 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) 
     file.write_text(
         "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
     )
-    own = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
-    own += ("--minimum-on", "50")  # which quiet hours end, as they do of a real pump
+    own_options = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
+    own_options += ("--minimum-on", "50")  # which quiet hours end, as they do of a real pump
     options = (
-        "--controller", controller, *own, "--site", str(file),
+        "--controller", controller, *own_options, "--site", str(file),
         "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
     )
     bring_up(domain, tmp_path, *options)
@@ -210,9 +210,9 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
-    """Each in its namespace, with its parameters; the bag has each byte of that of a run alone.
+    """Each in its namespace, with its parameters; the bag equals a lone run's, byte for byte.
 
-    So it has beside a third, of which a node is killed: its run ends, whole, though Ctrl-C comes
+    So it has beside a third with a node that is killed: its run ends, whole, though Ctrl-C comes
     again and again.
     """
 
@@ -232,8 +232,8 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     )
     killed.wait_for_ticks(size=0)
     together = {
-        site: Process(domain, "bringup", "--output", site, *given, cwd=tmp_path)
-        for site, given in sites.items()
+        site: Process(domain, "bringup", "--output", site, *options, cwd=tmp_path)
+        for site, options in sites.items()
     }
     file = bag_file(tmp_path / "site2")
     wait_for(lambda: file.exists() and file.stat().st_size > 5_000, 60, "a bag")

@@ -26,11 +26,11 @@ def place(domain: int) -> Iterator[int]:
 
 
 class Pump(Peer):
-    """A pump node's stop service, which answers as it is told."""
+    """A pump node's stop service, which answers as the test says."""
 
     def __init__(self, domain: int) -> None:
         super().__init__(domain, "pump")
-        self.asked: list[bool] = []
+        self.requests: list[bool] = []
         self.success, self.words, self.answers_after = True, "held: an operator stopped it", 0.0
         self.node.create_service(SetBool, "~/page_stop", self._on_stop)
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -40,7 +40,7 @@ class Pump(Peer):
         self._thread.start()
 
     def _on_stop(self, request: Any, response: Any) -> Any:
-        self.asked.append(request.data)
+        self.requests.append(request.data)
         time.sleep(self.answers_after)
         response.success, response.message = self.success, self.words
         return response
@@ -67,7 +67,7 @@ def test_stop(place: int) -> None:
     assert time.monotonic() - began < 2
     pump = Pump(place)
     assert looker.stop_pump(20) == "held: an operator stopped it"
-    assert pump.asked == [True]
+    assert pump.requests == [True]
     pump.success, pump.words = False, "held: an operator stopped it; but the disk is full"
     with pytest.raises(StopFailedError, match="the disk is full"):
         looker.stop_pump(20)

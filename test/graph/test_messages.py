@@ -1,4 +1,4 @@
-"""Messages as bytes, those of the generated code bit for bit; and what a node takes of them."""
+"""Messages as bytes, equal to the generated code's bit for bit; and what a node takes of them."""
 
 from __future__ import annotations
 
@@ -88,16 +88,17 @@ def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
 def test_members_travel_in_the_layout() -> None:
     """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them.
 
-    Each byte is that of the generated code, but where that leaves what was in memory: behind the
+    Each byte is the generated code's, but where that leaves what was in memory: behind the
     header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and the numbers
     begin at a whole eight. One row alone has no layout.
     """
     values = np.arange(6.0).reshape(2, 3)
     written = encoder(NUMBERS, ENSEMBLE)(values)
     message = deserialize_message(written, Float64MultiArray)
-    assert [(one.label, one.size, one.stride) for one in message.layout.dim] == [
-        ("member", 2, 6), ("step", 3, 3)
+    labels = [
+        (dimension.label, dimension.size, dimension.stride) for dimension in message.layout.dim
     ]
+    assert labels == [("member", 2, 6), ("step", 3, 3)]
     assert list(message.data) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     again = decoder(NUMBERS)(written)
     assert again.shape == (2, 3)
@@ -115,7 +116,7 @@ def test_plans_travel_with_their_own_labels() -> None:
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
     message = deserialize_message(encode(np.ones((2, 3))), Float64MultiArray)
-    assert [one.label for one in message.layout.dim] == ["step", "quantity"]
+    assert [dimension.label for dimension in message.layout.dim] == ["step", "quantity"]
     assert encode(np.empty((0, 3))) == encode(array("d"))
     assert encode(np.full((1, 4), math.nan)) == encode(topic.undecided)
 
@@ -138,8 +139,8 @@ def test_layout_that_does_not_fit() -> None:
 )
 def test_big_endian(kind: str, message: bytes, value: Any) -> None:
     """A publisher on another kind of machine is understood, too."""
-    found = decoder(kind)(message)
-    assert list(found) == value if kind == NUMBERS else found == value
+    decoded = decoder(kind)(message)
+    assert list(decoded) == value if kind == NUMBERS else decoded == value
 
 
 # --- what a node takes of its inputs, and what it calls those who publish them --------------------
@@ -149,7 +150,7 @@ def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     """The name is rmw_dds_common's for a participant that it has no node of."""
     assert call_node("mpc") == "mpc"
     assert call_node("_NODE_NAME_UNKNOWN_") == (
-        "a node whose name is not known, such as one that was killed"
+        "a node whose name is not known, perhaps because it was killed"
     )
 
 
@@ -160,7 +161,7 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
 
 
 @pytest.mark.parametrize(
-    ("wanted", "offered", "found"),
+    ("required", "offered", "lacking"),
     [
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 1.5), []),
@@ -177,13 +178,14 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(
-    wanted: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None], found: list[str]
+    required: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
+    lacking: list[str],
 ) -> None:
     """DDS connects who offers as much as is asked for, or more; a shorter lease is more."""
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
-    assert lacks(profile, wanted) == found
+    assert lacks(profile, required) == lacking
 
 
 def test_requirements_in_words() -> None:
@@ -212,6 +214,23 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
         entry.receive(encoder(topic.type, topic.dimensions)(message))
         assert (entry.good, entry.refused) == (good, int(not good))
         assert not np.any(np.subtract(entry.value, value if good else 0.0))
+
+
+def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit() -> None:
+    """The unit of a plain number, which is 1, is not written."""
+    topics = read_topics()
+    for name, value, words in (
+        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0, and must be from 0 to 100 m"),
+        ("/pump/command", -2.0,
+             "/pump/command was refused: -2.0, and must be finite and at least 0"),
+        ("/forecast/precipitation", array("d", [0.0, -1.0, math.inf]),
+         "/forecast/precipitation was refused: -1.0, and must be from 0 to 0.001 m/s"),
+    ):
+        topic = topics[name]
+        entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))
+        assert not entry.heard and entry.good
+        entry.receive(encoder(topic.type, topic.dimensions)(value))
+        assert entry.problem == words
 
 
 def test_what_a_subscriber_takes_of_a_plan() -> None:

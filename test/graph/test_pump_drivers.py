@@ -36,7 +36,7 @@ BROKEN = {
             "second publisher", r"m3/s 3 s after a second publisher came",
         ),
         (
-            'not told["cistern/level"] > SUCTION', 'math.isnan(told["cistern/level"])',
+            'not state["cistern/level"] > SUCTION', 'math.isnan(state["cistern/level"])',
             "stops when the cistern falls to the suction level",
             r"m3/s 3 s after the cistern fell",
         ),
@@ -56,12 +56,12 @@ BROKEN = {
             "has stopped after", r"/pump/state says 'running' at the end of the silence",
         ),
         (
-            'told["weather/frost"] != 0', 'math.isnan(told["weather/frost"])',
+            'state["weather/frost"] != 0', 'math.isnan(state["weather/frost"])',
             "stops in frost", r"m3/s 3 s after 1 on /weather/frost",
         ),
         (
             "SUCTION  # a NaN",
-            'SUCTION + last[0]; last[0] += told["cistern/level"] <= SUCTION  #',
+            'SUCTION + last[0]; last[0] += state["cistern/level"] <= SUCTION  #',
             "runs again when the cistern has filled again",
             r"m3/s after 12 s at command 0\.5",
         ),
@@ -132,16 +132,19 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
     try:
         checks = {name: check(domain, directory, name) for name in names}
         for name, process in checks.items():
-            code, found = process.wait(180), failures(process.stdout())
+            code, failed = process.wait(180), failures(process.stdout())
             breaks = BROKEN.get(name, [])
-            right = code == bool(breaks) and len(found) == len(breaks) and all(
-                any(title in check and re.search(problem, said) for check, said in found.items())
+            right = code == bool(breaks) and len(failed) == len(breaks) and all(
+                any(
+                    title in check and re.search(problem, failure)
+                    for check, failure in failed.items()
+                )
                 for _, _, title, problem in breaks
             )
             if not right:
-                wrong.append(f"{name}: exit code {code}, {found}")
-        said = checks["example"].stdout()
-        assert "are the only witness" in said and ("22 of 22 checks passed" in said or wrong)
+                wrong.append(f"{name}: exit code {code}, {failed}")
+        output = checks["example"].stdout()
+        assert "are the only witness" in output and ("22 of 22 checks passed" in output or wrong)
         # All checks, and no terminal: a line every ten seconds.
         assert "check " in checks["example"].stderr()
         # The check is gone, and so is the controller: a driver ends its run in good order.
@@ -170,14 +173,14 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
 
 def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_path: Path) -> None:
     absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
-    other = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
-    driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))
+    publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
+    driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + publisher))
     try:
-        taken = check(domain, tmp_path, "taken")
+        check_again = check(domain, tmp_path, "taken")
         assert absent.wait(300) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
-        assert taken.wait(300) == 3
-        assert "/taken/pump/command has a publisher already (pump)" in taken.stderr()
+        assert check_again.wait(300) == 3
+        assert "/taken/pump/command has a publisher already (pump)" in check_again.stderr()
     finally:
         driver.terminate()
         assert driver.wait(300) == 0  # no traceback, and no failure, at SIGTERM

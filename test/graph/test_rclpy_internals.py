@@ -37,14 +37,14 @@ class Small(Lifecycle, Node):
     def __init__(self, context: rclpy.Context) -> None:
         Node.__init__(self, "small", context=context)
         Lifecycle.__init__(self)
-        self.asked = 0
+        self.wakes = 0
 
     @transition
     def on_configure(self) -> None:
         pass
 
     def on_asked(self) -> None:
-        self.asked += 1
+        self.wakes += 1
 
 
 @pytest.fixture
@@ -67,8 +67,8 @@ def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
 ) -> None:
     simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
     node = kind("timed", context=small.context, parameter_overrides=[simulated])
-    clocks = [one for one in node.subscriptions if one.topic_name == "/clock"]
-    assert len(clocks) == subscriptions
+    topics = [subscription.topic_name for subscription in node.subscriptions]
+    assert topics.count("/clock") == subscriptions
     node.destroy_node()
 
 
@@ -83,15 +83,15 @@ class Deaf:
 
 
 def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
-    """rclpy's fast one is not told of all of them, once in 7,000 times; they are handed on.
+    """rclpy's fast executor misses some of them, once in 7,000 times; they are handed on.
 
     Each has the number that its publisher gave it.
     """
     profile = qos_profile(read_topics()["/roof/level"].qos)
-    heard: list[float] = []
+    values: list[float] = []
     small.create_subscription(
-        Float64, "level", lambda one: heard.append(deserialize_message(one, Float64).data), profile,
-        raw=True,
+        Float64, "level", lambda message: values.append(deserialize_message(message, Float64).data),
+        profile, raw=True,
     )
     publisher = small.create_publisher(Float64, "level", profile)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
@@ -103,10 +103,10 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
 
     say(1.0, 2.0, 3.0)
     begin_to_listen(Deaf(), small)
-    assert heard == [1.0, 2.0, 3.0]
+    assert values == [1.0, 2.0, 3.0]
     say(4.0, 5.0)
-    (subscription,) = (one for one in small.subscriptions if one.raw)
-    numbers = [said["publication_sequence_number"] for _, said in waiting_in(subscription)]
+    (subscription,) = (entry for entry in small.subscriptions if entry.raw)
+    numbers = [info["publication_sequence_number"] for _, info in waiting_in(subscription)]
     assert numbers == [4, 5]
 
 
@@ -125,4 +125,4 @@ def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
     assert not ask(Transition.TRANSITION_ACTIVATE)
     assert ask(Transition.TRANSITION_CONFIGURE)
     assert small.lifecycle_state == INACTIVE
-    assert small.asked == 2
+    assert small.wakes == 2

@@ -45,7 +45,7 @@ class Site:
             return True, "the drive stands"
 
         self.supervisor = LiveSupervisor(
-            directory, [], "", stop_drive, lambda *what: self.failures.append(what),
+            directory, [], "", stop_drive, lambda *failure: self.failures.append(failure),
             silence_s=silence_s, restarts=restarts,
         )
         self._ending = ExitStack()
@@ -97,81 +97,81 @@ class Site:
 
 
 @pytest.fixture
-def here(
+def site(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Iterator[Site]:
     """A site, whose supervisor's limits a test may choose."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
-    it = Site(tmp_path, **getattr(request, "param", {}))
-    yield it
-    it.end()
+    site = Site(tmp_path, **getattr(request, "param", {}))
+    yield site
+    site.end()
 
 
-def limits(**given: float) -> pytest.MarkDecorator:
+def limits(**limit_values: float) -> pytest.MarkDecorator:
     """Return the mark of a test that chooses them."""
-    return pytest.mark.parametrize("here", [given], indirect=True, ids=[""])
+    return pytest.mark.parametrize("site", [limit_values], indirect=True, ids=[""])
 
 
 @limits(silence_s=4.0)
-def test_a_node_that_died_or_hangs_is_started_again(here: Site) -> None:
-    """The pump may not run until it is there, and is told why.
+def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
+    """The pump may not run until it is there, and hears why.
 
     Nothing of the one before is left open: months are long.
     """
     before = _open_files()
-    here.add("weather", "controller", "pump")
-    here.until_ready()
-    logs = [here.directory / f"{node}.log" for node in ("weather", "controller", "pump")]
-    here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
+    site.add("weather", "controller", "pump")
+    site.until_ready()
+    logs = [site.directory / f"{node}.log" for node in ("weather", "controller", "pump")]
+    site.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
     nodes = _open_files() - before
-    killed, died = here.pid("controller"), time.monotonic()
+    killed, died = site.pid("controller"), time.monotonic()
     os.kill(killed, signal.SIGKILL)
-    here.until(lambda: here.supervisor.inhibit == "controller is missing")
-    here.until(lambda: not here.supervisor.inhibit)
-    assert here.starts("controller")[-1][1] - died >= 1
-    assert here.pid("controller") != killed
+    site.until(lambda: site.supervisor.inhibit == "controller is missing")
+    site.until(lambda: not site.supervisor.inhibit)
+    assert site.starts("controller")[-1][1] - died >= 1
+    assert site.pid("controller") != killed
     # Against what was open before: what other tests left may be closed at any time.
     assert (_open_files() - before).total() == nodes.total() > 0
-    here.until(lambda: here.permits()[-1]["inhibit"] == "")
-    told = [permit["inhibit"] for permit in here.permits()]
-    later = told[told.index(""):]  # before that, all three were starting
+    site.until(lambda: site.permits()[-1]["inhibit"] == "")
+    inhibits = [permit["inhibit"] for permit in site.permits()]
+    later = inhibits[inhibits.index(""):]  # before that, all three were starting
     assert set(later) == {"", "controller is missing", "controller is starting"}
-    times = [float(str(permit["at"])) for permit in here.permits()]
+    times = [float(str(permit["at"])) for permit in site.permits()]
     assert median(after - before for before, after in pairwise(times)) < 1.0
     assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # of the same clock
     # One that hangs forbids the pump when it is silent for 2 s, and is killed at the limit.
-    hung = here.pid("weather")
+    hung = site.pid("weather")
     os.kill(hung, signal.SIGSTOP)
-    here.until(lambda: here.supervisor.inhibit == "weather is silent")
+    site.until(lambda: site.supervisor.inhibit == "weather is silent")
     assert alive(hung)
-    here.until(lambda: here.supervisor.inhibit == "weather is missing")
+    site.until(lambda: site.supervisor.inhibit == "weather is missing")
     assert not alive(hung)
-    here.until(lambda: not here.supervisor.inhibit)
-    assert here.failures == [
+    site.until(lambda: not site.supervisor.inhibit)
+    assert site.failures == [
         ("controller", "ended (SIGKILL); starts again in 1 s"),
         ("weather", "had not answered for 4 s (stopped): killed; starts again in 1 s"),
     ]
-    assert not here.stops
-    here.end()
+    assert not site.stops
+    site.end()
     assert not any(alive(pid) for node in ("weather", "controller", "pump")
-                   for pid, _ in here.starts(node))
-    assert "controller was started" in (here.directory / "controller.log").read_text()
+                   for pid, _ in site.starts(node))
+    assert "controller was started" in (site.directory / "controller.log").read_text()
 
 
-def test_the_drive_is_stopped_for_a_pump_node_that_cannot(here: Site) -> None:
+def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
     """Once, and before the node is started again; also where it is dead when the site is ended."""
-    here.add("weather", "pump")
-    here.until_ready()
-    os.kill(here.pid("pump"), signal.SIGKILL)
-    here.until(lambda: len(here.starts("pump")) == 2)
-    (stopped,) = here.stops
-    assert stopped < here.starts("pump")[1][1]
-    here.until_ready()
-    os.kill(here.pid("pump"), signal.SIGKILL)
+    site.add("weather", "pump")
+    site.until_ready()
+    os.kill(site.pid("pump"), signal.SIGKILL)
+    site.until(lambda: len(site.starts("pump")) == 2)
+    (stopped,) = site.stops
+    assert stopped < site.starts("pump")[1][1]
+    site.until_ready()
+    os.kill(site.pid("pump"), signal.SIGKILL)
     time.sleep(0.2)
-    here.end()
-    assert len(here.stops) == 2  # at the end, whatever the pump node says
-    assert [what for _, what in here.failures] == [
+    site.end()
+    assert len(site.stops) == 2  # at the end, whatever the pump node says
+    assert [reason for _, reason in site.failures] == [
         "ended (SIGKILL); starts again in 1 s",
         "could not stop the drive; the drive stands",
         "ended (SIGKILL); the drive stands",
@@ -187,39 +187,39 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(here: Site) -> None:
     ],
 )
 def test_a_pump_that_turns_on_is_stopped_once_more(
-    here: Site, monkeypatch: pytest.MonkeyPatch, state: str, did: str
+    site: Site, monkeypatch: pytest.MonkeyPatch, state: str, did: str
 ) -> None:
     """Longer than any ramp after it was forbidden, or where the node does not obey; once."""
     monkeypatch.setattr(supervisor, "LONGEST_RAMP_S", 1.0)
-    here.add("weather", "pump")
-    here.until_ready()
-    (here.marks / "pump-says").write_text(f"{state}: as it says")
-    here.during(4)
-    assert not here.failures  # it is allowed
-    (here.marks / "weather-waits").touch()
-    here.until(lambda: len(here.starts("pump")) == 2)
+    site.add("weather", "pump")
+    site.until_ready()
+    (site.marks / "pump-says").write_text(f"{state}: as it says")
+    site.during(4)
+    assert not site.failures  # it is allowed
+    (site.marks / "weather-waits").touch()
+    site.until(lambda: len(site.starts("pump")) == 2)
     if state == "stopping":  # the node may be right
-        here.during(4)
-    here.end()
-    assert here.failures[:2] == [
+        site.during(4)
+    site.end()
+    assert site.failures[:2] == [
         ("pump", f"{did} (weather is starting): killed; starts again in 1 s"),
         ("pump", "could not stop the drive; the drive stands"),
     ]
-    assert len(here.stops) == 2 and len(here.starts("pump")) == 2  # and at the end
+    assert len(site.stops) == 2 and len(site.starts("pump")) == 2  # and at the end
 
 
-def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(here: Site) -> None:
+def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> None:
     """By what it says of the pump, not by the words of its state: an *off* may not be heard."""
-    (here.marks / "pump-says").write_text("off: no connection to the drive")
-    here.add("pump")
+    (site.marks / "pump-says").write_text("off: no connection to the drive")
+    site.add("pump")
     for stands, limit in ((True, 5), (False, 2)):
-        (here.marks / "pump-stands").write_text(json.dumps(stands))
-        here.until(lambda stands=stands: here.stands is stands)
-        os.kill(here.pid("pump"), signal.SIGSTOP)
-        here.until(lambda: here.failures)
-        assert here.failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
-        here.until(lambda: len(here.starts("pump")) == 2)
-        here.failures.clear()
+        (site.marks / "pump-stands").write_text(json.dumps(stands))
+        site.until(lambda stands=stands: site.stands is stands)
+        os.kill(site.pid("pump"), signal.SIGSTOP)
+        site.until(lambda: site.failures)
+        assert site.failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
+        site.until(lambda: len(site.starts("pump")) == 2)
+        site.failures.clear()
 
 
 @limits(restarts=2)
@@ -232,21 +232,21 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(here: Site) -> 
     ],
 )
 def test_a_node_that_fails_again_and_again_is_given_up(
-    here: Site, kind: str, code: int, tried: int, reason: str
+    site: Site, kind: str, code: int, tried: int, reason: str
 ) -> None:
     """After 1 and 2 s; the third end is the last, and says so. A wrong parameter stays wrong."""
-    here.add("weather")
-    here.until(lambda: here.starts("weather"))
-    here.add(kind)
+    site.add("weather")
+    site.until(lambda: site.starts("weather"))
+    site.add(kind)
     with pytest.raises(NodeFailed) as failed:
-        here.until(lambda: False)
-    here.end()
+        site.until(lambda: False)
+    site.end()
     assert (failed.value.reason, failed.value.code) == (f"node {kind} {reason}", code)
     assert f"{kind} was started" in str(failed.value)
-    assert here.failures == [
+    assert site.failures == [
         (kind, f"ended (exit code {code}); starts again in {wait} s") for wait in (1, 2)[:tried]
     ]
-    assert not alive(here.starts("weather")[0][0])
+    assert not alive(site.starts("weather")[0][0])
 
 
 @limits(restarts=1)
@@ -254,20 +254,20 @@ def test_a_node_that_fails_again_and_again_is_given_up(
     ("name", "besides"), [("recorder", "; nothing is recorded until then"), ("rain_gauge", "")]
 )
 def test_a_node_that_the_pump_does_not_need_ends_nothing(
-    here: Site, name: str, besides: str
+    site: Site, name: str, besides: str
 ) -> None:
     """It is tried again, ever more seldom; the pump waits for what others wait for, not for it."""
-    (here.marks / "weather-waits").touch()
-    here.add("weather", "pump")
-    here.supervisor.add(NodeStart(name, "small_node", ("wrong", str(here.marks))))
-    here.until(lambda: here.supervisor.inhibit == "weather is starting")
-    (here.marks / "weather-waits").unlink()
-    here.until_ready()
-    here.until(lambda: len(here.failures) == 2)
-    here.until_ready()
-    assert name not in str([permit["inhibit"] for permit in here.permits()])
-    here.end()
-    assert here.failures == [
+    (site.marks / "weather-waits").touch()
+    site.add("weather", "pump")
+    site.supervisor.add(NodeStart(name, "small_node", ("wrong", str(site.marks))))
+    site.until(lambda: site.supervisor.inhibit == "weather is starting")
+    (site.marks / "weather-waits").unlink()
+    site.until_ready()
+    site.until(lambda: len(site.failures) == 2)
+    site.until_ready()
+    assert name not in str([permit["inhibit"] for permit in site.permits()])
+    site.end()
+    assert site.failures == [
         (name, "ended (exit code 2): parameter x must be a number; "
          f"starts again in {wait} s{besides}") for wait in (1, 600)
     ]
@@ -275,35 +275,35 @@ def test_a_node_that_the_pump_does_not_need_ends_nothing(
 
 def _open_files() -> Counter[str]:
     """Return what this process has open, and how often."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # that of this directory
-            found[str(file.readlink())] += 1
-    return found
+        with suppress(FileNotFoundError):  # the listing's own
+            counts[str(file.readlink())] += 1
+    return counts
 
 
 @limits(silence_s=3.0)
-def test_a_log_that_cannot_be_written_delays_nobody(here: Site) -> None:
+def test_a_log_that_cannot_be_written_delays_nobody(site: Site) -> None:
     """The permit is given all the time; what was printed meanwhile is in the log afterwards.
 
     A supervisor that was stopped itself blames nobody: what it did not hear is no silence.
     """
-    log = here.directory / "weather.log"
+    log = site.directory / "weather.log"
     os.mkfifo(log)  # who opens it to write waits until somebody reads
-    here.add("weather", "pump")
-    here.until_ready()
-    here.during(3)
+    site.add("weather", "pump")
+    site.until_ready()
+    site.during(3)
     assert DISK.late
-    times = [*(float(str(permit["at"])) for permit in here.permits()), boot_time()]
+    times = [*(float(str(permit["at"])) for permit in site.permits()), boot_time()]
     assert max(after - before for before, after in pairwise(times)) < 2.0  # else it lapses
     reading = os.open(log, os.O_RDONLY)
-    here.until(lambda: not DISK.late)
+    site.until(lambda: not DISK.late)
     assert os.read(reading, 1000) == b"weather was started\n"
     os.close(reading)
     time.sleep(4.0)  # longer than the limit
-    here.during(1)
-    here.end()
-    assert not here.failures
+    site.during(1)
+    site.end()
+    assert not site.failures
 
 
 @contextmanager
@@ -326,33 +326,33 @@ def few_files_left(number: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("files", range(7))
-def test_a_start_for_which_there_are_too_few_files(here: Site, files: int) -> None:
+def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> None:
     """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
-    nodes = Supervisor(here.directory, [], "", None, print)
+    nodes = Supervisor(site.directory, [], "", None, print)
     gc.collect()  # what an earlier test left open is not closed in between
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
-        nodes.start(NodeStart("weather", "small_node", ("weather", str(here.marks))))
+        nodes.start(NodeStart("weather", "small_node", ("weather", str(site.marks))))
     assert _open_files() == before
 
 
 def test_a_node_that_cannot_be_started_again_for_now(
-    here: Site, monkeypatch: pytest.MonkeyPatch
+    site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is said once and tried on; the pump may not run."""
     monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
-    here.add("weather", "pump")
-    here.until(lambda: here.supervisor.last.keys() == {"weather", "pump"})
-    here.until_ready()
+    site.add("weather", "pump")
+    site.until(lambda: site.supervisor.last.keys() == {"weather", "pump"})
+    site.until_ready()
     with few_files_left(1):
-        os.kill(here.pid("weather"), signal.SIGKILL)
-        here.until(lambda: "cannot be started" in str(here.failures))
-        here.during(3)
-        assert here.supervisor.inhibit == "weather is missing"
-    here.until(lambda: len(here.starts("weather")) == 2)
-    here.until_ready()
-    here.end()
-    assert [what for _, what in here.failures] == [
+        os.kill(site.pid("weather"), signal.SIGKILL)
+        site.until(lambda: "cannot be started" in str(site.failures))
+        site.during(3)
+        assert site.supervisor.inhibit == "weather is missing"
+    site.until(lambda: len(site.starts("weather")) == 2)
+    site.until_ready()
+    site.end()
+    assert [reason for _, reason in site.failures] == [
         "ended (SIGKILL); starts again in 1 s",
         "cannot be started: Too many open files; tried again every 1 s",
     ]
@@ -406,7 +406,7 @@ PERMITS = {
 
 @pytest.mark.parametrize("line", PERMITS)
 def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
-    """It lapses after two seconds; what is none is not taken for one; the next counts."""
+    """It lapses after two seconds; what is no permit does not count; the next permit does."""
     ours, theirs = os.pipe()
     monkeypatch.setenv(SOCKET, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:
@@ -414,7 +414,7 @@ def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> 
         assert reader.missing(100.0) == NONE
         end.write(f"{line}\n".encode())
         fresh, late = PERMITS[line]
-        said = [reader.missing(at) for at in (100.0, 101.9, 102.1, 3700.0)]
-        assert said == [fresh, fresh, late, late]
+        problems = [reader.missing(at) for at in (100.0, 101.9, 102.1, 3700.0)]
+        assert problems == [fresh, fresh, late, late]
         end.write(b'{"inhibit": "", "at": 3701.0}\n')
         assert reader.missing(3701.0) == ""

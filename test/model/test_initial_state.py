@@ -24,8 +24,8 @@ def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     """45.7 may be the target in mm: what does not fit into the soil is taken with a warning."""
     for _ in range(3):
         check_volumes(PAPER_SITE, 60.0, 45.7, KEYS)
-    (said,) = caplog.messages
-    assert "--roof = 45.7: more than the 34.4 m3" in said
+    (message,) = caplog.messages
+    assert "--roof = 45.7: more than the 34.4 m3" in message
     for name in INITIAL_STATES:
         check_volumes(PAPER_SITE, *initial_state(PAPER_SITE, name), KEYS)
     check_volumes(PAPER_SITE, 0.0, 34.4, KEYS)
@@ -45,6 +45,6 @@ def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
         named = paper_run(*options, "--initial", name)
         assert named.initial == name
         assert (named.x1, named.x2) == pytest.approx((cistern, roof), rel=1e-12)
-    given = paper_run(*options, "--cistern", "60", "--roof", "2")
-    assert (given.initial, given.x1, given.x2) == ("custom", 60.0, 2.0)
+    custom = paper_run(*options, "--cistern", "60", "--roof", "2")
+    assert (custom.initial, custom.x1, custom.x2) == ("custom", 60.0, 2.0)
     assert paper_run().initial == "low-low"

@@ -51,8 +51,8 @@ def test_each_tank_changes_by_what_flows(
     assert plant.layer == site.initial_layer
     tau = site.tau
     for rain, evaporated, command, external in ticks:
-        x1, x2, held = plant.x1, plant.x2, plant.x2 + plant.layer
-        wanted = exact_flows(site, x1, x2, command)
+        x1, x2, stored = plant.x1, plant.x2, plant.x2 + plant.layer
+        demand = exact_flows(site, x1, x2, command)
         pump = plant.pump_flow(command) if external is None else external
         flows = plant.flows(rain, evaporated, pump)
         plant.step(rain, flows)
@@ -64,26 +64,26 @@ def test_each_tank_changes_by_what_flows(
         leaves = flows.evapotranspiration + flows.drainage
         gain_2 = tau * (rain * site.a2 + flows.pump - leaves)
         assert plant.x1 - x1 == pytest.approx(gain_1, abs=1e-9)
-        assert plant.x2 + plant.layer - held == pytest.approx(gain_2, abs=1e-9)
+        assert plant.x2 + plant.layer - stored == pytest.approx(gain_2, abs=1e-9)
         assert min(plant.x1, plant.x2, plant.layer, *flows[:4]) >= 0
         assert plant.layer <= site.layer_storage * (1 + 1e-12)
         assert flows.evapotranspiration <= evaporated
 
         # What would be left without a limit, in a cistern and then in a roof.
-        left_1 = x1 + tau * (into_cistern - wanted[0] - pump)
+        left_1 = x1 + tau * (into_cistern - demand[0] - pump)
         if left_1 > 1e-9:
-            assert (flows.outflow, flows.pump) == pytest.approx((wanted[0], pump), rel=1e-9)
+            assert (flows.outflow, flows.pump) == pytest.approx((demand[0], pump), rel=1e-9)
         elif left_1 < -1e-9:
             assert plant.x1 == pytest.approx(0, abs=1e-9)
-            assert flows.outflow * pump == pytest.approx(wanted[0] * flows.pump, rel=1e-9)
+            assert flows.outflow * pump == pytest.approx(demand[0] * flows.pump, rel=1e-9)
         if site.field_capacity is not None:
             continue
-        left_2 = x2 + tau * (rain * site.a2 + flows.pump - evaporated - wanted[2])
+        left_2 = x2 + tau * (rain * site.a2 + flows.pump - evaporated - demand[2])
         if min(abs(left_1), abs(left_2)) > 1e-9:
             assert flows.limited == (left_1 < 0 or left_2 < 0)
         if left_2 > 1e-9:
-            asked = (evaporated, wanted[2])
-            assert (flows.evapotranspiration, flows.drainage) == pytest.approx(asked, rel=1e-9)
+            expected = (evaporated, demand[2])
+            assert (flows.evapotranspiration, flows.drainage) == pytest.approx(expected, rel=1e-9)
         elif left_2 < -1e-9:
             assert plant.x2 == pytest.approx(0, abs=1e-9)
 

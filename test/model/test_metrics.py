@@ -38,7 +38,7 @@ STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
 
 
 def metrics_of(site: Site, ticks: Ticks) -> Metrics:
-    """Return the metrics of ticks, of which the last is the end of the run."""
+    """Return the metrics of ticks; the last is the end of the run."""
     metrics = Metrics()
     for x1, x2, command, rain, flows in ticks[:-1]:
         metrics.observe(site, x1, x2)
@@ -65,7 +65,7 @@ def test_sums_by_hand() -> None:
 
     The cistern's inlet has 0.305^2 pi = 0.2922467 m2, the bed 68.8 m2.
     """
-    found = metrics_of(site_with(tau=2.0), [
+    results = metrics_of(site_with(tau=2.0), [
         (60.0, 3.0, 0.5, 1e-6, Flows(0.1, 0.004, 0.001, 2e-4, False)),
         (50.0, 3.5, 1.25, 0.0, Flows(0.0, 0.0, 0.002, 1e-4, True)),
         (40.0, 3.2, 0.0, 0.0, STILL),
@@ -78,11 +78,11 @@ def test_sums_by_hand() -> None:
         "pump_hours": 2 / 3600, "final_cistern_m3": 40.0, "final_roof_m3": 3.2,
         "limited_steps": 1, "pump_starts": 1, "busiest_hour_starts": 1, "excess_starts": 0,
     }
-    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-6)
-    assert {name for name, value in found.items() if type(value) is int} == {
+    assert {name: results[name] for name in expected} == pytest.approx(expected, rel=1e-6)
+    assert {name for name, value in results.items() if type(value) is int} == {
         "limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"
     }
-    assert not {"mains_m3", "final_layer_m3"} & found.keys()  # there is no valve, and no layer
+    assert not {"mains_m3", "final_layer_m3"} & results.keys()  # there is no valve, and no layer
 
 
 @pytest.mark.parametrize(
@@ -109,18 +109,18 @@ def test_energy_and_starts_by_hand() -> None:
     full = 0.00842205211502804
     head = 55.2 - 5.78e5 * full**2
     flows = (full, full, 0.0, full / 2, 0.0, 0.0, full, 0.0)
-    found = metrics_of(
+    results = metrics_of(
         site_with(pump_efficiency=0.25),
         [(75.0, 1.0, 1.0, 0.0, STILL._replace(pump=flow)) for flow in flows],
     )
     joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
-    assert found["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
-    assert found["electric_energy_kwh"] == 4 * found["hydraulic_energy_kwh"]
-    assert found["pump_starts"] == 3
+    assert results["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
+    assert results["electric_energy_kwh"] == 4 * results["hydraulic_energy_kwh"]
+    assert results["pump_starts"] == 3
 
 
 def test_mains_water_by_hand() -> None:
-    """Five ticks of 2 s, of which the valve of 0.001 m3/s is open in the first three; then the end.
+    """Five ticks of 2 s, with a valve of 0.001 m3/s open in the first three; then the end.
 
     The run ends below the valve's level of 1 m, 25 m3: there nothing flows any more.
     """
@@ -141,11 +141,11 @@ def test_an_owners_metrics_by_hand() -> None:
         metrics.observe(site, 50.0, x2)
         metrics.step(0.0, 0.0, 4e-6, STILL._replace(evapotranspiration=actual))
     metrics.observe(site, 50.0, target + 0.2)
-    found = metrics.results()
-    assert found["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
-    assert found["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)
-    assert found["evapotranspiration_ratio"] == pytest.approx(7 / 16, rel=1e-12)
-    assert not KEPT & found.keys()  # it did not rain
+    results = metrics.results()
+    assert results["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
+    assert results["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)
+    assert results["evapotranspiration_ratio"] == pytest.approx(7 / 16, rel=1e-12)
+    assert not KEPT & results.keys()  # it did not rain
 
 
 def test_stress_is_that_of_the_soil() -> None:
@@ -165,12 +165,12 @@ def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> Ticks:
     def rate(name: str, hour: int) -> float:
         return amounts.get(name, {}).get(hour, 0.0) / 3600
 
-    each = round(3600 / site.tau)
+    ticks_per_hour = round(3600 / site.tau)
     return [
         (50.0, 1.0, 0.0, rate("rain", hour) / site.a2, Flows(
             0.0, rate("pumped", hour), rate("drained", hour), 0.0, False
         ))
-        for hour in (k // each for k in range(hours * each + 1))
+        for hour in (k // ticks_per_hour for k in range(hours * ticks_per_hour + 1))
     ]
 
 
@@ -188,26 +188,26 @@ def test_rain_kept_by_hand() -> None:
     4.1 m3 in these 1.8 drain.
     """
     site = site_with(a2=100.0, tau=600.0)
-    found = metrics_of(site, hourly(
+    results = metrics_of(site, hourly(
         site, 72, rain={10: 3.0, 36: 0.4, 60: 0.6, 61: 0.5}, pumped={41: 0.6, 55: 0.6},
         drained={10: 0.6, 11: 0.9, 35: 0.3, 36: 0.1, 41: 0.5, 60: 0.2},
     ))
-    assert found["rain_kept_share"] == pytest.approx(1 - 1.9 / 4.5, rel=1e-9)
-    assert found["rain_kept_share_hour"] == pytest.approx(0.8, rel=1e-9)
-    assert found["rain_kept_share_day"] == pytest.approx(1 - 1.8 / 4.1, rel=1e-9)
+    assert results["rain_kept_share"] == pytest.approx(1 - 1.9 / 4.5, rel=1e-9)
+    assert results["rain_kept_share_hour"] == pytest.approx(0.8, rel=1e-9)
+    assert results["rain_kept_share_day"] == pytest.approx(1 - 1.8 / 4.1, rel=1e-9)
 
 
-@pytest.mark.parametrize(("depth", "there"), [(20.0, False), (20.1, True)])
-def test_a_storm_has_more(depth: float, there: bool) -> None:
+@pytest.mark.parametrize(("depth", "expected"), [(20.0, False), (20.1, True)])
+def test_a_storm_has_more(depth: float, expected: bool) -> None:
     """An hour with 20 mm has not more; of one with more nothing is kept where more drains."""
     site = site_with(a2=100.0, tau=0.1)
-    found = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
-    assert found.get("rain_kept_share_hour") == (0.0 if there else None)
+    results = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
+    assert results.get("rain_kept_share_hour") == (0.0 if expected else None)
 
 
 def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four days of 5 min with storms of ten hours; a tick, 7 and 1000 a block."""
-    site, found = site_with(tau=300.0, starts_per_hour=3.0), []
+    site, results = site_with(tau=300.0, starts_per_hour=3.0), []
     ticks = [
         (x1, x2, command, 3 * rain * (k // 120 % 3 == 0), flows)
         for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 288 + 1, seed=1))
@@ -215,7 +215,7 @@ def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     for size in (1, 7, 1000):
         monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module._TICK))
         metrics = metrics_of(site, ticks)
-        found.append((metrics.results(), metrics.weekly_deviations()))
-        assert found[-1] == (metrics.results(), metrics.weekly_deviations())
-    assert found[0] == found[1] == found[2]
-    assert all(0 < found[0][0][name] < 1 for name in KEPT)
+        results.append((metrics.results(), metrics.weekly_deviations()))
+        assert results[-1] == (metrics.results(), metrics.weekly_deviations())
+    assert results[0] == results[1] == results[2]
+    assert all(0 < results[0][0][name] < 1 for name in KEPT)

@@ -102,12 +102,12 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
 def test_the_command_to_a_volume_leads_there(site: Site) -> None:
     """A litre more in a tick, in rain and sun; 0 where it comes by itself, or nothing is lifted."""
     plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
-    given = site, soil_of(site), plant.x1, plant.x2
-    wanted = plant.x2 + 1e-3
-    command = command_to(*given, wanted, *weather)
+    state = site, soil_of(site), plant.x1, plant.x2
+    target = plant.x2 + 1e-3
+    command = command_to(*state, target, *weather)
     plant.step(weather[0], plant.flows(*weather, plant.pump_flow(command)))
-    assert plant.x2 == pytest.approx(wanted, rel=1e-12)
-    assert command_to(*given, wanted - 1e-3, *weather) == 0
+    assert plant.x2 == pytest.approx(target, rel=1e-12)
+    assert command_to(*state, target - 1e-3, *weather) == 0
     weak = replace(site, c_hat=15.0)
     assert command_to(weak, soil_of(weak), 24.0, 1.0, 2.0, *weather) == 0
 
@@ -129,8 +129,8 @@ def test_drainage_by_hand() -> None:
 def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: float) -> None:
     """Eqs. (2)-(4) written a second time, at random states of random sites."""
     x1, x2 = cistern * site.a1, roof * site.a2
-    found = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
-    assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
+    flows = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
+    assert flows == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
 
 
 def test_step_by_hand() -> None:
@@ -154,7 +154,7 @@ DRAINS = 1.077408e-5
 
 
 @pytest.mark.parametrize(
-    ("x1", "x2", "given", "expected"),
+    ("x1", "x2", "inputs", "expected"),
     [
         # 1 m3 and 0.1 m3/s of rain meet a wish of 2.2 m3/s: half of it flows.
         (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0)),
@@ -166,13 +166,13 @@ DRAINS = 1.077408e-5
     ],
 )
 def test_a_tank_that_holds_too_little_shares_it_out(
-    x1: float, x2: float, given: tuple[float, float, float], expected: tuple[float, ...]
+    x1: float, x2: float, inputs: tuple[float, float, float], expected: tuple[float, ...]
 ) -> None:
     """And nothing is left in it."""
     plant = Plant(PAPER_SITE, x1, x2)
-    flows = plant.flows(*given)
+    flows = plant.flows(*inputs)
     assert flows == pytest.approx((*expected, True), rel=1e-12)
-    plant.step(given[0], flows)
+    plant.step(inputs[0], flows)
     assert 0.0 in (plant.x1, plant.x2)
 
 

@@ -29,15 +29,15 @@ def ns(utc: str) -> int:
 def changes(hours: QuietHours, day: str) -> list[str]:
     """Return at which minutes of a day in UTC it becomes quiet (+) or not (-)."""
     begin = datetime.fromisoformat(f"{day}T00:00+00:00")
-    said = []
+    changes = []
     before = hours.quiet_at(epoch_ns(begin) - 1)
     for minute in range(1440):
         at = begin + timedelta(minutes=minute)
         now = hours.quiet_at(epoch_ns(at))
         if now != before:
-            said.append(f"{'+' if now else '-'}{at:%H:%M}")
+            changes.append(f"{'+' if now else '-'}{at:%H:%M}")
         before = now
-    return said
+    return changes
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_of_a_site(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "given", "expected"),
+    ("key", "value", "expected"),
     [
         ("quiet_hours", "22:00-06:00", "must be times of day in brackets"),
         ("quiet_hours", "[22]", "must be times of day in brackets"),
@@ -138,9 +138,9 @@ def test_of_a_site(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_ones_are_refused_with_line_and_value(
-    tmp_path: Path, key: str, given: str, expected: str
+    tmp_path: Path, key: str, value: str, expected: str
 ) -> None:
-    right = {"quiet_hours": '["22:00-06:00"]', "time_zone": "UTC"} | {key: given}
+    right = {"quiet_hours": '["22:00-06:00"]', "time_zone": "UTC"} | {key: value}
     file = written(tmp_path, *(f"{name}: {value}" for name, value in right.items()))
     with pytest.raises(ConfigurationError) as refused:
         read_site(file)

@@ -52,10 +52,10 @@ def test_noise_follows_from_seed_and_tick_alone() -> None:
     assert readings(imperfect, ticks, 0.045) == [expected[tick] for tick in ticks]
     assert readings(imperfect, ticks[::-1], 0.045) == [expected[tick] for tick in ticks[::-1]]
     assert len(set(expected.values())) == 6
-    others = [
+    pairs = [
         readings(replace(imperfect, noise_seed=seed), [0, 4096], 0.045) for seed in range(100)
     ]
-    assert len({value for pair in others for value in pair}) == 200
+    assert len({value for pair in pairs for value in pair}) == 200
 
 
 def test_offset_by_hand() -> None:
@@ -110,8 +110,8 @@ def test_minimum_times_by_hand(
 )
 def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
     """The first whole number of ticks that is not shorter, whatever the binary digits of tau."""
-    held = commands_let_through(SensorPumpErrors(minimum_on=seconds), [1] + [0] * 20, tau=tau)
-    assert held == [1] * ticks + [0] * (21 - ticks)
+    commands = commands_let_through(SensorPumpErrors(minimum_on=seconds), [1] + [0] * 20, tau=tau)
+    assert commands == [1] * ticks + [0] * (21 - ticks)
 
 
 def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:

@@ -103,9 +103,9 @@ def test_site_climate(tmp_path: Path) -> None:
 )
 def test_wrong_site_climates(tmp_path: Path, months: object) -> None:
     path = write(tmp_path, monthly_evapotranspiration=months)
-    said = refusal(path)
-    assert said.startswith(f"{path}, line {len(TABLE_I) + 1}: monthly_evapotranspiration = ")
-    assert "must be twelve numbers in brackets, January to December, each from 0 to 20" in said
+    message = refusal(path)
+    assert message.startswith(f"{path}, line {len(TABLE_I) + 1}: monthly_evapotranspiration = ")
+    assert "must be twelve numbers in brackets, January to December, each from 0 to 20" in message
 
 
 # What follows from other rows of Table I.
@@ -191,8 +191,8 @@ def test_wrong_values(
 
 def test_what_follows_is_computed(tmp_path: Path) -> None:
     """To the last digit what Table I says; and after the area, where that is another."""
-    whole = read_site(write(tmp_path))
-    assert read_site(write(tmp_path, x2_star=None, z_cap=None)) == whole
+    written = read_site(write(tmp_path))
+    assert read_site(write(tmp_path, x2_star=None, z_cap=None)) == written
     larger = read_site(write(tmp_path, a2=120.0, x2_star=None, z_cap=None))
     assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
     stale = write(tmp_path, a2=120.0, x2_star=None, z_cap=34.4)
@@ -234,12 +234,12 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     child.write_text("# A larger one\nextends: ../roof.yaml\na1: 50.0\n")
     base, site = read_site(tmp_path / "my site.yaml"), read_site(child)
     assert site == replace(base, a1=50.0, a2=100.0, x2_star=4.57, z_cap=50.0)
-    whole = tmp_path / "whole.yaml"
-    whole.write_text(edited(child, {}))
-    assert read_site(whole) == site
-    assert "extends" not in whole.read_text() and "# A larger one" in whole.read_text()
-    whole.write_text(edited(child, {"a2": 200.0, "z_o": 2.5}))
-    assert read_site(whole) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
+    written = tmp_path / "whole.yaml"
+    written.write_text(edited(child, {}))
+    assert read_site(written) == site
+    assert "extends" not in written.read_text() and "# A larger one" in written.read_text()
+    written.write_text(edited(child, {"a2": 200.0, "z_o": 2.5}))
+    assert read_site(written) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
     assert edited(tmp_path / "my site.yaml", {}) == (tmp_path / "my site.yaml").read_text()
     for form in (
         "{extends: ../roof.yaml, a1: 50.}", '"extends": ../roof.yaml\n"a1": +50.0  # m2\n',
@@ -248,8 +248,8 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
         child.write_text(form)
         assert read_site(child) == site
         for values in ({}, {"a1": 100 / 3, "z_o": 2.5}):
-            whole.write_text(edited(child, values))
-            assert read_site(whole) == replace(site, **values), form
+            written.write_text(edited(child, values))
+            assert read_site(written) == replace(site, **values), form
     # One of this package's needs no copy beside.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")

@@ -50,9 +50,9 @@ def test_linear_model_equals_complex_steps(
     point = (*data.draw(states(site)), command, rain, evaporated)
     model = linearise(site, *point)
     slope, B, C, b = linear_model(site, *point)
-    found = np.array(model.A) - np.eye(2)
+    computed = np.array(model.A) - np.eye(2)
     # The identity costs A's entries up to two units in the last place of 1.
-    np.testing.assert_allclose(found, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
+    np.testing.assert_allclose(computed, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
     # Complex steps lose their digits where a derivative is near the least of all numbers.
     np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
     # Of a measured roof 1 - S^2 cancels.
@@ -66,5 +66,5 @@ def test_linear_model_equals_complex_steps(
 def test_sigmoid_by_hand() -> None:
     """1 / (1 + exp(-y)) of y over epsilon: 3/4 at ln 3, and its limits where exp overflows."""
     expected = {0.0: 0.5, math.log(3): 0.75, -math.log(3): 0.25, 1e4: 1.0, -1e4: 0.0}
-    found = {y: sigma(0.5 * y, 0.5) for y in expected}
-    assert found == pytest.approx(expected, rel=1e-15, abs=0)
+    computed = {y: sigma(0.5 * y, 0.5) for y in expected}
+    assert computed == pytest.approx(expected, rel=1e-15, abs=0)

@@ -103,8 +103,8 @@ BARE = replace(ROOF, drainage_storage=None, drainage_time=None)
 def test_a_layer_by_hand(
     site: Site, layer: float, inflow: float, seconds: float, outflow: float
 ) -> None:
-    found = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
-    assert found == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
+    computed = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
+    assert computed == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
 
 
 @settings(max_examples=15)
@@ -124,24 +124,24 @@ def test_the_layer_follows_its_equation(
         jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-8, atol=1e-12,
     )
     flow = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
-    left = layer + seconds * (inflow - flow)
-    assert left == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
+    remaining = layer + seconds * (inflow - flow)
+    assert remaining == pytest.approx(steps.y[0, -1], rel=1e-6, abs=1e-9)
 
 
 @settings(max_examples=20)
 @given(
-    x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), asked=st.floats(0, 1e-4),
+    x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), potential=st.floats(0, 1e-4),
     seconds=st.sampled_from([10.0, 3600.0]),
 )
 def test_free_changes_follow_their_equations(
-    x2: float, rain: float, asked: float, seconds: float
+    x2: float, rain: float, potential: float, seconds: float
 ) -> None:
     """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy; one step, or of many roofs."""
     volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
-    volume = solved(lambda x: -SOIL.water_stress(x) * asked, volume, seconds)
-    (found,) = SOIL.free_changes(x2, np.array([rain]), np.array([asked]), np.array([seconds]))
-    assert x2 + found == pytest.approx(volume, rel=1e-6, abs=1e-6)
-    roofs = SOIL.after(np.full(2, x2), rain * ROOF.a2 * seconds, asked * seconds, seconds)
+    volume = solved(lambda x: -SOIL.water_stress(x) * potential, volume, seconds)
+    (change,) = SOIL.free_changes(x2, np.array([rain]), np.array([potential]), np.array([seconds]))
+    assert x2 + change == pytest.approx(volume, rel=1e-6, abs=1e-6)
+    roofs = SOIL.after(np.full(2, x2), rain * ROOF.a2 * seconds, potential * seconds, seconds)
     assert roofs.tolist() == pytest.approx([volume] * 2, rel=1e-6, abs=1e-6)
 
 
@@ -164,8 +164,8 @@ def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[floa
     rain = np.array(rain_m3) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
     weather = rain, np.array(asked_m3) / 3600, hours
-    found = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
-    return list(found)
+    share = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
+    return list(share)
 
 
 def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
@@ -187,8 +187,8 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
     dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
     weather = np.zeros(1), np.array([2.0 / 3600]), np.array([3600.0])
-    found = dry.lasting_share(2.5, dry.free_changes(2.5, *weather), *weather)
-    assert found == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
+    share = dry.lasting_share(2.5, dry.free_changes(2.5, *weather), *weather)
+    assert share == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
 
 
 @settings(max_examples=30)
@@ -205,19 +205,19 @@ def test_what_is_followed_is_what_the_plant_did(
     """From the substrate's volumes alone: bit for bit."""
     plant = Plant(site, 0.0, x2 * site.z_cap)
     states, flows = [], []
-    for rain, asked in ticks:
+    for rain, potential in ticks:
         states.append((plant.x2, plant.layer))
-        flows.append(plant.flows(rain, asked, 0.0))
+        flows.append(plant.flows(rain, potential, 0.0))
         plant.step(rain, flows[-1])
     volumes, layers = zip(*states, strict=True)
-    rain, asked = np.array(ticks).T
-    found = soil_of(site).follow(
-        layers[0], np.array(volumes), rain, np.zeros_like(rain), asked, None,
+    rain, potential = np.array(ticks).T
+    roof = soil_of(site).follow(
+        layers[0], np.array(volumes), rain, np.zeros_like(rain), potential, None,
         np.full_like(rain, site.tau),
     )
-    assert found.layer.tolist() == list(layers)
-    assert found.left == plant.layer
-    assert found.drained.tolist() == [flow.drainage for flow in flows]
-    assert found.evaporated == pytest.approx(
+    assert roof.layer.tolist() == list(layers)
+    assert roof.left == plant.layer
+    assert roof.drained.tolist() == [flow.drainage for flow in flows]
+    assert roof.evaporated == pytest.approx(
         [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15
     )

@@ -21,9 +21,9 @@ if find_spec("pymodbus") is None:  # drives and sensors are on Modbus
 def observer(domain: int, tmp_path: Path) -> Iterator[Observer]:
     from ros_rig import Observer
 
-    it = Observer(domain, tmp_path)
-    yield it
-    it.close()
+    observer = Observer(domain, tmp_path)
+    yield observer
+    observer.close()
 
 
 @pytest.fixture

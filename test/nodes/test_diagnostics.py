@@ -23,11 +23,11 @@ from greenroof_ros.controllers.registry import BUILT_IN
 from greenroof_ros.drives.sensor_file import QUANTITIES
 
 HERE = socket.gethostname()
-SENSORS = [one.node for one in QUANTITIES.values()]
+SENSORS = [quantity.node for quantity in QUANTITIES.values()]
 
 
 def check(arrays: list[DiagnosticArray]) -> None:
-    """Hold every message against what tools rely on: a name is one thing, told apart from others.
+    """Compare every message with what tools rely on: a name is one thing and no other.
 
     Also by those that show names without their slashes, or make codes of them.
     """
@@ -58,15 +58,15 @@ def test_every_node_has_its_group() -> None:
     groups = read_yaml(CONFIG / "diagnostics" / "aggregator.yaml")["analyzers"]["ros__parameters"]
     assert groups.pop("path") == "Greenroof"
     names = ["plant", "weather", "recorder", "pump", *SENSORS, *BUILT_IN]
-    found = dict.fromkeys((*names, "camera"), 0)
+    counts = dict.fromkeys((*names, "camera"), 0)
     for group in groups.values():
         assert group.keys() <= {"type", "path", "startswith", "expected", "timeout"}
         assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
-        for name in found:
-            found[name] += f"/{name}: inputs".startswith(tuple(group["startswith"]))
+        for name in counts:
+            counts[name] += f"/{name}: inputs".startswith(tuple(group["startswith"]))
         # What never comes is stale: all that is expected is there in any graph.
         assert set(group.get("expected", [])) <= {f"/{name}" for name in names}
-    assert found == {**dict.fromkeys(names, 1), "camera": 0}
+    assert counts == {**dict.fromkeys(names, 1), "camera": 0}
 
 
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
@@ -79,8 +79,8 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
     (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
     began = time.time()
-    arrays = observer.hear("/diagnostics", lambda one: one)
-    other = observer.node.create_publisher(Clock, "/clock", 10)
+    arrays = observer.hear("/diagnostics", lambda message: message)
+    intruder = observer.node.create_publisher(Clock, "/clock", 10)
     message = Clock()
     message.clock.sec = start + 86_400
     process = Process(
@@ -94,7 +94,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
         assert parameter(observer, name, "use_sim_time").bool_value is True
 
     def ended() -> bool:
-        other.publish(message)
+        intruder.publish(message)
         return process.process.poll() is not None
 
     observer.until(ended, 120, "the end of the run")
@@ -105,12 +105,13 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     plant = observer.values("/site1/plant")
     assert isinstance(plant["roof_level"], float) and plant["tick"] == ticks
     for name in names[:3]:
-        where = tmp_path / "run" / "configuration" / "site.yaml"
-        assert observer.values(name)["site"] == str(where)
+        site_file = tmp_path / "run" / "configuration" / "site.yaml"
+        assert observer.values(name)["site"] == str(site_file)
     assert observer.values(names[3])["bag"] == str(tmp_path / "run" / "bag")
     for name in names:
         stamps = [
-            one.header.stamp.sec for one in arrays if name in {each.name for each in one.status}
+            array.header.stamp.sec for array in arrays
+            if name in {status.name for status in array.status}
         ]
         # The system's time until the first tick; then it moves with the run, to its end.
         first = next(i for i, stamp in enumerate(stamps) if stamp < began - 1)
@@ -125,22 +126,22 @@ def test_failure_of_a_node(observer: Observer) -> None:
 
     Its process is in its values. The weather ends with it.
     """
-    arrays = observer.hear("/diagnostics", lambda one: one)
+    arrays = observer.hear("/diagnostics", lambda message: message)
 
-    def said() -> list[tuple[bytes, str]]:
+    def statuses() -> list[tuple[bytes, str]]:
         return [
-            (one.level, one.message) for array in arrays for one in array.status
-            if one.name == "/plant"
+            (status.level, status.message) for array in arrays for status in array.status
+            if status.name == "/plant"
         ]
 
     weather = observer.start("weather")
     plant = observer.start("plant", start_limit=6.0)
-    observer.until(lambda: said()[-1:] == [(ERROR, "ended")], 60, "the end")
+    observer.until(lambda: statuses()[-1:] == [(ERROR, "ended")], 60, "the end")
     observer.until(lambda: "failure" in observer.values("/plant"), 60, "why")
     for process in (plant, weather):
         assert process.wait(300) in (1, -signal.SIGALRM)  # the latter on a busy machine
     check(arrays)
-    assert {level for level, _ in said()[:-1]} == {OK}
+    assert {level for level, _ in statuses()[:-1]} == {OK}
     values = observer.values("/plant")
     assert values["code"] == "node_failed"
     assert abs(datetime.fromisoformat(values["since"]).timestamp() - time.time()) < 300

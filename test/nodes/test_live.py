@@ -55,7 +55,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     That it has no forecast is nothing to on/off, nor is one that is refused.
     """
-    arrays = site.watcher.hear("/diagnostics", lambda one: one)
+    arrays = site.watcher.hear("/diagnostics", lambda message: message)
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -145,21 +145,21 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
         "controller --controller mpc", max_command=0.4, recovery_time=0.2,
         forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
     ):
-        for what, (bad, why) in BAD_FORECASTS.items():
+        for case, (bad, why) in BAD_FORECASTS.items():
             site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
             site.until(site.says("/mpc: forecast", OK), LATE, "all well")
             began = datetime.now(UTC).replace(microsecond=0)
             without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
-            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {what}")
-            said = site.says("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
-            site.until(said, LATE, what)
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
+            degraded = site.says("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
+            site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
             # Command after command, also where the controller is asked again and refuses again.
-            asked = len(commands)
+            commands_before = len(commands)
             site.during(1)
-            assert {value for _, value in commands[asked:]} == {1.0}
+            assert {value for _, value in commands[commands_before:]} == {1.0}
             assert site.says("/mpc: inputs", OK)()
             if bad is not None:
                 site.values = dict(good)
@@ -210,7 +210,7 @@ class Learner(Counting):
 
 @pytest.mark.parametrize("forecasts", [True, False])
 def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> None:
-    """In those of now the command is 0, without a forecast too; in those to come it is not."""
+    """In quiet hours now the command is 0, without a forecast too; in later ones it is not."""
     commands = site.be_dry()
     if not forecasts:
         for name in FORECASTS:
@@ -218,7 +218,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
     (site.cwd / "mine.py").write_text(MINE)
     now, file = datetime.now(UTC), site.cwd / "quiet.yaml"
     # Without a forecast it is on/off that commands.
-    said = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")
+    expected = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")
     for begins, quiet in ((-1, True), (6, False)):
         begin, end = (now + timedelta(hours=hours) for hours in (begins, begins + 3))
         file.write_text(
@@ -228,8 +228,8 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
         commands.clear()
         site.diagnoses.clear()
         with site.live("controller --controller mine:Counting", site_file=file, recovery_time=1.0):
-            part, *what = said
-            site.until(site.says(f"/counting: {part}", *what), LATE, "good inputs")
+            part, *words = expected
+            site.until(site.says(f"/counting: {part}", *words), LATE, "good inputs")
             if quiet:
                 site.during(2)
                 assert {command for _, command in commands} == {0.0}
@@ -238,13 +238,13 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast one leaves it to on/off, and begins anew; no command is 0, and said."""
+    """Without a forecast it leaves it to on/off, and begins again; no command is 0, and said."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
     (site.cwd / "mine.py").write_text(MINE)
-    given = {"recovery_time": 0.2, "forecast_limit": 1.0}
-    with site.live("controller --controller mine:Counting", **given):
+    limits = {"recovery_time": 0.2, "forecast_limit": 1.0}
+    with site.live("controller --controller mine:Counting", **limits):
         site.until(lambda: (newest(commands) or 0) > 0.105, LATE, "its commands")
         site.values = without
         site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
@@ -282,19 +282,19 @@ def test_classes_of_a_users_own(site: Site) -> None:
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
     """Its commands grow by a thousandth each time: here on/off takes over, there it is ended.
 
-    From a file that says nothing of it it begins anew.
+    From a file that says nothing of it, it begins again.
     """
     commands = site.be_dry()
     good = dict(site.values)
     (site.cwd / "mine.py").write_text(MINE)
     file = site.cwd / "state" / "learner.json"
-    given = {"recovery_time": 0.2, "forecast_limit": 1.0, "state_file": str(file)}
+    limits = {"recovery_time": 0.2, "forecast_limit": 1.0, "state_file": str(file)}
     last = 0.0
 
     def its_own() -> list[float]:
         return [value for _, value in commands if 0 < value < 1]
 
-    with site.live("controller --controller mine:Learner", **given):
+    with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 5, LATE, "its commands")
         site.values = {name: value for name, value in good.items() if name not in FORECASTS}
         site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
@@ -306,13 +306,13 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
     site.during(0.5)  # what it said last is heard
     last = max(its_own())
     commands.clear()
-    with site.live("controller --controller mine:Learner", **given):
+    with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
         assert its_own()[0] > last  # by the commands, too, that came while it ended
     file.write_text('{"another": 3.0}')
     site.during(0.5)  # what the node before said last is heard
     commands.clear()
-    with site.live("controller --controller mine:Learner", **given):
+    with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its first command")
         assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may not be heard
 
@@ -331,7 +331,8 @@ def test_no_command_of_what_was_before_a_suspend(
             (site.cwd / when).touch()
             site.until(lambda: newest(commands) == 0.0, LATE, "no command")
             site.until(
-                lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why"
+                lambda: any("stood still for 3600 s" in message for message in site.said),
+                LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
 
@@ -379,15 +380,15 @@ def test_live_weather(site: Site) -> None:
     frost = site.listen("/weather/frost")
     forecast = site.listen("/forecast/precipitation")
 
-    def expect(rain_now: float, frost_now: float, *said: tuple[Any, ...]) -> None:
+    def expect(rain_now: float, frost_now: float, *expected: tuple[Any, ...]) -> None:
         """See rain, frost, and what is said of parts of the node, each with level and words."""
         site.until(
             lambda: newest(rain) == pytest.approx(rain_now, rel=1e-9)
             and newest(frost) == pytest.approx(frost_now, nan_ok=True),
             LATE, f"{rain_now}, {frost_now}",
         )
-        for part, *what in said:
-            site.until(site.says(f"/weather: {part}", *what), LATE, f"{part}: {what}")
+        for part, *words in expected:
+            site.until(site.says(f"/weather: {part}", *words), LATE, f"{part}: {words}")
 
     with site.live(
         "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
@@ -417,9 +418,9 @@ def test_live_weather(site: Site) -> None:
         expect(2e-6, math.nan, ("forecast", ERROR, "is older than 2 h"),
                ("frost", ERROR, "unknown_frost_may_pump"))
         site.during(0.5)
-        known, unknown = (len(forecast), len(rain)), len(frost)
+        rates, unknown = (len(forecast), len(rain)), len(frost)
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
-        assert (len(forecast), len(rain)) == known
+        assert (len(forecast), len(rain)) == rates
         assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION
         write_forecast(file, timedelta(0), 3.6, 15.0)
         expect(1e-6, 0.0, ("forecast", OK))
@@ -463,7 +464,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     file, record = site.cwd / "kept" / "forecast.csv", site.cwd / "dressed.csv"
     record.write_text("issued\n")
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    arrays = site.watcher.hear("/diagnostics", lambda one: one)
+    arrays = site.watcher.hear("/diagnostics", lambda message: message)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
@@ -478,8 +479,8 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(site.says(*useless), LATE, "why")
         # It is ready once it has said what it lacks, not before it has looked.
         for array in arrays:
-            said = {one.name: one.message for one in array.status}
-            assert said.get("/weather") != "ready" or "/weather: frost" in said
+            messages = {status.name: status.message for status in array.status}
+            assert messages.get("/weather") != "ready" or "/weather: frost" in messages
         assert not forecast
     frost.clear()
     service.fault = "none"
@@ -488,4 +489,4 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(lambda: forecast and newest(frost) == 0.0, LATE, "a forecast in July")
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()
-    assert [one.parent.name for one in file.parent.rglob("*.csv")].count("forecast") == 1
+    assert [path.parent.name for path in file.parent.rglob("*.csv")].count("forecast") == 1

@@ -111,8 +111,8 @@ def test_a_site_is_kept_up_and_systemd_told(
         # Levels alone: command and pump are of other moments yet.
         running = "\nrunning: cistern 2.400 m, roof 0.0300 m\n"
         site.until(lambda: running in process.stderr(), 90, "the end of the start")
-        lost = "incident 1: weather: since the start: the newest forecast, issued at "
-        site.until(lambda: lost in process.stderr(), 60, "the incident")
+        first_line = "incident 1: weather: since the start: the newest forecast, issued at "
+        site.until(lambda: first_line in process.stderr(), 60, "the incident")
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
         site.until(lambda: "incident 1 is over, after " in process.stderr(), 60, "its end")
@@ -127,8 +127,8 @@ def test_a_site_is_kept_up_and_systemd_told(
             site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
         values = site.watcher.values
         site.until(lambda: values("/mpc")["parameter_change_count"] == 25, 60, "the changes")
-        kept = [one["value"] for one in values("/mpc")["parameter_changes"]]
-        assert kept == [6.0 + number for number in range(20)]
+        values_kept = [change["value"] for change in values("/mpc")["parameter_changes"]]
+        assert values_kept == [6.0 + number for number in range(20)]
         beats = systemd.times("WATCHDOG=1")
         # WatchdogSec of examples/greenroof.service.
         assert max(b - a for a, b in pairwise(beats)) < 10
@@ -143,11 +143,11 @@ def test_a_site_is_kept_up_and_systemd_told(
         "mpc", "process", "ended (SIGKILL); starts again in 1 s"
     )
     assert incident["began"] < incident["ended"]
-    said = process.stderr()
-    assert "all nodes are here" in said
+    printed = process.stderr()
+    assert "all nodes are here" in printed
     # Neither a start at which nothing is wrong nor a return, whose inputs count after a while.
-    assert "warning" not in said
-    assert said.endswith("are stopped\ndone, with 2 incidents\n")
+    assert "warning" not in printed
+    assert printed.endswith("are stopped\ndone, with 2 incidents\n")
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections if c.msgcount}
         stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
@@ -226,7 +226,7 @@ def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Sit
     It rains at 36 mm/h, 1e-5 m/s, which the gauge counts.
     """
     hardware = Hardware(domain, tmp_path)
-    heard = [site.listen(f"/gauge/{name}") for name in ("precipitation", "temperature")]
+    gauges = [site.listen(f"/gauge/{name}") for name in ("precipitation", "temperature")]
     with mosquitto(tmp_path) as broker:
         file = (CONFIG / "sensors_mqtt.yaml").read_text()
         file = file.replace("mqtt://127.0.0.1:1883", broker.address)
@@ -244,7 +244,7 @@ def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Sit
         ) as process:
             assert "thermometer" not in process.stderr()
             site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
-            rain, temperature = map(newest, heard)
+            rain, temperature = map(newest, gauges)
             assert rain == pytest.approx(1e-5, rel=0.5)  # a tick or two between two messages
             assert temperature == 15.0
             assert process.nodes().keys() >= {"cistern_sensor", "roof_sensor", "rain_gauge"}
@@ -281,8 +281,8 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         ):
             process.until_said(reason)
         # What only follows from these is not in it, nor a drive that is there.
-        found = {line.partition(":")[0] for line in missing().splitlines()}
-        assert found <= {"  cistern_sensor", "  roof_sensor", "  weather"}
+        lacking = {line.partition(":")[0] for line in missing().splitlines()}
+        assert lacking <= {"  cistern_sensor", "  roof_sensor", "  weather"}
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         wait_for(lambda: "  weather: " not in missing(), 60, "the forecast")
         assert "  roof_sensor: " in missing()
@@ -296,14 +296,15 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
         hardware.inject("refused")
     assert hardware.speed() > 0.9
-    said = process.stderr()
-    assert "waiting for the pump to stand" in said
-    assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in said
-    assert "THE PUMP MAY BE RUNNING" in said
+    printed = process.stderr()
+    assert "waiting for the pump to stand" in printed
+    assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
+    assert "THE PUMP MAY BE RUNNING" in printed
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
     causes = [
-        (one["node"], one["cause"]) for one in summary["incidents"] if one["part"] == "process"
+        (incident["node"], incident["cause"]) for incident in summary["incidents"]
+        if incident["part"] == "process"
     ]
     stopped = r"could not stop the drive; .*told the drive to stop, which said then: speed [01]\."
     for (node, cause), (expected, pattern) in zip(causes[:2], [
@@ -340,18 +341,19 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
             assert process.nodes() == nodes
             hang(False)
             wait_for(
-                lambda: any(one.part == "disk" and one.ended for one in read_incidents(run)), 60,
-                "the end of the hang",
+                lambda: any(
+                    incident.part == "disk" and incident.ended for incident in read_incidents(run)
+                ), 60, "the end of the hang",
             )
-            asked = time.monotonic()
+            began = time.monotonic()
         # The nodes' end, and 2 s at most for what nobody reads.
-        assert time.monotonic() - asked < 30
+        assert time.monotonic() - began < 30
         summary = summary_of(run)
         stamps = [stamp for stamp, _ in flows(run / "bag")]
     # The site's tick is 1 s; a busy machine leaves out a few.
     assert stamps == sorted(set(stamps)) and max(b - a for a, b in pairwise(stamps)) < 5
     assert HANG_S / 2 < sum(hung < stamp < hung + HANG_S for stamp in stamps) < HANG_S + 2
-    incidents = {(one["node"], one["part"]) for one in summary["incidents"]}
+    incidents = {(incident["node"], incident["part"]) for incident in summary["incidents"]}
     assert incidents >= {("bringup", "disk"), ("recorder", "recording")}
     assert not any(part == "process" for _, part in incidents)
 
@@ -376,12 +378,12 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
             process.until_said("/roof/level has not come", 50)
             assert process.nodes().keys() == {"controller", "live_recorder"}
         assert old.read_text() == "of before"
-        said = process.stderr()
-        assert "No space left on device; the new configuration is in memory only" in said
+        printed = process.stderr()
+        assert "No space left on device; the new configuration is in memory only" in printed
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """At real time unless told otherwise; the drive stands at the end, be that early.
+    """At real time unless an option says otherwise; the drive stands at the end, be that early.
 
     A terminal that takes nothing stops no pump: the permit is given by who draws the bar.
     """
@@ -407,9 +409,9 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     stopped = hardware.in_the_loop(*fast, output="stopped")
     assert stopped.wait(300) == 1, stopped.stderr()
     assert f"off, by {state}: the drive reports: overload" in stopped.stderr()
-    kept = summary_of(tmp_path / "stopped")
-    assert kept["pumped_m3"] == 0
-    (incident,) = kept["incidents"]
+    end = summary_of(tmp_path / "stopped")
+    assert end["pumped_m3"] == 0
+    (incident,) = end["incidents"]
     assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
     assert incident["cause"].startswith("fault: the drive reports: overload")
     done = hardware.in_the_loop(*fast, "--state", "another's", output="other")

@@ -67,7 +67,7 @@ def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
     }
     process = observer.start("controller --controller mpc")
     observer.until(
-        lambda: all(each.get_subscription_count() for each in publish.values()), 60, "mpc"
+        lambda: all(publisher.get_subscription_count() for publisher in publish.values()), 60, "mpc"
     )
     good = (0.03, 0.0)
     inputs = [
@@ -105,7 +105,7 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
 
 def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A weight is set in the run, and a wrong one is refused; a second master ends it."""
-    clock = observer.hear("/clock", lambda one: one.clock.sec)
+    clock = observer.hear("/clock", lambda message: message.clock.sec)
     process = Process(domain, "bringup", "--speed", "10", "--output", "run", cwd=tmp_path)
     observer.until(lambda: clock and clock[-1] >= START + 20, 60, "20 ticks")
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
@@ -137,9 +137,9 @@ def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: P
         env={**environment(domain), "PYTHONPATH": os.pathsep.join([str(CHECKOUT), *sys.path])},
     )
     python.unlink()
-    _, said = process.communicate(timeout=300)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode not in (0, 2)
-    assert "No such file or directory" in said
+    assert "No such file or directory" in errors
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed"
     assert "FileNotFoundError" in summary["reason"]
@@ -209,16 +209,16 @@ def help_of(cwd: Path, command: str) -> str:
 
 def section(text: str, heading: str) -> dict[str, str]:
     """Return the entries of a section of a help, each with its explanation on one line."""
-    found = re.search(rf"^{heading}.*:\n((?:  .*\n)*)", text, re.MULTILINE)
-    assert found, text
-    entries = re.findall(r"^  (\S+) .*\n((?:      .*\n)*)", found[1], re.MULTILINE)
+    match = re.search(rf"^{heading}.*:\n((?:  .*\n)*)", text, re.MULTILINE)
+    assert match, text
+    entries = re.findall(r"^  (\S+) .*\n((?:      .*\n)*)", match[1], re.MULTILINE)
     return {name: " ".join(meaning.split()) for name, meaning in entries}
 
 
 def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
     """Who checks the sensor file names the parameter that the readers of the topic have."""
-    assert {one.topic_name: one.limit for one in QUANTITIES.values()} == {
-        one.topic_name: LIMITS[one.topic_name].name for one in QUANTITIES.values()
+    assert {quantity.topic_name: quantity.limit for quantity in QUANTITIES.values()} == {
+        quantity.topic_name: LIMITS[quantity.topic_name].name for quantity in QUANTITIES.values()
     }
 
 
@@ -228,8 +228,11 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
         name for name in watcher.call(ListParameters, f"/{node}/list_parameters").result.names
         if name not in ("use_sim_time", "start_type_description_service")
     ]
-    found = watcher.call(DescribeParameters, f"/{node}/describe_parameters", names=names)
-    return {each.name: " ".join(each.description.split()) for each in found.descriptors}
+    answer = watcher.call(DescribeParameters, f"/{node}/describe_parameters", names=names)
+    return {
+        descriptor.name: " ".join(descriptor.description.split())
+        for descriptor in answer.descriptors
+    }
 
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:

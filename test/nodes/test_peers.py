@@ -41,9 +41,9 @@ class Nodes:
 
     def code(self, name: str) -> int:
         """Wait for the end of a node by itself and return its exit code."""
-        found = self.started[name].wait(60)
+        code = self.started[name].wait(60)
         # Where the middleware takes long to go, the kernel ends a node that has said all.
-        return int("FATAL" in self.log(name)) if found == -signal.SIGALRM else found
+        return int("FATAL" in self.log(name)) if code == -signal.SIGALRM else code
 
 
 @pytest.fixture
@@ -104,8 +104,8 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
     nodes.started["weather"].process.kill()
     assert nodes.code("plant") == 1
-    (said,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
-    assert said.endswith(
+    (fatal,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
+    assert fatal.endswith(
         "nothing came within 4 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
@@ -134,12 +134,12 @@ INPUTS: Said = [
 ]
 RUN = ("/run", [7.0, 0.0, 0.0])
 # One of each topic that is recorded of mpc, the recorder's default.
-EACH: Said = [
+RECORDED: Said = [
     (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
 COUNT = "of each topic 1 messages should have come; messages were lost or came twice: /cistern/"
-# The node, what it is told, what then after its first command, its exit code, and what it says.
+# The node, its messages, those after its first command, its exit code, and what it says.
 WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice before the run": (
         "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
@@ -153,9 +153,10 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
         "the plant was started again, or there are two"),
     "a plant of another version": (
         "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is of another version"),
-    "one more of a topic": ("recorder", [RUN, *EACH, LEVEL], [], 1, f"{COUNT}level: 2\n"),
+    "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, f"{COUNT}level: 2\n"),
     "one less of a topic": (
-        "recorder", [RUN, *(one for one in EACH if one != LEVEL)], [], 1, f"{COUNT}level: 0\n"),
+        "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,
+        f"{COUNT}level: 0\n"),
 }
 
 
@@ -167,8 +168,8 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
     publishers = {topic: observer.publisher(topic) for topic in names}
     commands = observer.hear("/pump/command")
 
-    def say(said: Said) -> None:
-        for topic, value in said:
+    def say(messages: Said) -> None:
+        for topic, value in messages:
             kind = message_class(read_topics()[topic].type)
             publishers[topic].publish(kind() if kind is Clock else kind(data=value))
 
@@ -187,7 +188,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
 
 def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> None:
     """As nodes that were started by hand find it: bringup looks before it starts any."""
-    both = [observer.publisher(LEVEL[0]) for _ in range(2)]
+    publishers = [observer.publisher(LEVEL[0]) for _ in range(2)]
     nodes.node("onoff")
-    assert len(both) == 2 and nodes.code("onoff") == 3
+    assert len(publishers) == 2 and nodes.code("onoff") == 3
     assert "/cistern/level has 2 publishers (" in nodes.log("onoff")

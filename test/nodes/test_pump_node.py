@@ -106,7 +106,7 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
 
 
 @pytest.mark.parametrize(
-    ("make", "address", "snapshot", "given", "words"),
+    ("make", "address", "snapshot", "changes", "words"),
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, {}, None),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_s=10.5), {},
@@ -122,12 +122,12 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
     ],
 )
 def test_a_timeout_that_does_not_guard(
-    make: str, address: str, snapshot: Snapshot, given: dict[str, object], words: str | None
+    make: str, address: str, snapshot: Snapshot, changes: dict[str, object], words: str | None
 ) -> None:
     drive = _Drive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
         "local_settings_stop_the_pump": False, "live": True, "broker_login": "",
-        "broker_authority": "", **given,
+        "broker_authority": "", **changes,
     }, "pump")
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
@@ -217,9 +217,9 @@ def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words:
     """
     rig.drive.inject(fault)
     node.terminate()
-    _, said = node.communicate(timeout=120)
+    _, errors = node.communicate(timeout=120)
     assert node.returncode in (1, -signal.SIGALRM)
-    assert all(word in said for word in ("FATAL", *words)), said
+    assert all(word in errors for word in ("FATAL", *words)), errors
 
 
 STOPPED = "held: an operator stopped it"
@@ -264,7 +264,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
     rig.start()
     rig.run()
-    file.unlink()  # it is made anew, beside
+    file.unlink()  # it is made again, beside
     os.mkfifo(pipe)
     began = time.monotonic()
     answer = rig.call(SetBool, "stop", data=True)
@@ -419,21 +419,21 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
     for wrong in ("2020-01-01T00:00", "tomorrow"):
-        code, said = command(rig, "pause", "--until", wrong)
-        assert (code, wrong[:4] in said) == (1 if wrong[0] == "2" else 2, True), said
+        code, output = command(rig, "pause", "--until", wrong)
+        assert (code, wrong[:4] in output) == (1 if wrong[0] == "2" else 2, True), output
     rig.until_state("running")
-    code, said = command(rig, "pause", "--until", f"{until:%Y-%m-%dT%H:%M:%S}")
-    assert (code, said) == (0, f"the pump is paused until {to_people(until)}\n")
+    code, output = command(rig, "pause", "--until", f"{until:%Y-%m-%dT%H:%M:%S}")
+    assert (code, output) == (0, f"the pump is paused until {to_people(until)}\n")
     rig.until_it_stands(4)
-    held = f"held: an operator paused it until {to_people(until)}"
-    assert rig.state == held
+    paused = f"held: an operator paused it until {to_people(until)}"
+    assert rig.state == paused
     rig.until_code("pump", "paused")
     node.kill()
     node.wait()
     rig.start()
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert rig.state.startswith(held)
+    assert rig.state.startswith(paused)
     # A release of a stop releases nothing else.
     assert rig.call(SetBool, "stop", data=False).success
     assert rig.tick(0.5) == 0.0
@@ -452,16 +452,16 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     rig.run()
     rig.until_it_stands(10, 0.0)
     before = sum(rig.flows)
-    code, said = command(rig, "dose", "--volume", "0.2")
-    assert (code, said.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
-    assert " of 0.2 m3 is accepted" in said and " a dose of " not in rig.state
+    code, output = command(rig, "dose", "--volume", "0.2")
+    assert (code, output.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
+    assert " of 0.2 m3 is accepted" in output and " a dose of " not in rig.state
     rig.until_it_stands(10, 0.0)
     assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
     assert any(state.startswith("running: a dose of 0.2 m3: ") for state in rig.states)
     assert not rig.code("dose")
 
-    code, said = command(rig, "dose", "--volume", "0.6")
-    assert (code, "at most 0.5 m3 (greatest_dose)" in said) == (1, True)
+    code, output = command(rig, "dose", "--volume", "0.6")
+    assert (code, "at most 0.5 m3 (greatest_dose)" in output) == (1, True)
     process = Process(rig.domain, "dose", "--volume", "0.5", cwd=rig.cwd)
     rig.tick_until(0.0, lambda: "a dose of 0.5 m3" in rig.state, LATE, "a dose")
     assert rig.call(SetBool, "stop", data=True).success
@@ -482,23 +482,24 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
     url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
     before = sum(rig.flows)
 
-    def answer(given: str, age: float = 0.0) -> dict[str, Any]:
+    def answer(bearer: str, age: float = 0.0) -> dict[str, Any]:
         request = Request(
             f"{url}dose", json.dumps({"volume": 0.2, "asked_at": time.time() - age}).encode(),
-            {"X-Greenroof": "1", "Authorization": f"Bearer {given}"},
+            {"X-Greenroof": "1", "Authorization": f"Bearer {bearer}"},
         )
         with ThreadPoolExecutor() as pool:
-            asked = pool.submit(urlopen, request, timeout=60)
-            rig.tick_until(0.0, asked.done, LATE, "an answer")
+            answering = pool.submit(urlopen, request, timeout=60)
+            rig.tick_until(0.0, answering.done, LATE, "an answer")
             try:
-                return json.load(asked.result())  # type: ignore[no-any-return]
+                return json.load(answering.result())  # type: ignore[no-any-return]
             except HTTPError as error:
                 return {"status": error.code}
 
     def is_given() -> bool:
-        said = answer(token)
-        assert said["ok"] or "no pump node" in said["sentence"], said  # the watcher heard none yet
-        return bool(said["ok"])
+        reply = answer(token)
+        # Else the watcher has not heard it yet.
+        assert reply["ok"] or "no pump node" in reply["sentence"], reply
+        return bool(reply["ok"])
 
     assert answer("wrong") == {"status": 401}
     wait_for(lambda: "no pump node" not in answer(token, 70.0)["sentence"], LATE, "its pump node")
@@ -515,9 +516,9 @@ def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
     rig.run()
     rig.until_it_stands(10, 0.0)
 
-    def ask(**given: float) -> Any:
+    def ask(**values: float) -> Any:
         parameters = [Parameter(name, value=value).to_parameter_msg()
-                      for name, value in given.items()]
+                      for name, value in values.items()]
         return rig.call(SetParametersAtomically, "dose", parameters=parameters).result
 
     now = time.time()
@@ -537,8 +538,8 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
         rig.until_code("pump", "no_run")
         run = rig.observer.publisher("/run")
         run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
-        _, said = node.communicate(timeout=60)
-    assert "the plant's speed = '10': is for the drive simulator" in said
+        _, errors = node.communicate(timeout=60)
+    assert "the plant's speed = '10': is for the drive simulator" in errors
     assert node.returncode == 2
     assert registers.written and (0, 0x047F) not in registers.written
     rig.observer.node.destroy_publisher(run)
@@ -593,26 +594,26 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
         live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
         command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
     )
-    given = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
+    inputs = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
 
-    def play(until: Callable[[], Any], what: str, command: float = 0.5) -> None:
-        rig.play({**given, "/pump/command": command}, until, what, LATE)
+    def play(until: Callable[[], Any], event: str, command: float = 0.5) -> None:
+        rig.play({**inputs, "/pump/command": command}, until, event, LATE)
 
     rig.join()
     play(lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
     (rig.cwd / "suspended").touch()
-    given["/cistern/level"] = 2.0
+    inputs["/cistern/level"] = 2.0
     play(lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)
     play(lambda: rig.says("delivery", OK) and rig.says("inputs", OK), "what is new", 0.0)
-    assert any("(command_limit)" in one for one in rig.states)
+    assert any("(command_limit)" in state for state in rig.states)
     began = time.monotonic()
     play(lambda: time.monotonic() > began + 3, "three seconds", 0.0)
     assert rig.state == "off: the command is 0"
-    assert not any(one.startswith("fault") for one in rig.states)
+    assert not any(state.startswith("fault") for state in rig.states)
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """The check plays all peers itself, so those of the test's own must not be there."""
+    """The check plays all peers itself, so the test's own must not be there."""
     rig.leave()
     rig.simulate("--speed", "20")
     node = rig.start()

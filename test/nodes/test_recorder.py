@@ -52,7 +52,7 @@ def test_killed_recorder_costs_at_most_32_ticks(
 ) -> None:
     """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-    stamps = observer.hear("/clock", lambda one: one.clock.sec)
+    stamps = observer.hear("/clock", lambda message: message.clock.sec)
     process.wait_for_ticks(size=20_000)
     observer.until(lambda: stamps, 60, "the clock")
     os.kill(process.nodes()["recorder"], signal.SIGKILL)
@@ -95,9 +95,9 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         )
         assert reason is not None, summary["reason"]
         assert summary["reason"] in process.stderr()
-        there = recover(disk / "run")
-        assert there.returncode == 2
-        assert "bag-recovered: cannot be written: No space left on device" in there.stderr
+        recovered = recover(disk / "run")
+        assert recovered.returncode == 2
+        assert "bag-recovered: cannot be written: No space left on device" in recovered.stderr
         assert not (disk / "run" / "bag-recovered").exists()
         done = recover(disk / "run", "--output", str(tmp_path / "rescued"))
         assert done.returncode == 0, done.stderr

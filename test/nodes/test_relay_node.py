@@ -27,8 +27,8 @@ SLACK_S = 2.0
 
 @pytest.fixture
 def broker(observer: Observer) -> Iterator[Mosquitto]:
-    with mosquitto(observer.cwd) as made:
-        yield made
+    with mosquitto(observer.cwd) as broker:
+        yield broker
 
 
 class RelayRig(PumpRig):

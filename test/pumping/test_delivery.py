@@ -36,16 +36,16 @@ def steps_to_fault(
     check.step(1.0, 2.0, 0.01, 0.0, 0.0)
     for k in range(1, 301):
         roof = 0.01 + rise * k + wobble * (k % 2)
-        found = check.step(1.0, 2.0 - fall * k, roof, pumped, pumped)
-        if found:
-            return k, found
+        problem = check.step(1.0, 2.0 - fall * k, roof, pumped, pumped)
+        if problem:
+            return k, problem
     return 301, ""
 
 
 def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
     """Run until there is a fault, and return how long that took (s); infinite if none came."""
     begun = rig.now
-    decision = rig.run(seconds, command, until=lambda one: one.state == "fault")
+    decision = rig.run(seconds, command, until=lambda decision: decision.state == "fault")
     return rig.now - begun if decision.state == "fault" else math.inf
 
 
@@ -58,7 +58,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 @pytest.mark.parametrize(
     ("site", "averaging", "moves", "steps", "words"),
     [
-        # A pump with 0.01 m3/s and a roof that does not rise, of which the reading moves by 1 um:
+        # A pump with 0.01 m3/s and a roof that does not rise, whose reading moves by 1 um:
         # 0.005 t > 0.4128 + 68.8 2.7778e-7 t after 82.88 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
          "perhaps a burst pipe or a leak behind the pump"),
@@ -92,8 +92,8 @@ def test_thresholds_by_hand(
     site: Site, averaging: float, moves: dict[str, float], steps: int, words: str
 ) -> None:
     """6 mm on 68.8 m2 are 0.4128 m3, on 25 m2 0.15 m3; 1 mm/h is allowed."""
-    found_after, found = steps_to_fault(site, averaging, **moves)
-    assert (found_after, found.endswith(words)) == (steps, True)
+    steps_taken, problem = steps_to_fault(site, averaging, **moves)
+    assert (steps_taken, problem.endswith(words)) == (steps, True)
 
 
 def test_a_leak_is_seen_when_the_low_outlet_takes_less() -> None:
@@ -144,13 +144,13 @@ WELL: list[Any] = [
 ]
 
 
-@pytest.mark.parametrize(("made", "changed", "scenes", "least"), WELL)
+@pytest.mark.parametrize(("settings", "changed", "scenes", "least"), WELL)
 def test_what_goes_well_is_no_alarm(
-    made: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
+    settings: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
     least: dict[str, float],
 ) -> None:
     """Scenes: seconds, command, rain and evapotranspiration (mm/h), and a level that is unknown."""
-    rig = Rig(**({"noise": NOISE} | made))
+    rig = Rig(**({"noise": NOISE} | settings))
     for name, value in changed.items():
         setattr(rig, name, value)
     for scene in scenes:
@@ -178,7 +178,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
         rig.step(0.00182, evapotranspiration=0.8e-3 / 3600 * 68.8)
     assert rig.delivered > 2 * 0.006 * 68.8
     assert len(readings) < 5
-    assert not any(one.state in ("fault", "held") for one in rig.decisions)
+    assert not any(decision.state in ("fault", "held") for decision in rig.decisions)
 
 
 BURST = "perhaps a burst pipe or a leak behind the pump"
@@ -190,7 +190,7 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 
 
 @pytest.mark.parametrize(
-    ("made", "before", "broken", "command", "within", "cause"),
+    ("settings", "before", "broken", "command", "within", "cause"),
     [
         # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that may be
         # evapotranspiration: a hundredth of the flow needs 18,400 s. Then the mean lags 60 s, and
@@ -207,17 +207,17 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
         # Between pulses; the readings are noisy, and the guess may be another.
         (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
-        # A low outlet takes less than the pump's 0.0084 m3/s, and is not taken for a burst pipe.
+        # A low outlet takes less than the pump's 0.0084 m3/s, and does not count as a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
         (DRAINED, 0.0, {"arriving": 0.0, "leaving": 0.0}, 1.0, 200, CLOSED),
     ],
 )
 def test_what_breaks_is_found(
-    made: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
+    settings: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
     cause: str,
 ) -> None:
     """After ten minutes that went well; the pump is off then."""
-    rig = Rig(**({"noise": NOISE} | made))
+    rig = Rig(**({"noise": NOISE} | settings))
     rig.run(600, before)
     assert rig.decisions[-1].state != "fault"
     for name, value in broken.items():
@@ -236,8 +236,8 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
     rig.run(200, 0.0)
     rig.run(3, 1.0)
-    lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-    rig.change, rig.stuck_speed = lost, 1.0
+    drive_lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
+    rig.change, rig.stuck_speed = drive_lost, 1.0
     rig.run(10, 1.0)
     rig.stuck_speed = None
     rig.run(120, 1.0)
@@ -246,7 +246,7 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     assert rig.run(60, 1.0).state == "running"
     rig = Rig(x2=0.5)
     rig.run(200, 0.0)
-    rig.change, rig.stuck_speed = lost, 1.0
+    rig.change, rig.stuck_speed = drive_lost, 1.0
     assert time_to_fault(rig, 300, 0.0) <= 90
     assert "(a stuck contactor)" in rig.decisions[-1].why
 
@@ -266,7 +266,7 @@ def test_a_repaired_pipe() -> None:
 
 
 @pytest.mark.parametrize(
-    ("site", "leak", "after", "left", "found"),
+    ("site", "leak", "after", "level", "detected"),
     [
         # Of 25 m2 8 mm may be lost in eight hours, and 6 mm more: together 0.35 m3.
         (PAPER_SITE, 0.25 / 28800, 0.0, 69.75, False), (PAPER_SITE, 0.6 / 28800, 0.0, 69.4, True),
@@ -275,17 +275,17 @@ def test_a_repaired_pipe() -> None:
     ],
 )
 def test_a_suspend_hides_no_leak(
-    site: Site, leak: float, after: float, left: float, found: bool
+    site: Site, leak: float, after: float, level: float, detected: bool
 ) -> None:
     """Of eight hours."""
     rig = Rig(x2=1.0, site=site, **SLOW)
     rig.run(200, 0.0)
     rig.leak = leak
     rig.suspend(8 * 3600)
-    assert rig.plant.x1 == pytest.approx(left, abs=0.1)
+    assert rig.plant.x1 == pytest.approx(level, abs=0.1)
     rig.leak = after
-    assert (time_to_fault(rig, 1800, 0.0) < math.inf) == found
-    assert not found or "perhaps a leak" in rig.decisions[-1].why
+    assert (time_to_fault(rig, 1800, 0.0) < math.inf) == detected
+    assert not detected or "perhaps a leak" in rig.decisions[-1].why
 
 
 def test_jumps_of_a_sensor_are_no_water() -> None:
@@ -387,24 +387,24 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
 def test_a_soil_that_drains_is_no_burst_pipe() -> None:
     """8 cm leave it in six hours; it dries at 0.9 mm/h, and 2 m3 that are pumped all arrive."""
     check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
-    roof, found = 0.15, []
+    roof, problems = 0.15, []
     for change in [0.08 / 360] * 360 + [0.9e-3 / 60] * 45 * 60:
         roof -= change
-        found.append(check.step(60.0, 2.0, roof, 0.0, 0.0))
+        problems.append(check.step(60.0, 2.0, roof, 0.0, 0.0))
     for k in range(20):
         roof += 0.1 / PAPER_SITE.a2
-        found.append(check.step(60.0, 2.0 - 0.1 * k / 25, roof, 0.1, 0.1))
-    assert not any(found)
+        problems.append(check.step(60.0, 2.0 - 0.1 * k / 25, roof, 0.1, 0.1))
+    assert not any(problems)
     assert 0.03 < roof < PAPER_SITE.z_veg + 0.02
 
 
 def test_the_first_readings_are_no_alarm() -> None:
     """They may be two standard deviations off; thirty starts of the check."""
     errors = NOISE * np.random.default_rng(3).standard_normal((30, 120, 2))
-    for one in errors:
+    for walk in errors:
         check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
         assert not any(
-            check.step(1.0, 2.0 + cistern, 0.03 + roof, 0.0, 0.0) for cistern, roof in one
+            check.step(1.0, 2.0 + cistern, 0.03 + roof, 0.0, 0.0) for cistern, roof in walk
         )
 
 
@@ -423,5 +423,5 @@ def test_a_month_is_no_alarm() -> None:
         pumped = 0.1 if roof < 0.03 else 0.0
         cistern = min(3.0, cistern - pumped / 25 + 5 * rain[k])
         roof += pumped / 68.8 + rain[k] - evapotranspiration[k]
-        found = delivery.step(60.0, cistern + errors[k, 0], roof + errors[k, 1], pumped, pumped)
-        assert found == ""
+        problem = delivery.step(60.0, cistern + errors[k, 0], roof + errors[k, 1], pumped, pumped)
+        assert problem == ""

@@ -42,9 +42,9 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
     """By the plant's own balance, within 3 % and what flows in a tick at the least flow."""
     before = rig.plant.x2
     assert ask(rig, volume) == ""
-    decision = rig.run(600, 0.0, until=lambda one: one.state == "running")
+    decision = rig.run(600, 0.0, until=lambda decision: decision.state == "running")
     assert decision.why.startswith(f"a dose of {volume:g} m3: ")
-    rig.run(600, 0.0, until=lambda one: end(rig)[0] != "")
+    rig.run(600, 0.0, until=lambda decision: end(rig)[0] != "")
     assert end(rig) == ("done", "")
     rig.run(100, 0.0)
     least_flow = 0.2 * rig.plant_flow(1.0)
@@ -55,7 +55,10 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
 
 def test_the_controller_commands_on_after_it(rig: Rig) -> None:
     assert ask(rig) == ""
-    rig.run(200, 0.5, until=lambda one: "dose" not in one.why and one.speed is not None)
+    rig.run(
+        200, 0.5,
+        until=lambda decision: "dose" not in decision.why and decision.speed is not None,
+    )
     assert rig.run(20, 0.5).why == "as commanded"
 
 
@@ -141,7 +144,7 @@ def test_any_interlock_ends_it_for_good(rig: Rig, change: dict[str, object], cau
     assert rig.step(0.0).speed is None
     rig.change = {}
     assert end(rig) == ("interlock", cause)
-    assert rig.run(120, 0.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(120, 0.0, until=lambda decision: decision.speed is not None).speed is None
 
 
 def test_a_stop_a_pause_and_a_suspend_end_it_for_good(rig: Rig) -> None:
@@ -161,13 +164,13 @@ def test_a_stop_a_pause_and_a_suspend_end_it_for_good(rig: Rig) -> None:
         rig.step(0.0)
         assert end(rig) == expected
         undo()
-        assert rig.run(60, 0.0, until=lambda one: one.speed is not None).speed is None
+        assert rig.run(60, 0.0, until=lambda decision: decision.speed is not None).speed is None
 
 
 def test_it_ends_at_the_roofs_target() -> None:
     rig = ready(Rig(x2=SITE.x2_star - 0.1, site=SITE))
     assert ask(rig, 0.5) == ""
-    rig.run(200, 0.0, until=lambda one: "dose" not in one.why)
+    rig.run(200, 0.0, until=lambda decision: "dose" not in decision.why)
     assert end(rig)[0] == "full"
     assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump delivers on its way to rest
     assert "the roof is at its target" in rig.control.no_dose
@@ -178,11 +181,11 @@ def test_the_limits_of_a_day_and_of_a_run_end_it() -> None:
     """The controller's 0 does not end the rest of a pump that ran for too long in a dose."""
     day = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_volume_per_day=0.3)))
     assert ask(day, 0.5) == ""
-    day.run(300, 0.0, until=lambda one: bool(one.interlocks))
+    day.run(300, 0.0, until=lambda decision: bool(decision.interlocks))
     assert end(day) == ("interlock", "daily_volume")
     run = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_run=20.0)))
     assert ask(run, 0.5) == ""
-    run.run(40, 0.0, until=lambda one: bool(one.interlocks))
+    run.run(40, 0.0, until=lambda decision: bool(decision.interlocks))
     assert end(run) == ("interlock", "longest_run")
 
 
@@ -190,5 +193,5 @@ def test_a_closed_valve_is_no_endless_dose(rig: Rig) -> None:
     """A meter that reads nothing does not count: the flow that the speed should deliver does."""
     rig.change, rig.arriving, rig.leaving = {"flow": 0.0}, 0.0, 0.0
     assert ask(rig) == ""
-    rig.run(120, 0.0, until=lambda one: "dose" not in one.why and one.speed is None)
+    rig.run(120, 0.0, until=lambda decision: "dose" not in decision.why and decision.speed is None)
     assert end(rig)[0] == "done"

@@ -135,8 +135,8 @@ def test_jump() -> None:
     rules = InputRules(0.0, 60.0, 0.0, level=level_rule())
     assert rules_of({0.0: 1.5, 10.0: 1.531, 11.0: 1.531}, rules) == ["", "jump", ""]
     rules = InputRules(0.0, 60.0, 0.0, level=level_rule())
-    found = rules_of({step * 0.01: 1.0 + step * 0.001 for step in range(40)}, rules)
-    assert found.index("jump") <= 23
+    rules_hit = rules_of({step * 0.01: 1.0 + step * 0.001 for step in range(40)}, rules)
+    assert rules_hit.index("jump") <= 23
     level = level_rule()
     level.came(0.0, 0.5)
     assert level.came(10.0, 0.459).why == (
@@ -242,14 +242,14 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
         PAPER_SITE, a_in=50.0, runoff_coefficient=0.8,
         low_outlet_level=1.0, low_outlet_radius=0.025,
     )
-    taken = 0.61 * math.pi * 0.025**2 * math.sqrt(2 * 9.81)
+    outflow = 0.61 * math.pi * 0.025**2 * math.sqrt(2 * 9.81)
     for flow, rain, level, rise in (
-        (0.0, 4e-4, 1.0, 0.016 / 25), (0.0, 4e-4, 2.0, (0.016 - 1.5 * taken) / 25),
+        (0.0, 4e-4, 1.0, 0.016 / 25), (0.0, 4e-4, 2.0, (0.016 - 1.5 * outflow) / 25),
         (0.0, 1e-4, 2.0, 0.0), (0.005, 0.0, 2.0, -0.2e-3),
     ):
-        found = expected_rise(site, flow, rain, level, 0.03)[0]
-        assert found == pytest.approx(rise, rel=1e-12), (flow, rain, level)
+        computed = expected_rise(site, flow, rain, level, 0.03)[0]
+        assert computed == pytest.approx(rise, rel=1e-12), (flow, rain, level)
     without = cistern_reach(PAPER_SITE).fall(2.0)
-    assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * taken / 25, rel=1e-9)
+    assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)
     # A cloudburst runs off to the last drop: 500 mm/h on 50 m2.
     assert cistern_reach(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)

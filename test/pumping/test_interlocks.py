@@ -81,7 +81,7 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     rig.ledger.record = replace(rig.ledger.record, **record)
     for name, value in broken.items():
         setattr(rig, name, value)
-    decision = rig.run(600, command, until=lambda one: bool(one.interlocks))
+    decision = rig.run(600, command, until=lambda decision: bool(decision.interlocks))
     assert (codes(decision), decision.speed) == ([code], None)
     kind = INTERLOCKS[code].kind
     assert decision.state in {
@@ -164,20 +164,20 @@ def test_the_table_is_whole() -> None:
     with pytest.raises(KeyError):
         evaluate({"operator_stops": "x"})
     rows = INTERLOCKS.values()
-    kinds = [one.kind for one in rows]
+    kinds = [row.kind for row in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
     assert list(read_conditions())[:len(rows)] == list(INTERLOCKS)
     for code, row in INTERLOCKS.items():
         folder = "" if "/" in row.source else "pumping"
         assert f'"{code}"' in (PACKAGE / folder / f"{row.source}.py").read_text(), code
-    settings = {one.name for one in pump_parameters(PAPER_SITE)}
+    settings = {parameter.name for parameter in pump_parameters(PAPER_SITE)}
     of_nodes = {
         "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
         "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
         "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
         "jump_tolerance", "pause_until",
     }
-    named = {name for one in rows for name in one.limit.split(", ") if name}
+    named = {name for row in rows for name in row.limit.split(", ") if name}
     assert named <= settings | of_nodes
 
 
@@ -201,17 +201,17 @@ def test_the_page_releases_what_it_stopped_and_nothing_else() -> None:
 def test_the_page_starts_no_pump_sooner_than_it_may() -> None:
     """Not within 120 s, by a release and by clearing a fault."""
     rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
-    assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None
+    assert rig.run(200, 1.0, until=lambda decision: decision.state == "running").speed is not None
     rig.control.stop_on_page(True)
     rig.ledger.fault("it turns at another speed", "speed_not_followed")
     assert rig.run(5, 1.0).speed is None
     rig.control.stop_on_page(False)
     rig.control.clear_on_page()
-    assert rig.run(114, 1.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(114, 1.0, until=lambda decision: decision.speed is not None).speed is None
     assert rig.run(5, 1.0).speed is not None
 
 
-@pytest.mark.parametrize("code", [code for code, one in INTERLOCKS.items() if one.kind == LATCHED])
+@pytest.mark.parametrize("code", [code for code, row in INTERLOCKS.items() if row.kind == LATCHED])
 def test_a_fault_is_cleared_once_in_a_day_and_some_never(code: str) -> None:
     """All but a speed that was not followed need somebody who has looked."""
     rig = Rig(x2=0.5)
@@ -246,11 +246,11 @@ def texts_in(tree: ast.AST) -> set[str]:
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     """Code and cause follow the problem in each call of ``diagnose`` and ``say``."""
     positions = {"diagnose": slice(3, 5), "say": slice(3, 6)}
-    said, reported = set[str](), set[str]()
+    texts, reported = set[str](), set[str]()
     for room in ("graph", "nodes", "bringup", "watch", "pumping", "drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
-            said |= texts_in(tree)
+            texts |= texts_in(tree)
             for call in ast.walk(tree):
                 if isinstance(call, ast.Call) and room not in ("watch", "pumping", "drives"):
                     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
@@ -258,11 +258,11 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
                         reported |= texts_in(argument)
     # One for each way in which a node says so.
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
-    of_inputs = {text for text in said if text.startswith("input_") and text.isidentifier()}
+    of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
     codes = read_conditions().keys()
     assert (reported - {""}) | of_inputs <= codes
-    assert codes - INTERLOCKS.keys() <= said
+    assert codes - INTERLOCKS.keys() <= texts
 
 
 # --- when it may run ------------------------------------------------------------------------------
@@ -302,7 +302,8 @@ def test_what_the_page_may_clear_hides_nothing_that_it_may_not(
     """The worse fault is kept in place of the first, also when it has gone; the first comes not."""
     rig = Rig(x2=0.5)
     rig.stuck_speed = 0.05
-    assert codes(rig.run(60, 0.5, until=lambda one: bool(one.interlocks))) == ["speed_not_followed"]
+    decision = rig.run(60, 0.5, until=lambda decision: bool(decision.interlocks))
+    assert codes(decision) == ["speed_not_followed"]
     assert rig.control.page_may_not_clear == ""
     rig.stuck_speed, rig.change = 0.0, change
     rig.step(0.5)
@@ -327,9 +328,9 @@ def test_a_delivery_fault_is_seen_behind_a_speed_that_does_not_follow() -> None:
 
 def test_the_end_of_a_pause_starts_no_pump_sooner_than_it_may() -> None:
     rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
-    assert rig.run(200, 1.0, until=lambda one: one.state == "running").speed is not None
+    assert rig.run(200, 1.0, until=lambda decision: decision.state == "running").speed is not None
     rig.control.pause(time.time() + 3600)
     assert codes(rig.run(5, 1.0)) == ["paused"]
     rig.control.pause(0.0)
-    assert rig.run(114, 1.0, until=lambda one: one.speed is not None).speed is None
+    assert rig.run(114, 1.0, until=lambda decision: decision.speed is not None).speed is None
     assert rig.run(5, 1.0).speed is not None

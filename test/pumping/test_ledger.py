@@ -46,10 +46,10 @@ def written(file: Path) -> dict[str, Any]:
     def newest() -> dict[str, Any]:
         try:
             lines = file.read_text().splitlines()
-            found = [json.loads(line.split(maxsplit=1)[1]) for line in lines]
+            records = [json.loads(line.split(maxsplit=1)[1]) for line in lines]
         except (FileNotFoundError, ValueError):  # it is just being written
             return {}
-        return max(found, key=lambda line: int(line["sequence"]))
+        return max(records, key=lambda line: int(line["sequence"]))
 
     return wait_for(newest, 20, "the file")  # type: ignore[no-any-return]
 
@@ -60,7 +60,7 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
 
 
 @pytest.mark.parametrize(
-    ("text", "kept"),
+    ("text", "expected"),
     [
         ('"\\\x00' * 10_000, '"\\ ' * 116 + '"\\'),
         ("\ud800" + "\U0001f4a7" * 400, " " + "\U0001f4a7" * 87),
@@ -68,7 +68,7 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
     ids=["escaped", "wide"],
 )
 def test_a_missing_file_is_a_fresh_record_and_is_made(
-    text: str, kept: str, tmp_path: Path, clock: Clock
+    text: str, expected: str, tmp_path: Path, clock: Clock
 ) -> None:
     """With its directories, at the size that it keeps; nothing but the lock is left beside.
 
@@ -88,15 +88,15 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     ledger.stop_on_page(True)
     assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
-    assert (again.fault, again.operator_stop, again.page_stop) == (kept, kept, True)
+    assert (again.fault, again.operator_stop, again.page_stop) == (expected, expected, True)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
-    assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
+    assert {path.name for path in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
 
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
-    """It is told who has the file; when that one is gone it takes over what that one wrote.
+    """It hears who has the file; when that ledger is gone it takes over what was written.
 
-    What it was told meanwhile counts, but not a release.
+    A stop that came meanwhile counts, but not a release.
     """
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
@@ -111,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} has it already; end that one"
+        f"{file} cannot be written: process {os.getpid()} has it already; end that process"
     )
     assert "--state, state_file" in problem
     second.stop("")
@@ -228,7 +228,7 @@ def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> N
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
 def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
-    """Until somebody releases it, who is told to look at it first; then all is well."""
+    """Until somebody releases it, who has to look at it first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
     rig = Rig(file=file)
@@ -347,12 +347,12 @@ def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
     clock.now += 1
     assert not ledger.paused
     # Of a second one, which has the file later, its own pause counts.
-    other = Ledger(file, clock)
-    other.pause(clock.now + 60)
+    later = Ledger(file, clock)
+    later.pause(clock.now + 60)
     assert ledger.close() == ""
-    assert other.take() and other.paused
-    other.pause(0.0)
-    assert other.close() == ""
+    assert later.take() and later.paused
+    later.pause(0.0)
+    assert later.close() == ""
     assert written(file)["pause_until"] == 0.0
 
 

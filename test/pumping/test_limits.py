@@ -27,12 +27,12 @@ def test_defaults_by_hand() -> None:
     At the suction level the maximum flow is b sqrt(0.75 + 55.2 - 16) = 0.00819436 m3/s; a fifth of
     it delivers 5.748 m3 in 3507 s and 3.14416 m3 in 1918 s.
     """
-    found = settings_for(PAPER_SITE)
-    assert found.greatest_volume_per_day == pytest.approx(5.748, abs=5e-4)
-    assert found.greatest_run_per_day == pytest.approx(3507, abs=1)
-    assert found.greatest_run == pytest.approx(1918, abs=1)
-    assert found.starts_per_hour == PAPER_SITE.starts_per_hour
-    assert found.drive_ramp == LONGEST_RAMP_S
+    settings = settings_for(PAPER_SITE)
+    assert settings.greatest_volume_per_day == pytest.approx(5.748, abs=5e-4)
+    assert settings.greatest_run_per_day == pytest.approx(3507, abs=1)
+    assert settings.greatest_run == pytest.approx(1918, abs=1)
+    assert settings.starts_per_hour == PAPER_SITE.starts_per_hour
+    assert settings.drive_ramp == LONGEST_RAMP_S
 
 
 def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
@@ -45,9 +45,9 @@ def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
     roof = replace(
         roof, z_cap=6.0, field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5
     )
-    found = settings_for(roof)
-    assert found.greatest_volume_per_day == pytest.approx(94.256, abs=2e-3)
-    assert found.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
+    settings = settings_for(roof)
+    assert settings.greatest_volume_per_day == pytest.approx(94.256, abs=2e-3)
+    assert settings.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
 def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
@@ -60,8 +60,8 @@ def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
 def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: int) -> None:
     """Whoever wants to start when: never more, and no start waits longer than for that."""
     ledger = Ledger(None, lambda: 0.0)
-    given = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
-    limits = Limits(PAPER_SITE, given, ledger)
+    settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
+    limits = Limits(PAPER_SITE, settings, ledger)
     starts: list[float] = []
     for passed in times:
         ledger.count(passed, 0.0, 0.0)
@@ -114,20 +114,20 @@ def test_volume_per_day() -> None:
 def test_a_run_without_a_break() -> None:
     """100 s at length, then 100 s of rest; or less, once the command was 0."""
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=99.5))
-    rig.run(200, 0.3, until=lambda one: one.state == "held")
+    rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
         "it ran for 100 s without a break; it rests until the command is 0, or for 100 s"
     )
     begun = rig.now
-    rig.run(200, 0.3, until=lambda one: one.speed is not None)
+    rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
     assert 95 <= rig.now - begun <= 110
-    rig.run(200, 0.3, until=lambda one: one.state == "held")
+    rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     # A command that is missing or refused does not end it.
     for command in (None, math.nan, 0.3):
         assert rig.step(command).state == "held"
     begun = rig.now
     rig.step(0.0)
-    rig.run(200, 0.3, until=lambda one: one.speed is not None)
+    rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
     assert rig.now - begun <= 12
 
 
@@ -190,9 +190,9 @@ def test_never_runs_while_anything_speaks_against_it(
 # --- pulses ---------------------------------------------------------------------------------------
 
 
-def pulses(**given: float) -> Pulses:
+def pulses(**changes: float) -> Pulses:
     """Return pulses of the paper's site."""
-    return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **given))
+    return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
 def test_least_share_and_pulse_by_hand() -> None:
@@ -212,14 +212,14 @@ def test_pulses_by_hand() -> None:
     It begins with 2 - 10 0.013 = 1.87 s outstanding: after 144 s with 1.872. A second of it takes
     0.187: after 10 0.002 are outstanding, after 11 -0.185, and 159 later, again, 1.882.
     """
-    one = pulses()
+    pulse = pulses()
     on, began, ended = False, [], []
     for second in range(400):
-        share = one.ask(0.013, 3.0, on, 1e9)
+        share = pulse.ask(0.013, 3.0, on, 1e9)
         if (share > 0) != on:
             (began if share else ended).append(second)
         on = share > 0
-        one.account(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
+        pulse.account(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
     assert began == [144, 144 + 11 + 159]
     assert ended == [144 + 11, 144 + 11 + 159 + 11]
 
@@ -229,22 +229,22 @@ def test_the_outstanding_volume_is_limited() -> None:
 
     Without a command it waits for the next one above 0.
     """
-    one = pulses()
+    pulse = pulses()
     for _ in range(100):
-        assert one.ask(0.1, 3.0, False, 0.0) == 0
-        one.account(0.0, 1.0)
-    assert one.outstanding == pytest.approx(100 * 0.1 * 0.00842205, rel=1e-5)
-    assert one.ask(0.0, 3.0, False, 1e9) == 0
-    assert one.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
-    one.ask(0.19, 3.0, False, 0.0)
-    one.account(0.0, 3600.0)
-    assert one.outstanding == pytest.approx(180 * 0.2 * 0.00842205, rel=1e-5)
-    one.ask(0.5, 3.0, True, 0.0)
-    assert one.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
-    one.clear()
-    assert one.outstanding == 0
-    one.account(0.0, 3600.0)
-    assert one.outstanding == 0
+        assert pulse.ask(0.1, 3.0, False, 0.0) == 0
+        pulse.account(0.0, 1.0)
+    assert pulse.outstanding == pytest.approx(100 * 0.1 * 0.00842205, rel=1e-5)
+    assert pulse.ask(0.0, 3.0, False, 1e9) == 0
+    assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
+    pulse.ask(0.19, 3.0, False, 0.0)
+    pulse.account(0.0, 3600.0)
+    assert pulse.outstanding == pytest.approx(180 * 0.2 * 0.00842205, rel=1e-5)
+    pulse.ask(0.5, 3.0, True, 0.0)
+    assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
+    pulse.clear()
+    assert pulse.outstanding == 0
+    pulse.account(0.0, 3600.0)
+    assert pulse.outstanding == 0
 
 
 @given(share=st.floats(0, 1) | st.just(1.0), level=st.floats(0.75, 15))
@@ -257,11 +257,11 @@ def test_speeds_are_the_drives(share: float, level: float) -> None:
 
 def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
     """A least pulse in a minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
-    one = pulses()
-    one.ask(0.5, 3.0, True, 0.0)
-    one.account(0.0, 60.0)
-    assert one.ask(0.5, 3.0, True, 60.0) == pytest.approx(0.5 + 1 / 30)
-    assert one.ask(0.99, 3.0, True, 60.0) == 1
+    pulse = pulses()
+    pulse.ask(0.5, 3.0, True, 0.0)
+    pulse.account(0.0, 60.0)
+    assert pulse.ask(0.5, 3.0, True, 60.0) == pytest.approx(0.5 + 1 / 30)
+    assert pulse.ask(0.99, 3.0, True, 60.0) == 1
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])
@@ -277,8 +277,8 @@ def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
             # What was asked for in this tick is delivered in the next.
             assert -0.1 * LEAST_PULSE <= commanded - rig.delivered <= LEAST_PULSE
             commanded += rig.tau * pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
-    assert not any(one.warning for one in rig.decisions)
-    assert max(one.flow for one in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
+    assert not any(decision.warning for decision in rig.decisions)
+    assert max(decision.flow for decision in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
 
 
 def test_too_many_starts_are_said() -> None:
@@ -290,6 +290,6 @@ def test_too_many_starts_are_said() -> None:
         for before, now in zip(rig.decisions, rig.decisions[1:], strict=False)
     )
     assert starts <= 4
-    said = [one.warning for one in rig.decisions if one.warning]
-    assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in said[-1]
+    texts = [decision.warning for decision in rig.decisions if decision.warning]
+    assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in texts[-1]
     assert rig.delivered == pytest.approx(600 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)

@@ -26,15 +26,16 @@ def test_states_of_a_run_by_hand() -> None:
     """
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, ramp=0.1))
     rig.run(14, 0.5)
-    assert [one.state for one in rig.decisions] == ["off"] * 10 + ["starting"] * 3 + ["running"]
-    speeds = [one.speed for one in rig.decisions[10:12]]
+    states = [decision.state for decision in rig.decisions]
+    assert states == ["off"] * 10 + ["starting"] * 3 + ["running"]
+    speeds = [decision.speed for decision in rig.decisions[10:12]]
     assert speeds == pytest.approx([0.519197, 0.619197], abs=5e-7)
     assert rig.decisions[13].why == "as commanded"
     rig.run(240, 0.5)
     # What the start left owing is made up for.
     assert rig.decisions[-1].speed == pytest.approx(0.6552, abs=0.01)
     rig.run(7, 0.0)
-    assert [one.state for one in rig.decisions[-7:]] == ["stopping"] * 4 + ["off"] * 3
+    assert [decision.state for decision in rig.decisions[-7:]] == ["stopping"] * 4 + ["off"] * 3
     assert rig.decisions[-1].why == "the command is 0"
 
 
@@ -42,7 +43,7 @@ def test_a_pulse_in_words() -> None:
     """Of a command of a hundredth; at its target, Eq. (3a), the roof wants nothing."""
     rig = Rig()
     rig.run(400, 0.01)
-    assert {(one.state, one.why) for one in rig.decisions} == {
+    assert {(decision.state, decision.why) for decision in rig.decisions} == {
         ("off", "the next pulse is not due yet"),
         ("starting", "a pulse, since the command is below the least flow"),
         ("running", "a pulse, since the command is below the least flow"),
@@ -58,7 +59,7 @@ def test_least_times() -> None:
     rig = Rig()
     for seconds, command in ((11, 1.0), (43, 0.0), (3, 1.0), (30, 0.0), (15, 1.0)):
         rig.run(seconds, command)
-    on = [one.speed is not None for one in rig.decisions]
+    on = [decision.speed is not None for decision in rig.decisions]
     assert [k for k in range(1, len(on)) if on[k] != on[k - 1]] == [10, 20, 54, 64, 87]
     assert rig.decisions[5].why == "it may start in 5 s: it stays off for at least 10 s"
     assert rig.decisions[13].why == "it stays on for at least 10 s"
@@ -113,8 +114,8 @@ def test_what_is_not_known_is_said_so() -> None:
     rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
     rig.run(14, 0.5)
     assert {
-        (one.state, one.flow, one.flow_known, one.turns_at, one.stands)
-        for one in rig.decisions[-14:]
+        (decision.state, decision.flow, decision.flow_known, decision.turns_at, decision.stands)
+        for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
     assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
     decision = rig.run(3, 0.5)
@@ -172,7 +173,7 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     rig.run(15, command)
     rig.stuck_speed = stuck
     begun = rig.now
-    decision = rig.run(60, command, until=lambda one: one.state == "fault")
+    decision = rig.run(60, command, until=lambda decision: decision.state == "fault")
     assert decision.state == "fault"
     assert decision.speed is None
     assert decision.why.startswith(f"the speed does not follow: {why}")
@@ -204,8 +205,8 @@ def test_a_ramp_that_is_allowed_is_no_fault(
     for seconds, command, stuck in scenes:
         rig.stuck_speed, rig.change = stuck, dict(LOST) if stuck else {}
         rig.run(seconds, command)
-    assert max(one.speed or 0.0 for one in rig.decisions) == pytest.approx(1.0)
-    assert not [one for one in rig.decisions if one.state == "fault"]
+    assert max(decision.speed or 0.0 for decision in rig.decisions) == pytest.approx(1.0)
+    assert not [decision for decision in rig.decisions if decision.state == "fault"]
     assert rig.decisions[-1].stands
 
 
@@ -228,15 +229,15 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
         on_for = on_for + 1 if decision.speed is not None else 0
         if decision.state == "fault":
             break
-    assert all(next_one - one >= 60 for one, next_one in itertools.pairwise(begun))
-    assert {one.state for one in rig.decisions if one.interlocks} == states
+    assert all(next_start - start >= 60 for start, next_start in itertools.pairwise(begun))
+    assert {decision.state for decision in rig.decisions if decision.interlocks} == states
     if "fault" in states:
         assert decision.why.startswith(f"it was started 3 times, and each time {failed}")
         assert list(decision.interlocks) == ["speed_not_followed", "start_failed"]
         assert len(begun) == 3
         assert rig.control.reset()
         rig.change = {}
-        assert rig.run(70, 0.5, until=lambda one: one.speed is not None).speed
+        assert rig.run(70, 0.5, until=lambda decision: decision.speed is not None).speed
     else:
         assert len(begun) > 6
 
@@ -267,14 +268,14 @@ def test_a_drive_has_its_own_time() -> None:
     3 s of that are its ramp's. By then 900 s have been simulated.
     """
     control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
-    seen = Observation(
+    observed = Observation(
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.05, flow=0.0,
         drive_flow=None, drive_ready=True, drive_fault="",
     )
-    states = [control.step(1.0, seen, 1 / 60).state for _ in range(1000)]
+    states = [control.step(1.0, observed, 1 / 60).state for _ in range(1000)]
     first = states.index("fault")
-    asked = states.index("starting")
-    assert 900 <= first - asked <= 902
+    at_start = states.index("starting")
+    assert 900 <= first - at_start <= 902
 
 
 @pytest.mark.parametrize(
@@ -317,7 +318,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.run(15, 0.5)
     rig.change = {"flow": 1e-4}
     rig.run(8, None)
-    assert [one.flow for one in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
+    assert [decision.flow for decision in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
     rig.change = {"speed": -0.019}
     assert rig.run(9, 0.0).source == "the pump stands"
     rig.change = {}
@@ -392,23 +393,23 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     """
     flow = 1.29646769e-3 * math.sqrt(2.8 + 55.2 - 13.0)
     rig = Rig(x1=70.0)
-    lost = LOST | {"cistern_level": 2.8}
+    no_drive = LOST | {"cistern_level": 2.8}
     rig.step(0.0)
-    rig.change = lost
+    rig.change = no_drive
     rig.run(60, 1.0)
     assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
     rig.change = {}
     rig.run(60, 1.0)
     before = rig.ledger.record
-    rig.change = lost
+    rig.change = no_drive
     rig.run(75, 1.0)
     after = rig.ledger.record
     assert after.day_run - before.day_run == pytest.approx(15, abs=1)
     assert after.day_volume - before.day_volume == pytest.approx(15 * flow, rel=0.08)
-    assert {one.flow for one in rig.decisions[-75:]} == {0.0}
+    assert {decision.flow for decision in rig.decisions[-75:]} == {0.0}
     rig.change = {}
     rig.run(60, 0.0)
-    assert "fault" not in {one.state for one in rig.decisions}
+    assert "fault" not in {decision.state for decision in rig.decisions}
 
 
 @pytest.mark.parametrize(

@@ -96,23 +96,24 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> 
     file = tmp_path / "bag" / "bag_0.mcap"
     os.truncate(file, file.stat().st_size * 2 // 3)
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    said = restore(tmp_path / "bag", tmp_path / "new")
-    found = messages_of(tmp_path / "new" / "new_0.mcap")
-    ticks, rest = divmod(len(found), len(TOPICS) + 1)
-    assert 5 < ticks < 200 and rest == 0
-    assert found == written[: len(found)] and len(found) < len(written)
-    assert said == f"{ticks} ticks"
+    message = restore(tmp_path / "bag", tmp_path / "new")
+    restored = messages_of(tmp_path / "new" / "new_0.mcap")
+    ticks, remainder = divmod(len(restored), len(TOPICS) + 1)
+    assert 5 < ticks < 200 and remainder == 0
+    assert restored == written[: len(restored)] and len(restored) < len(written)
+    assert message == f"{ticks} ticks"
     assert count_ticks(tmp_path / "bag") is None and count_ticks(tmp_path / "new") == ticks
 
 
 def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
     """Whatever stands in a file: something whole of it is restored, or nothing, in words."""
     write_bag(tmp_path / "bag", 64)
-    whole, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
+    written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
     (tmp_path / "hostile").mkdir()
     amounts = set()
     for number in range(100):
-        content = bytearray(whole[: random.choice((len(whole), random.randrange(len(whole))))])
+        length = random.choice((len(written), random.randrange(len(written))))
+        content = bytearray(written[:length])
         for _ in range(random.choice((1, 8))):
             at = random.randrange(len(content))
             content[at : at + 8] = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
@@ -310,11 +311,11 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
         for later in range(second, second + 100):
             write(later)
         assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1
-        second, lost = second + 100, bag.lost
+        second, lost_before = second + 100, bag.lost
     for later in range(second, 3000):
         write(later)
     assert bag.problem == ""
-    assert bag.lost <= lost + 60  # one wait
+    assert bag.lost <= lost_before + 60  # one wait
     bag.close()
     assert bag.recorded + bag.lost == 3000
     restore(tmp_path / "bag", tmp_path / "restored")

@@ -90,7 +90,7 @@ def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(
     make: str, delivered: dict[int, int], address: int, off: int
 ) -> None:
     registers = make_of(make, lambda: 0.0, timeout_s=None).registers()
-    assert {each: registers[each] for each in delivered} == delivered
+    assert {name: registers[name] for name in delivered} == delivered
     drive = make_of(make, lambda: 0.0, timeout_s=3.0)
     assert drive.registers()[address] != off
     drive.inject("timeout_off", 0)
@@ -129,29 +129,29 @@ def driver(shared: Simulator) -> Iterator[Drive]:
     """A driver that is connected to it, and no fault stands."""
     shared.inject("none")
     at = parse_address(place_of(shared))
-    made = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
+    drive = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
 
     def connects() -> bool:
         with suppress(DriveError):  # its port may be just being opened again
-            made.line.connect()
-        return made.line.connected
+            drive.line.connect()
+        return drive.line.connected
 
     until(connects)
-    yield made
-    made.line.close()
+    yield drive
+    drive.line.close()
     shared.inject("none")
 
 
 def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
     listening = [line.split()[1:4] for line in Path("/proc/net/tcp").read_text().splitlines()]
-    ours = {f"{each:04X}" for each in shared.ports}
+    ours = {f"{port:04X}" for port in shared.ports}
     assert {at for at, _, state in listening if state == "0A" and at[-4:] in ours} == {
-        f"0100007F:{each}" for each in ours
+        f"0100007F:{port}" for port in ours
     }
 
 
 @pytest.mark.parametrize(
-    ("fault", "parameter", "said"),
+    ("fault", "parameter", "error"),
     [
         ("none", DEFAULT, ""), ("slow", DEFAULT, ""), ("split", DEFAULT, ""),
         *((fault, DEFAULT, "no valid answer within 0.5 s")
@@ -166,11 +166,11 @@ def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
     ],
 )
 def test_faults_of_the_wire(
-    shared: Simulator, driver: Drive, fault: str, parameter: int, said: str
+    shared: Simulator, driver: Drive, fault: str, parameter: int, error: str
 ) -> None:
     """An answer in time, and byte by byte, is one."""
     shared.inject(fault, parameter)
-    with pytest.raises(DriveError, match=re.escape(said)) if said else nullcontext():
+    with pytest.raises(DriveError, match=re.escape(error)) if error else nullcontext():
         if fault == "refused_writes":
             driver.stop()
         assert driver.read().stands
@@ -179,16 +179,16 @@ def test_faults_of_the_wire(
             driver.line.connect()
 
 
-@pytest.mark.parametrize(("fault", "found"), [("silence", 500), ("half_open", 0)])
+@pytest.mark.parametrize(("fault", "value"), [("silence", 500), ("half_open", 0)])
 def test_silence_obeys_and_half_open_does_not(
-    shared: Simulator, driver: Drive, fault: str, found: int
+    shared: Simulator, driver: Drive, fault: str, value: int
 ) -> None:
     driver.line.write(1, 0)
     shared.inject(fault)
     with pytest.raises(DriveError, match="no valid answer"):
         driver.line.write(1, 500)
     shared.inject("none")
-    assert driver.line.read(1, 1) == [found]
+    assert driver.line.read(1, 1) == [value]
 
 
 def test_what_is_not_there_is_refused_by_the_specifications_exception(
@@ -198,11 +198,11 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
     for ask in (partial(driver.line.read, 0x7000, 1), partial(driver.line.write, 3, 1)):
         with pytest.raises(DriveError, match="refused with exception 2"):
             ask()
-    other = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
-    with closing(other.line):
-        other.line.connect()
+    stranger = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
+    with closing(stranger.line):
+        stranger.line.connect()
         with pytest.raises(DriveError, match="refused with exception 11"):
-            other.read()
+            stranger.read()
 
 
 # --- the program ----------------------------------------------------------------------------------
@@ -234,11 +234,11 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
     assert "is no exception code" in refused(*FREE, "--fault", "exception=99")
-    own = tmp_path / "own.yaml"
-    own.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
-    assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(own))
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
+    copy = tmp_path / "own.yaml"
+    copy.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
+    assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = str(listener.getsockname()[1])
         assert "the port is taken" in refused("--port", port, "--workbench", "0")
 
 
@@ -251,20 +251,20 @@ class Driven:
     def __init__(self, drive: Simulator, exchange: DriveExchange, file: DriveFile) -> None:
         self.drive, self.exchange, self.file = drive, exchange, file
 
-    def said(self, what: Callable[[DriveStatus], bool]) -> bool:
+    def said(self, condition: Callable[[DriveStatus], bool]) -> bool:
         status = self.exchange.snapshot.status
-        return status is not None and what(status)
+        return status is not None and condition(status)
 
     def reach(self, speed: float) -> None:
         """Ask for a speed until motor and driver both say that it is there."""
 
-        def there() -> bool:
+        def reached() -> bool:
             self.exchange.demand(speed or None)
             return self.drive.speed() == pytest.approx(speed, abs=1e-3) and self.said(
                 lambda status: status.speed == pytest.approx(speed, abs=2e-3)
             )
 
-        until(there, 8)
+        until(reached, 8)
 
 
 @contextmanager
@@ -289,20 +289,20 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
 ) -> None:
     """And has its fault reset. The timeout of a CIM is fixed."""
     timeout = 5 if make == "grundfos_cim500" else 2
-    with driven(make, tmp_path) as both:
-        drive, exchange = both.drive, both.exchange
-        both.reach(0.6)
+    with driven(make, tmp_path) as driven_drive:
+        drive, exchange = driven_drive.drive, driven_drive.exchange
+        driven_drive.reach(0.6)
         assert exchange.snapshot.timeout_s == timeout
-        both.reach(0.0)
-        both.reach(0.4)
+        driven_drive.reach(0.0)
+        driven_drive.reach(0.4)
         drive.inject("drive_fault")
-        until(lambda: both.said(lambda status: status.fault != "") and drive.speed() == 0)
+        until(lambda: driven_drive.said(lambda status: status.fault != "") and drive.speed() == 0)
         drive.inject("none")
         exchange.demand(None)
         exchange.reset()
-        until(lambda: both.said(lambda status: status.fault == ""))
+        until(lambda: driven_drive.said(lambda status: status.fault == ""))
         exchange.close()
-        alone = Drive(both.file, parse_address(place_of(drive)))
+        alone = Drive(driven_drive.file, parse_address(place_of(drive)))
         alone.line.connect()
         alone.run(0.6)
         alone.line.close()

@@ -95,9 +95,9 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
-            said = [
-                ModbusReader(each, "m").read() for each in sensors.by_section.values()
-                if isinstance(each, ModbusSensor)
+            levels = [
+                ModbusReader(sensor, "m").read() for sensor in sensors.by_section.values()
+                if isinstance(sensor, ModbusSensor)
             ]
             now = rows()[-1]
             site.inject("burst_pipe")
@@ -115,16 +115,16 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     assert last["cistern_level_m"] == pytest.approx(3 - 0.2450 / 25, abs=1e-5)
     assert last["roof_level_m"] == pytest.approx(0.05 + 0.2450 / 68.8 + 40 * 9e-6, abs=1e-5)
     # Through a burst pipe water leaves the cistern and does not arrive.
-    lost = after["pumped_m3"] - before["pumped_m3"]
-    assert lost > 0.1
+    pumped = after["pumped_m3"] - before["pumped_m3"]
+    assert pumped > 0.1
     assert after["roof_level_m"] - before["roof_level_m"] == pytest.approx(20 * 9e-6, rel=1e-3)
     assert before["cistern_level_m"] - after["cistern_level_m"] == pytest.approx(
-        (lost - 20 * 2.922467e-6) / 25, rel=1e-5
+        (pumped - 20 * 2.922467e-6) / 25, rel=1e-5
     )
     # A tick or two may lie between reading them and the table.
-    assert said[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
-    assert said[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
-    assert said[2] == pytest.approx(6.1261e-3, rel=1e-3)
+    assert levels[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
+    assert levels[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
+    assert levels[2] == pytest.approx(6.1261e-3, rel=1e-3)
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
@@ -174,9 +174,9 @@ def test_both_sensors_may_be_on_one_line() -> None:
     on_it = replace(SENSORS.roof, address=SENSORS.cistern.address, device_id=2)
     bench = site_of(0.0, replace(SENSORS, roof=on_it))
     (server,) = bench.servers
-    assert [server.devices[each].read()[0] for each in (1, 2)] == [20000, 500]
+    assert [server.devices[number].read()[0] for number in (1, 2)] == [20000, 500]
     bench.inject("cistern_silent", DEFAULT)
-    assert [server.devices[each].hears(0) for each in (1, 2)] == [False, True]
+    assert [server.devices[number].hears(0) for number in (1, 2)] == [False, True]
 
 
 @needs_mosquitto
@@ -200,7 +200,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
             readers[section].start()
         assert isinstance(sensors.cistern, ModbusSensor)
         assert ModbusReader(sensors.cistern, "m").read() == pytest.approx(2.0, abs=1e-3)
-        until(lambda: all(one.snapshot.value for one in readers.values()), 20)
+        until(lambda: all(reader.snapshot.value for reader in readers.values()), 20)
         assert readers["roof"].snapshot.value == pytest.approx(0.05, abs=5e-4)
         assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
         assert readers["thermometer"].snapshot.value == 15.0
@@ -213,13 +213,13 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--drive-at", "somewhere"), "--drive-at = 'somewhere': must be tcp://"),
         (("--fault", "flood"), "--fault = 'flood': must be one of none, cistern_frozen"),
     ],
 )
 def test_wrong_options_are_refused(
-    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], said: str
+    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], message: str
 ) -> None:
-    assert said in refusal(monkeypatch, site_simulator, *options)
+    assert message in refusal(monkeypatch, site_simulator, *options)
