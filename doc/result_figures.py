@@ -12,7 +12,7 @@ from greenroof_ros.report.drawing import COLOURS, CONFIG
 
 _CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST)
 # Of a figure, a letter of its rows' names, and a row (px).
-_WIDTH, _LETTER, _ROW = 600, 6.5, 20
+_WIDTH, _LETTER, _ROW = 440, 6.5, 20
 _INK = "#222222"
 
 
@@ -38,7 +38,7 @@ def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.L
     values = [_values(figure, mark) for mark in figure.marks if mark.panel == panel]
     x: dict[str, Any] = {
         "scale": alt.Scale(domain=_domain(figure), nice=False), "title": figure.axis,
-        "axis": alt.Axis(tickCount=4),
+        "axis": alt.Axis(tickCount=3),
     }
     names = alt.Axis(labels=named, ticks=named, labelLimit=0)
     base = alt.Chart(alt.Data(values=values)).encode(
