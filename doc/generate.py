@@ -3,7 +3,7 @@
 A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
 can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
 this writes. The nodes' tables need a ROS 2; without one they stay as they are. The layouts under
-``config/layouts/`` and the drawings of who publishes what are written, too.
+``config/layouts/``, the drawings of who publishes what and the README's figure are written, too.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from layouts import rows as displays
 from result_figures import draw
 from result_tables import RESULTS
 from who_publishes import WAYS, drawing
+from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.common.files import read_yaml, shared_directory
@@ -460,7 +461,7 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 def command_groups() -> str:
     """Return what each command of ``greenroof`` does, by what a user wants to do."""
     return markdown(
-        ("to", "`greenroof`", "does or shows"),
+        ("to", "`greenroof`", "does this"),
         (
             (title if name == next(iter(group)) else "", f"`{name}`", entry.about)
             for title, group in GROUPS.items() for name, entry in group.items()
@@ -657,6 +658,7 @@ def main() -> None:
     for name, made in RESULTS.items():
         path = DOC / "_static" / "results" / f"{name}.svg"
         path.write_text(draw(made().figure), encoding="utf-8")
+    (DOC / "_static" / "worth.svg").write_text(drawing_of_worth(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ class Command:
 
     Attributes:
         module: in this package; has ``main`` and ``make_parser``.
-        about: what it does or shows, for the help.
+        about: what it does, for the help.
     """
 
     module: str
@@ -28,34 +28,34 @@ class Command:
 # By what a user wants to do, and by name.
 GROUPS = {
     "run the roof": {
-        "run": Command("bringup.__main__", "the node graph: simulated, or a drive in the loop"),
-        "live": Command("bringup.live", "a site with sensors and a pump, until it is stopped"),
-        "fetch-forecast": Command("fetch_forecast", "a forecast of the internet, as a file"),
-        "pause": Command("pause", "the pump stands until a date"),
-        "dose": Command("dose", "a volume that the pump delivers once, now"),
+        "run": Command("bringup.__main__", "run the node graph, simulated or with a drive"),
+        "live": Command("bringup.live", "keep a site with sensors and a pump running"),
+        "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
+        "pause": Command("pause", "keep the pump off until a date"),
+        "dose": Command("dose", "let the pump deliver a volume once, now"),
     },
     "see what it does, or did": {
-        "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
-        "bridge": Command("bridge", "a site on MQTT, for Home Assistant; with a stop"),
-        "report": Command("report.__main__", "figures and tables of runs, studies and bags"),
-        "recover": Command("recover", "a whole bag, where a crash or a full disk left none"),
+        "watch": Command("watch.__main__", "show a run or a site, on a page or in the terminal"),
+        "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
+        "report": Command("report.__main__", "make figures and tables of runs, studies and bags"),
+        "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "one run in one process, with the numbers of the graph"),
-        "study": Command("study.__main__", "a grid of runs in parallel; the paper's 30, or yours"),
-        "bound": Command("bound", "the least deviation that any controller could reach"),
+        "simulate": Command("simulate", "do one run in one process, with the graph's numbers"),
+        "study": Command("study.__main__", "do a grid of runs: the paper's 30, or yours"),
+        "bound": Command("bound", "compute the least deviation that is possible"),
     },
     "fit it to your site": {
-        "calibrate": Command("calibrate", "the roof and its pumps, from what was measured"),
-        "verify": Command("verify", "how good forecasts of rain are, against records"),
+        "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
+        "verify": Command("verify", "compare forecasts of rain with records"),
     },
-    "connect what is your own": {
-        "check-controller": Command("check_controller", "whether a class is a controller"),
-        "check-pump": Command("check_pump", "whether a pump driver keeps to the interface"),
-        "simulators drive": Command("drive_simulator", "a drive on Modbus that is not there"),
-        "simulators site": Command("site_simulator", "cistern and roof behind level sensors"),
-        "simulators forecast": Command("forecast_simulator", "a forecast service of this machine"),
-        "topics": Command("topics", "the topics of the graph, and what each carries"),
+    "connect your own parts": {
+        "check-controller": Command("check_controller", "check whether a class is a controller"),
+        "check-pump": Command("check_pump", "check whether a pump driver keeps to the interface"),
+        "simulators drive": Command("drive_simulator", "simulate a drive on Modbus, or a relay"),
+        "simulators site": Command("site_simulator", "simulate cistern and roof with sensors"),
+        "simulators forecast": Command("forecast_simulator", "simulate a forecast service"),
+        "topics": Command("topics", "list the topics of the graph, and what each carries"),
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
@@ -73,7 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="greenroof",
         usage="%(prog)s COMMAND [options]",
         description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
-        epilog="greenroof COMMAND --help has its options, and examples.",
+        epilog="greenroof COMMAND --help shows its options, and examples.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 

@@ -62,7 +62,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--prefix", default="homeassistant", metavar="NAME",
-        help="what Home Assistant's discovery topics begin with, as its MQTT integration has it "
+        help="start of Home Assistant's discovery topics, as set in its MQTT integration "
         "(default: %(default)s)",
     )
     parser.add_argument(

@@ -91,7 +91,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site file that the fit begins with (default: the paper's, config/site.yaml)",
+        help="site file with which the fit starts (default: the paper's, config/site.yaml)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
@@ -99,8 +99,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--pump-data", type=Path, metavar="FILE.csv",
-        help="points of the pumps' data sheet, to fit their curve to: lines of "
-        "'flow [m3/s],head [m]'",
+        help="points of the pumps' data sheet, to which their curve is fitted: lines of 'flow "
+        "[m3/s],head [m]'",
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",

@@ -42,7 +42,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site at which it is tried (default: the paper's, config/site.yaml)",
+        help="site with which it is checked (default: the paper's, config/site.yaml)",
     )
     return parser
 

@@ -39,7 +39,7 @@ _TIMES = (
         "--silence", "silence", 0.001, 5.0, "how long no command comes; the pump must have stopped "
         "then",
     ),
-    ("--wait", "arrival", 0.0, 10.0, "how long the driver may take to be in the graph"),
+    ("--wait", "arrival", 0.0, 10.0, "how long the driver may take to join the graph"),
 )
 
 
@@ -60,11 +60,11 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--node", required=True, metavar="NAME",
-        help="name of the driver's node, with its namespace where it has one: /site1/pump",
+        help="name of the driver's node, with its namespace if it has one: /site1/pump",
     )
     parser.add_argument(
         "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
-        help="at which the pump is to run, a share of its maximum flow (default: 0.5)",
+        help="command at which the pump runs, a share of its maximum flow (default: 0.5)",
     )
     for option, limit, least, default, meaning in _TIMES:
         parser.add_argument(

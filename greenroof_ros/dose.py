@@ -40,11 +40,12 @@ def make_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--volume", type=within(0.001, 1e6), required=True, metavar="M3", help="to deliver (m3)"
+        "--volume", type=within(0.001, 1e6), required=True, metavar="M3",
+        help="volume to deliver (m3)",
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as bringup was given it (default: none)",
+        help="of the graph, as given to bringup (default: none)",
     )
     return parser
 

@@ -29,9 +29,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
-        description="Be a variable-speed drive with a motor on Modbus: registers, control word, "
-        "ramp, faults and\ncommunication timeout as of the make that a drive file describes, and "
-        "whatever can go wrong\non request. With --at it is a relay on MQTT, with its timer.",
+        description="Simulate a variable-speed drive with a motor on Modbus: registers, control "
+        "word, ramp, faults and\ncommunication timeout as of the make that a drive file "
+        "describes, and whatever can go wrong\non request. With --at it is a relay on MQTT, "
+        "with its timer.",
         epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
         "registers:\n"
         "  0 true speed in 0.01 %   1 fault, by its number   2 its parameter, 65535 for the "
@@ -72,7 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     place.add_argument(
         "--at", metavar="mqtt://HOST[:PORT]/DEVICE",
-        help="of a relay: the broker that it connects to, and its own topic there",
+        help="for a relay: its broker, and its topic there",
     )
     place.add_argument(
         "--workbench", type=within(0, _LAST_PORT, int), metavar="PORT",
@@ -81,11 +82,11 @@ def make_parser() -> argparse.ArgumentParser:
     model = parser.add_argument_group("how it is made and set")
     model.add_argument(
         "--ramp", type=within(0, 3600), default=5.0, metavar="S",
-        help="from rest to rated speed, and back (s, default: %(default)g)",
+        help="time from rest to rated speed, and back (s, default: %(default)g)",
     )
     model.add_argument(
         "--boot", type=within(0, 3600), default=3.0, metavar="S",
-        help="from power-up until it answers (s, default: %(default)g)",
+        help="time from power-up until it answers (s, default: %(default)g)",
     )
     model.add_argument(
         "--timeout", type=within(0.1, 3600), default=5.0, metavar="S",
@@ -94,8 +95,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     model.add_argument(
         "--as-delivered", action="store_true",
-        help="the timeout as the maker delivers it instead; that may be none. A relay has none "
-        "then, and is on after power-up",
+        help="the timeout as the maker delivers it, which may be none. A relay then has none, "
+        "and is on after power-up",
     )
     model.add_argument(
         "--speed", type=within(1e-3, 1e6), default=1.0, metavar="FACTOR",

@@ -24,9 +24,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof fetch-forecast",
         usage="%(prog)s [options]",
-        description="Ask Open-Meteo for the forecast at the site, and write the file that a live "
-        "site reads.\nThe data are under the licence CC BY 4.0; the service is free where it is "
-        "not for money.",
+        description="Ask Open-Meteo for the forecast at the site, and write the file that a "
+        "live site reads.\nThe data are under the licence CC BY 4.0; the service is free for "
+        "non-commercial use.",
         epilog="examples:\n"
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
         "  greenroof fetch-forecast --site site.yaml --every 60 --keep forecasts/\n"
@@ -38,7 +38,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site file: where it is, and what its plants evaporate (default: the paper's)",
+        help="site file, with its place and its plants (default: the paper's)",
     )
     parser.add_argument(
         "--ensemble", action="store_true",
@@ -51,24 +51,24 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--days", type=within(1, MOST_DAYS, int), default=7, metavar="N",
-        help="from today on that it reaches (default: %(default)s)",
+        help="days that it covers, from today (default: %(default)s)",
     )
     parser.add_argument(
-        "--url", default="", help="of another server with the same interface (default: Open-Meteo)"
+        "--url", default="", help="another server with the same interface (default: Open-Meteo)"
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",
-        help="replaced by each newer forecast (default: %(default)s)",
+        help="file to write; each newer forecast replaces it (default: %(default)s)",
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="directory in which each forecast that says something new is kept; verify, and "
-        "--forecast of simulate, read it",
+        help="directory that keeps each new forecast; verify, and --forecast of simulate, read "
+        "it",
     )
     parser.add_argument(
         "--every", type=within(10, 1440), metavar="MINUTES",
-        help="go on, and fetch again so often, until Ctrl-C; after a failure after 1, 2, 4, ... "
-        "min, or when the service says",
+        help="minutes after which it fetches again, until Ctrl-C; after a failure it tries "
+        "again after 1, 2, 4, ... min, or when the service says",
     )
     return parser
 

@@ -40,7 +40,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--start", default=DEFAULT_START, metavar="TIME",
-        help="time in the records that is now (default: %(default)s)",
+        help="time in the records that counts as now (default: %(default)s)",
     )
     parser.add_argument(
         "--port", type=within(0, 65535, int), default=_PORT, help="on 127.0.0.1, 0 for a free one "

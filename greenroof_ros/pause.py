@@ -29,7 +29,7 @@ def make_parser() -> argparse.ArgumentParser:
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument(
         "--until", metavar="TIME",
-        help="a time to come (ISO 8601), of this machine's clock unless it says its offset from "
+        help="a future time (ISO 8601), by this machine's clock unless it has an offset from "
         "UTC: 2026-12-24T08:00-05:00",
     )
     choice.add_argument("--end", action="store_true", help="end the pause now")

@@ -43,7 +43,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     if not bag_files(bag):
         raise ConfigurationError(
-            "must be a run directory or the bag in it, and holds no .mcap file", file=directory
+            "must be the directory of a run or its bag, but has no .mcap file", file=directory
         )
     target = output or recovered_bag(bag)
     if target.exists():

@@ -41,7 +41,7 @@ def make_parser() -> argparse.ArgumentParser:
     place = parser.add_argument_group("sensors and drive")
     place.add_argument(
         "--sensors", type=Path, metavar="FILE",
-        help="where the sensors are to be, and what they speak (default: config/sensors.yaml)",
+        help="file of the sensors (default: config/sensors.yaml)",
     )
     place.add_argument(
         "--drive-at", metavar="ADDRESS",
@@ -58,11 +58,11 @@ def make_parser() -> argparse.ArgumentParser:
     ))
     weather = parser.add_argument_group("constants instead of the weather file")
     weather.add_argument(
-        "--rain", type=within(0, 1000), metavar="MM", help="it rains at so many mm/h for ever"
+        "--rain", type=within(0, 1000), metavar="MM", help="constant rain (mm/h)"
     )
     weather.add_argument(
         "--constant-evapotranspiration", type=within(0, 1000), metavar="MM",
-        help="so many mm in a day evaporate, for ever",
+        help="constant evapotranspiration (mm/day)",
     )
     parser.add_argument(
         "--factor", type=within(1e-3, 1e4), default=1.0,

@@ -88,8 +88,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="records, as simulate takes them: files, or a pattern in quotes; missing hours are "
-        "left out",
+        help="records, as for simulate: files, or a pattern in quotes; missing hours are left "
+        "out",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -98,21 +98,23 @@ def make_parser() -> argparse.ArgumentParser:
     whole_hours = within(1, _MOST_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="hours over which is summed (default: 1, 6, 12 and 24, where they divide --lead)",
+        help="hours of a sum; several may be given (default: 1, 6, 12 and 24, where they divide "
+             "--lead)",
     )
     parser.add_argument(
         "--events", type=within(1e-3, 1e3), nargs="+", metavar="MM",
-        help="for each of --sums, from how many mm on there is an event (default: 1, 2, 3 and 5)",
+        help="for each of --sums, the mm from which a sum is an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole_hours, default=24, metavar="H",
-        help="hours of lead that are scored together, a multiple of each sum (default: "
+        help="hours of lead time that are scored together, a multiple of each sum (default: "
         "%(default)s, days)",
     )
     parser.add_argument(
         "--horizon", type=whole_hours, metavar="H",
-        help=f"how far ahead is looked (default: {_HORIZON}; with --dress {_MEMBER}, so that "
-        f"forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} h)",
+        help=f"how many hours ahead are scored (default: {_HORIZON}; with --dress {_MEMBER}, so "
+        f"that forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} "
+        "h)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
@@ -121,9 +123,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--dress", action="store_true",
-        help="write what fell in the records after each issue of an archive to -o FILE.csv, and "
-        "score what that is worth; --horizon says how many hours of it. Half a year or more is "
-        "sensible. To judge by some months, leave them out of --weather",
+        help="write the rain of the records after each issue of an archive to -o FILE.csv, and "
+        "score what that is worth; --horizon says how many hours. Use half a year or more. To "
+        "judge it on some months, leave them out of --weather",
     )
     parser.add_argument(
         "--fit", type=Path, metavar="FILE.yaml",

@@ -68,6 +68,15 @@ def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
         subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
+def fill(file: Path) -> None:
+    """Let a file grow until its disk is full, to the last byte."""
+    with file.open("wb", buffering=0) as stream:
+        for size in (1 << 16, 1):
+            with suppress(OSError):
+                while True:
+                    stream.write(bytes(size))
+
+
 @contextmanager
 def no_file_beyond(size: int) -> Iterator[None]:
     """Let no file of this process grow beyond a size (bytes)."""

@@ -175,7 +175,7 @@ class Process:
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
-        """Return the process id of each node that this bringup started."""
+        """Return the process id of each node that this bringup started, by what it is."""
         processes = {}
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         for pid in children.read_text().split():
@@ -185,7 +185,7 @@ class Process:
                 continue
             for word in words:
                 if word.startswith("greenroof_ros.nodes."):
-                    name = word.removeprefix("greenroof_ros.nodes.")
+                    name = word.removeprefix("greenroof_ros.nodes.").removeprefix("live_")
                     if name == "sensor":
                         name = QUANTITIES[words[words.index('--of') + 1]].node
                     processes[name] = int(pid)

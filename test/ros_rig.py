@@ -254,13 +254,16 @@ def policies(process: int) -> set[int]:
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 
 
-def write_forecast(path: Path, ago: timedelta, rain: float, temperature: float) -> None:
-    """Put a file with one issue of 12 hours in place."""
+def write_forecast(
+    path: Path, ago: timedelta = timedelta(0), rain: float = 0.0, temperature: float = 15.0,
+    *, evapotranspiration: float = 2.0, hours: int = 12,
+) -> None:
+    """Put a file with one issue of some hours in place, whole."""
     issued = datetime.now(UTC).replace(microsecond=0) - ago
     lines = [
-        f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},2.0,"
-        f"{temperature}"
-        for hour in range(12)
+        f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},"
+        f"{evapotranspiration},{temperature}"
+        for hour in range(hours)
     ]
     draft = path.with_suffix(".new")
     draft.write_text("\n".join([FORECAST_HEADER, *lines, ""]))

@@ -73,7 +73,7 @@ def test_help_is_that_of_the_module(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("words", "suggestion"), [
     (["check_pump"], "check_pump; did you mean check-pump?"),
     (["simulators", "drvie"], "simulators drvie; did you mean simulators drive?"),
-    (["launch", "--help"], f"launch; they are {', '.join(COMMANDS)}"),
+    (["launch", "--help"], f"launch; choose from {', '.join(COMMANDS)}"),
 ])
 def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], suggestion: str) -> None:
     done = greenroof(tmp_path, *words)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from datetime import timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
-from real_seasons.inputs import BLOCK_WEEKS, SERVICES, YEAR, Inputs
+from real_seasons.inputs import BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
+from real_seasons.runs import PERFECT, Case
 from real_seasons.tables import interval
+from real_seasons.worth import SHOWN, rows
 
 from greenroof_ros.common.times import hours_since_1970
 
@@ -61,3 +65,23 @@ def test_intervals_of_sums_over_weeks() -> None:
     value, low, high = interval(weeks, np.ones(40))
     assert value == pytest.approx(weeks.mean())
     assert low < value < high
+
+
+def test_rows_of_the_figure(inputs: Inputs, tmp_path: Path) -> None:
+    """A run with a tenth less in each week has 0.9, without width; the least has its range."""
+    results = {}
+    for number, (source, form) in enumerate(SHOWN.values()):
+        share = 1 - number / 10
+        results[Case("paper", SEASON, source, form)] = {
+            "weeks": [share * 20.0, share * 30.0, share * 10.0],
+            "metrics": {"total_deviation_m3": share * 60.0, "mean_deviation_mm": share * 4.0},
+        }
+    file = Case("paper", SEASON, PERFECT, trusts=False).file(tmp_path)
+    file.parent.mkdir()
+    file.with_name("least_possible.json").write_text(json.dumps({"bound_m3": 15, "plan_m3": 18}))
+    made = list(rows("paper", results, inputs, tmp_path))
+    assert [row[2:] for row in made] == [
+        ("4.000", "1.000", "1.000", "1.000"), ("3.600", "0.900", "0.900", "0.900"),
+        ("3.200", "0.800", "0.800", "0.800"), ("2.800", "0.700", "0.700", "0.700"),
+        ("2.400", "0.600", "0.600", "0.600"), ("1.200", "0.300", "0.250", "0.300"),
+    ]

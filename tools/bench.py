@@ -225,7 +225,7 @@ MEASURED = {
 
 
 def main() -> None:
-    """Measure in rounds and print the table of doc/performance.md."""
+    """Measure in rounds and print the table of doc/reference/performance.md."""
     rows: dict[str, list[float]] = {key: [] for key in MEASURED}
     with own_domain() as domain:
         for number in range(ROUNDS):

@@ -218,26 +218,25 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",
-        help="what the drive is like: a name of config/drives/, or a drive file",
+        help="make of the drive: a name in config/drives/, or a drive file",
     )
     group.add_argument(
         "--drive-at", metavar="ADDRESS",
-        help="where it is: tcp://HOST:PORT where it has an Ethernet port of its own, "
-        "gateway://HOST:PORT of a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0; after a comma its device id, where that is not its file's, such as "
-        "gateway://HOST:PORT,17; of a relay mqtt://HOST[:PORT]/DEVICE, its own topic at a broker, "
-        "or mqtts:// over TLS",
+        help="its address: tcp://HOST:PORT for an Ethernet port of its own, gateway://HOST:PORT "
+        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; after a comma "
+        "its device id, if that is not in its file, such as gateway://HOST:PORT,17; for a relay "
+        "mqtt://HOST[:PORT]/DEVICE, its topic at a broker, or mqtts:// over TLS",
     )
     for option, metavar, meaning in (
-        ("--broker-login", "FILE", "of a relay: YAML file of its broker's username and password"),
-        ("--broker-authority", "FILE", "of a relay: certificates that are trusted (PEM), where "
-         "its broker's is not the system's"),
+        ("--broker-login", "FILE", "for a relay: YAML file with its username and password"),
+        ("--broker-authority", "FILE", "for a relay: certificates to trust (PEM), if the system "
+         "does not know its broker's"),
     ):
         group.add_argument(option, default="", metavar=metavar, help=meaning)
     group.add_argument(
         "--state", type=Path, metavar="DIR",
-        help="directory of what must survive a restart: a stop, a fault, the pump's day; live, of "
-        "all that is kept: bag, logs, summary, too (default: the drive's own, a file by its "
+        help="directory for what must survive a restart: a stop, a fault, the pump's use of the "
+        "day; live, also for bag, logs and summary (default: the drive's own, a file by its "
         "address in ~/.local/state/greenroof_ros; live: live)",
     )
     group.add_argument(

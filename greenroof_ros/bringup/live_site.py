@@ -64,20 +64,20 @@ class LiveSite:
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: live, it says where the levels are read; or --sensors external, where "
-             "nodes of your own publish /cistern/level and /roof/level"),
+             "is missing: a live site needs it to know where the levels are measured; or give "
+             "--sensors external, if nodes of your own publish /cistern/level and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
-             "is missing: live, it says which drive the pump has, and --drive-at where; or --pump "
-             "external, where a node of your own takes /pump/command"),
+             "is missing: a live site needs it to know the pump's drive, and --drive-at its "
+             "address; or give --pump external, if a node of your own runs the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
-             "is of the weather node, which --weather external leaves to somebody else"),
+             "is for the weather node, which --weather external replaces"),
             (arguments.dressed is not None and not has_forecast, "--dressed", arguments.dressed,
              "is for forecasts of --forecast FILE.csv"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
-             f"is missing: live, it is what {self.controller.name} knows of the weather to "
-             "come; or --weather external, where a node of your own publishes it; or --controller "
-             "onoff or lookahead, which can do without"),
+             f"is missing: {self.controller.name} needs a forecast; or give --weather external, "
+             "if a node of your own publishes it, or --controller onoff or lookahead, which need "
+             "no forecast"),
         )
         self.sensors = None
         self.sensed: Sensors | None = None
@@ -92,8 +92,8 @@ class LiveSite:
              and not has_thermometer,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
-             "frost; let a node of your own publish /gauge/temperature (degC) and give "
-             "--thermometer external, name one in the file of --sensors, or give a forecast"),
+             "frost; give it if a node of your own publishes /gauge/temperature (degC), or add a "
+             "thermometer to the file of --sensors, or give a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
              "contradicts the file of --sensors, which has a thermometer"),
         )
@@ -182,8 +182,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Keep a site up that has sensors and a pump, at the system's time; nothing is\n"
-        "simulated. It has no end: Ctrl-C or SIGTERM stops the pump, and then the nodes.",
+        description="Keep a site with sensors and a pump running, by the system clock; nothing is\n"
+        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the\n"
+        "nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
@@ -200,31 +201,32 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: somebody "
-        "else's nodes publish the levels",
+        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: nodes "
+        "of your own publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
-        help="forecasts, read again when the file is replaced; open-meteo: fetched from there for "
-        "the site's place, and kept in the state directory (as 'greenroof fetch-forecast' does); "
-        "onoff needs none beside a thermometer",
+        help="forecasts, read again when the file is replaced; open-meteo: fetched from "
+        "Open-Meteo for the site's place, and kept in the state directory (as 'greenroof "
+        "fetch-forecast' does); with a thermometer, onoff and lookahead need no forecast",
     )
     group.add_argument(
         "--fetch-model", default="", metavar="NAME",
         help="weather model of open-meteo, such as icon_seamless (default: its own choice)",
     )
     group.add_argument(
-        "--fetch-url", default="", metavar="URL", help="of a server like open-meteo's, for that"
+        "--fetch-url", default="", metavar="URL",
+        help="another server with the interface of Open-Meteo",
     )
     group.add_argument(
         "--fetch-every", type=within(10, 1440), metavar="MIN",
-        help="from one forecast of open-meteo to the next (default: 30)",
+        help="minutes between two forecasts of Open-Meteo (default: 30)",
     )
     group.add_argument(
         "--dressed", metavar="FILE.csv",
-        help="instead of each forecast an ensemble of what fell after similar ones, by a file that "
-        "'greenroof verify --dress' made; what falls here is added to it, and without a forecast "
-        "it stands for one",
+        help="replaces each forecast by an ensemble of the rain observed after similar "
+        "forecasts, from a file that 'greenroof verify --dress' made; the rain measured here is "
+        "added to it, and without a forecast its spells of rain are used",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
@@ -234,7 +236,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
-        help="external: the weather, now and ahead, is from a node of somebody else's",
+        help="external: a node of your own publishes weather and forecast",
     )
     group.add_argument(
         "--restarts", type=within(0, 1000, int), default=10, metavar="N",

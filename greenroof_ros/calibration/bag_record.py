@@ -65,7 +65,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
     first = np.searchsorted(seen.time, edges[:-1], side="right") - 1
     reference = summed(seen.evapotranspiration) * mm
     run = run_directory(bag)
-    if read_about(run).row["evapotranspiration"] == FAO56:
+    if read_about(run, site).row["evapotranspiration"] == FAO56:
         own = run / "configuration" / "site.yaml"
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):

@@ -170,8 +170,8 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
             raise table.refuse(f"there is a column of {quantity} before this one", name)
         if quantity not in _QUANTITIES:
             raise table.refuse(
-                f"is not a known column; they are {', '.join(_QUANTITIES)}, each with its unit in "
-                "brackets", name,
+                f"is not a known column; choose from {', '.join(_QUANTITIES)}, each with its unit "
+                "in brackets", name,
             )
         columns[quantity] = name, unit
     for there, what in (

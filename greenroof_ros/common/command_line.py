@@ -168,7 +168,7 @@ def within(
             value = math.nan
         if not low <= value <= high:
             expected = "greater than 0" if 0 < low <= _TINY and not value > 0 else limits
-            raise argparse.ArgumentTypeError(f"must be {number} {expected}, is {text}")
+            raise argparse.ArgumentTypeError(f"must be {number} {expected}, not {text}")
         return value
 
     # What the option takes, where it is documented.

@@ -71,4 +71,4 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     best = max(alike.values(), default=0.0)
     if best >= (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
         return f"did you mean {' or '.join(word for word in known if alike[word] == best)}?"
-    return f"they are {', '.join(known)}"
+    return f"choose from {', '.join(known)}"

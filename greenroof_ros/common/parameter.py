@@ -213,7 +213,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
     for name in entries:
         if name not in by_name:
-            wrong = f"is no key here; {did_you_mean(name, by_name)}"
+            wrong = f"is not a key here; {did_you_mean(name, by_name)}"
             raise _Wrong((*parts, name), wrong, entries[name])
     fields = {}
     for name, key in by_name.items():

@@ -69,7 +69,7 @@ class Mpc:
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,
-            "largest command; no bound as in the paper, 1 is the most of a real pump",
+            "largest command; unlimited as in the paper; a real pump has 1",
         ),
     )
     outputs: ClassVar[Mapping[str, str]] = {

@@ -80,7 +80,7 @@ class ControllerChoice:
         ]
         if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
             raise ConfigurationError(
-                f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
+                f"is not a controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
                 "see doc/tutorials/your-controller.md",
                 key="controller", value=self.reference,
             )

@@ -64,11 +64,11 @@ def add_run_arguments(
     group = parser.add_argument_group("forecasts")
     group.add_argument(
         "--forecast", default=ForecastChoice().model, metavar=f"{{{','.join(MODELS)},FILE}}",
-        help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
-        "stays as it is; errors: as good and as bad as real ones; ensemble: several such; a "
-        "file, or a directory of files: archived forecasts, in this project's CSV, CSV or JSON of "
-        "Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, a file's when "
-        "it says (default: %(default)s)",
+        help="what the controller knows of the weather ahead. perfect: all of it; persistence: "
+        "it stays as it is; errors: a forecast as good as real forecasts; ensemble: several of "
+        "them; a file, or a directory of files: archived forecasts, in this project's CSV, CSV "
+        "or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, "
+        "a file's when it says (default: %(default)s)",
     )
     add_forecast_options(group)
     _add_parameters(
@@ -133,8 +133,8 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     """Add the options of site, weather, initial state, start and length."""
     group.add_argument(
         "--start", default=None, metavar="ISO",
-        help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset it is in "
-        f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
+        help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset from "
+        f"UTC it has the weather file's (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
         "--hours", type=within(1e-9, 1e9), metavar="H",
@@ -150,9 +150,10 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--gaps", choices=GAPS, default=REFUSE,
-        help="what to do where an hour of the run is missing in the weather files and is not of a "
-        "short gap. refuse: say which; fill: count missing rain as none, and take for all else the "
-        "mean at that time of day over three days before and after (default: %(default)s)",
+        help="what to do if an hour of the run is missing in the weather files and the gap is "
+        "not short. refuse: name the hours; fill: count missing rain as none, and replace other "
+        "values by the mean at that time of day over three days before and after (default: "
+        "%(default)s)",
     )
     group.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -182,9 +183,9 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that some kinds of forecast have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
-        help="errors, ensemble: how good they are. real: as weather services'; better: as "
-        "real ones of half the lead; worse: of twice the lead; a file: as it says "
-        f"(default: {ForecastChoice().skill})",
+        help="errors, ensemble: how good they are. real: as weather services' forecasts; "
+        "better: as real forecasts of half the lead time; worse: of twice the lead time; a "
+        f"file: as it says (default: {ForecastChoice().skill})",
     )
     _add_parameters(group, (NUMBERS["seed"], NUMBERS["members"]))
     delay = NUMBERS["delay"]
@@ -196,15 +197,18 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--dressed", type=Path, metavar="FILE",
-        help="a file: instead of each forecast an ensemble of what fell after similar ones, by "
-        "FILE.csv that 'greenroof verify --dress' made of an archive and a record; past issues "
-        "within the length of a member and five days of an issue are left out, so that none is "
-        "dressed by its own weather",
+        help="a file: replaces each forecast by an ensemble of the rain observed after similar "
+        "forecasts, from FILE.csv, which 'greenroof verify --dress' makes from an archive and a "
+        "record; past issues within the length of a member and five days of an issue are left "
+        "out, so that none is dressed by its own weather",
     )
 
 
 def _skill(text: str) -> str:
-    check_skill(text)
+    try:
+        check_skill(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{error}, not {text}") from error
     return text
 
 

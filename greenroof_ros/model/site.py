@@ -196,7 +196,7 @@ class Site:
         "site without a forecast takes", 0.0, 20.0, unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "times of day in which the pump stands, by the clock in time_zone, such as "
+        "times of day in which the pump stays off, by the clock in time_zone, such as "
         '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
     )
     time_zone: str | None = entry(

@@ -7,7 +7,9 @@ parameters, none is mistaken for another column.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from greenroof_ros.model.metrics import METRICS
 
 _PREFIX = "parameter:"
 
@@ -17,6 +19,27 @@ Cell = TypeVar("Cell")
 def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
     """Return the columns of parameters, by the parameters' names."""
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
+
+
+def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a summary says of a run's results, in columns of the table.
+
+    They are the same in every repetition. What the summary does not say is None or empty.
+    """
+    solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
+    return {
+        **{metric.name: summary[metric.name] for metric in METRICS if metric.name in summary},
+        "weekly_deviation_m3": " ".join(map(repr, summary.get("weekly_deviation_m3") or ())),
+        "solves": solver.get("solves"),
+        "fallbacks": solver.get("fallbacks"),
+        "frost_hours": summary.get("frost_hours"),
+        "precipitation_in_frost_mm": summary.get("precipitation_in_frost_mm"),
+        "filled_hours": summary.get("filled_hours"),
+        "filled": "; ".join(f"{name}: {', '.join(hours)}" for name, hours in filled.items()),
+        "weather_notes": "; ".join(summary.get("weather_notes") or ()),
+        "suspicious": "; ".join(summary.get("suspicious") or ()),
+        "forecast_repeats_from": summary.get("forecast_repeats_last_record_from"),
+    }
 
 
 def differing(rows: Sequence[Mapping[str, object]]) -> list[str]:

@@ -59,7 +59,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="of the report, new or empty unless --force (default: report in the first PATH)",
+        help="directory of the report, new or empty unless --force (default: report in the "
+             "first PATH)",
     )
     parser.add_argument(
         "--force", action="store_true",
@@ -76,11 +77,11 @@ def make_parser() -> argparse.ArgumentParser:
     group = parser.add_argument_group("assumptions")
     group.add_argument(
         "--energy-price", type=within(0, 1e9), default=0.115, metavar="PRICE",
-        help="of a kWh of electric energy (default: %(default)s, Ontario 2021)",
+        help="price of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
         "--water-price", type=within(0, 1e9), default=4.1346, metavar="PRICE",
-        help="of a m3 from the mains (default: %(default)s, Toronto 2021)",
+        help="price of a m3 of mains water (default: %(default)s, Toronto 2021)",
     )
     group.add_argument(
         "--currency", default="CAD", metavar="NAME",
@@ -88,7 +89,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--band", type=within(0, 1), default=NEAR_TARGET, metavar="SHARE",
-        help="a roof this share of the target off it counts as near it (default: %(default)s)",
+        help="a roof counts as near its target within this share of it (default: %(default)s)",
     )
     return parser
 
@@ -105,11 +106,11 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
         ConfigurationError: there is one, or somebody else's file, or it is no directory.
     """
     figures = directory / "figures"
-    found = list(directory.iterdir()) if directory.exists() else []
+    there = list(directory.iterdir()) if directory.exists() else []
     if figures.is_dir():
-        found = [*filter(figures.__ne__, found), *figures.iterdir()]
+        there = [*filter(figures.__ne__, there), *figures.iterdir()]
     foreign = [
-        str(file.relative_to(directory)) for file in sorted(found)
+        str(file.relative_to(directory)) for file in sorted(there)
         if not file.is_file()
         or (file != directory / _PAGE and not (file.parent == figures and own(file.name)))
     ]
@@ -119,11 +120,11 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
             f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} "
             "is no report's, and never written over; name another directory"
         )
-    elif found and not force:
+    elif there and not force:
         wrong = "holds a report already; --force replaces it, or name another directory"
     if wrong:
         raise ConfigurationError(wrong, key="--output", value=str(directory))
-    return found
+    return there
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, tzinfo
@@ -24,7 +25,7 @@ from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
-from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.recording.results_table import shortest, summary_columns
 from greenroof_ros.weather.series import REFUSE
 
 NO_ERRORS = "none"
@@ -60,10 +61,11 @@ class Note(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class About:
-    """What a run says of itself; as it is here where it says nothing.
+class Run:
+    """A run, in whatever words it says so itself; as it is here where it says nothing.
 
     Attributes:
+        site: Table I.
         row: of the table, in the columns of a study's ``results.csv`` and those of
             :func:`labels`; of a bag without what is worked out from it.
         parameters: the controller's at the start; no entry where there is no bound.
@@ -76,8 +78,15 @@ class About:
         short: the same in a few words.
         incidents: what was lost in it while it went on, the newest where there were very many.
         notes: what a reader should know of it.
+        load: reads what happened, with further notes; None where no trajectory was kept.
+        bound: of what happened, the least total deviation (m3) that a controller with commands
+            up to 1 could reach, None where that is unknown; None of a run whose row has it.
+        source: the study or run directory that it is from, by a name that no other one has.
+        meant: what stands behind names of the row, by column: where two sources use a name for
+            different things, they are told apart.
     """
 
+    site: Site
     row: Row = field(default_factory=lambda: {
         "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
         "gaps": REFUSE,
@@ -92,6 +101,15 @@ class About:
     short: str = summary.DONE
     incidents: tuple[Incident, ...] = ()
     notes: tuple[Note, ...] = ()
+    load: Callable[[], Recorded] | None = None
+    bound: Callable[[Recorded], float | None] | None = None
+    source: str = ""
+    meant: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the run, unique in the report."""
+        return str(self.row["run"])
 
     @property
     def incident_count(self) -> int:
@@ -102,32 +120,6 @@ class About:
     def ended(self) -> str:
         """How it ended, in a few words, with how many incidents there were."""
         return with_incidents(self.short, self.incident_count)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run(About):
-    """A run that left something to show.
-
-    Attributes:
-        site: Table I.
-        load: reads what happened, with further notes; None where no trajectory was kept.
-        bound: of what happened, the least total deviation (m3) that a controller with commands
-            up to 1 could reach, None where that is unknown; None of a run whose row has it.
-        source: the study or run directory that it is from, by a name that no other one has.
-        meant: what stands behind names of the row, by column: where two sources use a name for
-            different things, they are told apart.
-    """
-
-    site: Site
-    load: Callable[[], Recorded] | None = None
-    bound: Callable[[Recorded], float | None] | None = None
-    source: str = ""
-    meant: Mapping[str, object] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """Of the run, unique in the report."""
-        return str(self.row["run"])
 
 
 def controller_name(name: str) -> str:
@@ -145,17 +137,17 @@ def parameter_text(value: float | str | None) -> str:
 
 def parameters(cells: Mapping[str, object]) -> Parameters:
     """Return the parameters that are there and mean something: no blank, no infinite bound."""
-    found: Parameters = {}
+    values: Parameters = {}
     for key, cell in cells.items():
-        text = "" if cell is None else str(cell)
         try:
-            found[key] = float(text)
+            value = float(str(cell))
         except ValueError:
-            found[key] = text
-    return {
-        key: value for key, value in found.items()
-        if (math.isfinite(value) if isinstance(value, float) else value)
-    }
+            if cell not in (None, ""):
+                values[key] = str(cell)
+        else:
+            if math.isfinite(value):
+                values[key] = value
+    return values
 
 
 def labels(row: Row) -> Row:
@@ -231,47 +223,41 @@ def notes_of(row: Row) -> list[Note]:
     return notes
 
 
-def read_about(run: Path) -> About:
+def read_about(run: Path, site: Site) -> Run:
     """Read a run's summary, or if there is none that is whole, the parameters of its nodes.
 
     What is beside a bag is no reason to refuse it: a file that is damaged or foreign leaves a note.
     Incidents have a file of their own, which is there before a summary has them.
     """
-    notes: list[Note] = []
+    about, notes = Run(site=site), list[Note]()
     incidents: tuple[Incident, ...] = ()
 
-    def unused(name: str, wrong: str, reason: str) -> None:
-        reason = reason.removeprefix(f"{run / name}").lstrip(":, ")
-        notes.append(Note(f"{name} beside the bag is {wrong}, and not used: {reason}"))
+    def unused(name: str, wrong: str, reason: object) -> None:
+        text = str(reason).removeprefix(f"{run / name}").lstrip(":, ")
+        notes.append(Note(f"{name} beside the bag is {wrong}, and not used: {text}"))
 
     try:
         incidents = tuple(read_incidents(run))
     except (OSError, ValueError) as error:
-        unused(INCIDENTS, "damaged", str(error))
+        unused(INCIDENTS, "damaged", error)
     for name, read in ((summary.SUMMARY, _summary), (_PARAMETERS, _node_parameters)):
         if (run / name).is_file():
             try:
-                about = _understand(read(run / name))
-            except ConfigurationError as error:
-                unused(name, "damaged or foreign", str(error))
+                about = _understand(read(run / name), site)
+            except (ConfigurationError, json.JSONDecodeError) as error:
+                unused(name, "damaged or foreign", error)
             except Exception:  # a foreign file can be wrong in any way
                 unused(name, "damaged or foreign", "it lacks what a run writes about itself")
             else:
-                return replace(
-                    about, external_pump=_external_pump(run), notes=(*notes, *about.notes),
-                    incidents=incidents or about.incidents,
-                )
-    return About(notes=tuple(notes), incidents=incidents)
+                break
+    return replace(
+        about, external_pump=about.own and _external_pump(run), notes=(*notes, *about.notes),
+        incidents=incidents or about.incidents,
+    )
 
 
-def _summary(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(read_text(file))
-    except ValueError as error:
-        raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
-    if not isinstance(content, dict):
-        raise ConfigurationError("must hold one object", file=file)
-    return content
+def _summary(file: Path) -> Any:
+    return json.loads(read_text(file))
 
 
 def _external_pump(run: Path) -> bool:
@@ -284,24 +270,20 @@ def _external_pump(run: Path) -> bool:
 
 def _nodes(file: Path) -> dict[str, YamlMapping]:
     """Return the parameters of each of a run's nodes, by its name."""
-    nodes: dict[str, YamlMapping] = {}
-    for key, section in read_yaml(file).items():
-        values = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
-        if not isinstance(values, YamlMapping):
-            raise ConfigurationError("must hold 'ros__parameters:'", file=file, key=key)
-        nodes[key.removeprefix("/**/")] = values
-    return nodes
+    return {
+        key.removeprefix("/**/"): section["ros__parameters"]
+        for key, section in read_yaml(file).items()
+    }
 
 
 def _node_parameters(file: Path) -> dict[str, Any]:
     """Return the parameters of a run's nodes in the form of a summary."""
-    nodes = _nodes(file)
-    empty = YamlMapping()
-    plant, weather = nodes.get("plant", empty), nodes.get("weather", empty)
-    controller = nodes.get("recorder", empty).get("controller")
-    given = nodes.get(str(controller), empty)
-    volumes = {name: plant.get(f"initial_{name}_volume") for name in ("cistern", "roof")}
-    about: dict[str, Any] = {
+    nodes = defaultdict(YamlMapping, _nodes(file))
+    plant, weather = nodes["plant"], nodes["weather"]
+    controller = nodes["recorder"].get("controller")
+    given = nodes[str(controller)]
+    volumes = {f"{name}_m3": plant.get(f"initial_{name}_volume") for name in ("cistern", "roof")}
+    return {
         "controller": controller,
         "parameters": {key: value for key, value in given.items() if key != "site_file"},
         "weather": name_files([Path(file) for file in weather.get("weather_files") or []]),
@@ -312,13 +294,12 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
         },
         "sensor_pump_errors": {name: plant.get(name) for name in PARAMETERS},
+        "initial": None if None in volumes.values() else volumes,
+        "start": plant.get("start"),
     }
-    if None not in volumes.values():
-        about["initial"] = {f"{name}_m3": volume for name, volume in volumes.items()}
-    return about | ({"start": plant["start"]} if "start" in plant else {})
 
 
-def _understand(content: dict[str, Any]) -> About:
+def _understand(content: dict[str, Any], site: Site) -> Run:
     """Return what a summary says.
 
     Raises:
@@ -330,11 +311,8 @@ def _understand(content: dict[str, Any]) -> About:
     done = content.get("status", summary.DONE) == summary.DONE
     given = parameters(content.get("parameters") or {})
     errors = content.get("sensor_pump_errors") or {}
-    row = {**About().row, "controller": content["controller"], **_inputs(content, live), **errors}
-    if done:
-        results = (*(metric.name for metric in METRICS), "frost_hours")
-        row |= {name: float(content[name]) for name in results if content.get(name) is not None}
-    start = datetime.fromisoformat(content["start"]) if "start" in content else None
+    row = {**Run(site=site).row, **_row(content, live=live, done=done), **errors}
+    start = datetime.fromisoformat(content["start"]) if content.get("start") else None
     notes = notes_of({**row, "start": None if start is None else to_people(start)})
     changes, ticks = dict[str, str](), dict[str, list[str]]()
     for change in content.get("parameter_changes") or []:
@@ -358,39 +336,37 @@ def _understand(content: dict[str, Any]) -> About:
         named = labels(row)["sensor and pump errors"]
         notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))
     ending, short = ("", summary.DONE) if done else _ending(content)
-    return About(
-        row=row, parameters=given, exact_sensor=exact_sensor, changes=changes, ending=ending,
-        zone=None if start is None else start.tzinfo,
+    return Run(
+        site=site, row=row, parameters=given, exact_sensor=exact_sensor, changes=changes,
+        zone=None if start is None else start.tzinfo, ending=ending, short=short,
         own=not live,  # what sensors said may be anything
-        short=short, notes=tuple(notes),
         incidents=tuple(Incident(**incident) for incident in content.get("incidents") or []),
+        notes=tuple(notes),
     )
 
 
-def _inputs(content: Mapping[str, Any], live: bool) -> Row:
-    """Return what a summary says was asked for, and was done to its weather."""
-    initial, forecast = content.get("initial") or {}, content.get("forecast") or {}
-    if live:
-        forecast = {"file": forecast}
-    filled = content.get("filled") or {}
+def _row(content: Mapping[str, Any], *, live: bool, done: bool) -> Row:
+    """Return what a summary says was asked for, was done to its weather, and came out."""
+    forecast = {"file": content.get("forecast")} if live else content.get("forecast") or {}
     row = {
+        "controller": content["controller"],
         "weather": Path(content.get("weather") or "").name,
-        "evapotranspiration": str(content.get("evapotranspiration_method") or ""),
-        "gaps": str(content.get("gaps") or ""),
-        "filled_hours": float(content.get("filled_hours") or len(filled)),
-        "filled": "; ".join(f"{key}: {', '.join(hours)}" for key, hours in filled.items()),
-        "weather_notes": "; ".join(content.get("weather_notes") or []),
-        "suspicious": "; ".join(content.get("suspicious") or []),
-        "fallbacks": float((content.get("solver") or {}).get("fallbacks") or 0),
-        "forecast_repeats_from": content.get("forecast_repeats_last_record_from"),
+        "evapotranspiration": content.get("evapotranspiration_method"),
+        "gaps": content.get("gaps"),
         "forecast": forecast.get("file") or forecast.get("model"),
         **{f"forecast_{option}": forecast.get(option) for option in _LABELLED},
+        **summary_columns(content),
     }
-    state = {
-        "initial": str(initial.get("name", "")), "cistern_m3": float(initial["cistern_m3"]),
-        "roof_m3": float(initial["roof_m3"]),
-    } if initial else {}
-    return {column: value for column, value in row.items() if value not in (None, "")} | state
+    for name in (*(metric.name for metric in METRICS), "frost_hours"):
+        value = row.pop(name, None)
+        if done and value is not None:
+            row[name] = float(value)
+    row = {column: value for column, value in row.items() if value not in (None, "")}
+    initial = content.get("initial")
+    if not initial:
+        return row
+    volumes = {key: float(initial[key]) for key in ("cistern_m3", "roof_m3")}
+    return {**row, **volumes, "initial": initial.get("name", "")}
 
 
 def _ending(content: Mapping[str, Any]) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -51,8 +52,19 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     bag, run = _bag_in(path), run_directory(path)
     if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
         bag = recovered_bag(bag)
-    about = read_about(run)
     repair = f"greenroof recover {path} makes a whole one"
+    own_site, notes = site_file_of(run), list[Note]()
+    if site_file is not None:
+        site, site_name = read_site(site_file), str(site_file)
+    elif own_site.is_file():
+        site, site_name = read_site(own_site), own_site.name
+    else:
+        site = read_site(shared_directory() / "config" / "site.yaml")
+        site_name = "the paper's"
+        notes.append(
+            Note("no site file came with the bag: the site is the paper's, config/site.yaml")
+        )
+    about = read_about(run, site)
     if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(
@@ -65,18 +77,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
         )
-    own_site, zone = site_file_of(run), about.zone
-    notes = []
-    if site_file is not None:
-        site, site_name = read_site(site_file), str(site_file)
-    elif own_site.is_file():
-        site, site_name = read_site(own_site), own_site.name
-    else:
-        site = read_site(shared_directory() / "config" / "site.yaml")
-        site_name = "the paper's"
-        notes.append(
-            Note("no site file came with the bag: the site is the paper's, config/site.yaml")
-        )
+    zone = about.zone
     if zone is None and own_site.is_file() and site.utc_offset is not None:
         zone = timezone(timedelta(hours=site.utc_offset))
     if zone is None:
@@ -84,14 +85,10 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
     weather = sorted((run / _WEATHER).glob("*"))
     forecast = sorted((run / "configuration" / "forecast").rglob("*"))
-    known = {
-        **vars(about),
-        "row": {**row, **labels(row), "seed": ""},  # it is shown alone
-        "notes": (*notes, *about.notes),
-    }
-    return Run(
-        **known,
-        site=site,
+    return replace(
+        about,
+        row={**row, **labels(row), "seed": ""},  # it is shown alone
+        notes=(*notes, *about.notes),
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
@@ -195,7 +192,7 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
         },
     }
     # Until the end: in the last sample nothing flows any more.
-    flows: dict[str, Any] = {name: np.append(one[:-1], 0.0) for name, one in values.items()}
+    flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
     followed = soil_of(site).follow(
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
         flows["potential"], flows["drainage"], dt,

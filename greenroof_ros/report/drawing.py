@@ -162,13 +162,19 @@ def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
     }
 
 
-def pointed(*fields: str | alt.Tooltip) -> list[alt.Tooltip]:
-    """Return what the pointer shows.
+def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
+    """Return what the pointer shows: fields, some with a title, whose numbers have six digits.
 
     As any channel it is made here: of one that is but a name Altair goes through all of its own
     classes, which takes longer than the rest of a chart.
     """
-    return [alt.Tooltip(field) if isinstance(field, str) else field for field in fields]
+    def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
+        if isinstance(shown, tuple):
+            form = ".6~g" if shown[0].endswith(":Q") else alt.Undefined
+            return alt.Tooltip(shown[0], title=shown[1], format=form)
+        return alt.Tooltip(shown) if isinstance(shown, str) else shown
+
+    return list(map(tooltip, fields))
 
 
 def cycled(choices: Sequence[Any], values: list[str]) -> alt.Scale:

@@ -90,8 +90,8 @@ QUANTITIES = (
 
 # The names of all figures begin with these; their numbers follow.
 _KINDS = (
-    "pump-curve", "pump-smoothing", "weather", *(one.name for one in QUANTITIES), "trajectories",
-    "water-balance", "forecast-errors", "seasons", "season-comparisons", "sizing",
+    *(quantity.name for quantity in QUANTITIES), "pump-curve", "pump-smoothing", "weather",
+    "trajectories", "water-balance", "forecast-errors", "seasons", "season-comparisons", "sizing",
 )
 
 
@@ -187,9 +187,13 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
     y = alt.Y("v:Q", title=quantity.axis, scale=alt.Scale(domain=[0, 1.08 * top], nice=False))
     colour = alt.Color("initial:N", title="from", scale=cycled(COLOURS, report.initials))
     shape = alt.Shape("initial:N", title="from", scale=cycled(SHAPES, report.initials))
-    panels = []
-    data: dict[str, Rows] = {f"bound-{number}": bounds} if bounds else {}
-    least = _bound_layers(f"bound-{number}", y, colour) if bounds else []
+    panels, least = [], []
+    data: dict[str, Rows] = {}
+    if bounds:
+        data[f"bound-{number}"] = bounds
+        least = _least_layers(alt.Chart(alt.NamedData(f"bound-{number}")).encode(
+            y=y, color=colour, strokeWidth=alt.StrokeWidth("width:Q", scale=None)
+        ), ("initial:N", "from"))
     for controller in report.controllers:
         here = [
             {
@@ -212,9 +216,8 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
             base.mark_line(strokeWidth=1, opacity=0.6),
             base.mark_point(filled=True, opacity=1).encode(
                 shape=shape, size=alt.Size("size:Q", scale=None), tooltip=pointed(
-                    "run:N", alt.Tooltip("setting:N", title=settings.title),
-                    alt.Tooltip("initial:N", title="from"),
-                    alt.Tooltip("v:Q", title=quantity.axis, format=".6~g"),
+                    "run:N", ("setting:N", settings.title), ("initial:N", "from"),
+                    ("v:Q", quantity.axis),
                 ),
             ),
             *least,
@@ -254,15 +257,15 @@ def _settings_axis(settings: Settings, rows: Rows) -> alt.X:
     return alt.X("x:Q", title=settings.title, scale=alt.Scale(padding=12, **kind), axis=axis)
 
 
-def _bound_layers(data: str, y: alt.Y, colour: alt.Color) -> list[alt.Chart]:
+def _least_layers(bounds: alt.Chart, *pointed_at: tuple[str, str]) -> list[alt.Chart]:
     """Return the lines of the least possible, each with its name in the left corner."""
-    base = alt.Chart(alt.NamedData(data)).encode(y=y, color=colour)
-    width = alt.StrokeWidth("width:Q", scale=None)
-    tooltip = pointed(alt.Tooltip("initial:N", title="from"),
-                      alt.Tooltip("v:Q", title="least possible (m³)", format=".6~g"))
+    names = bounds.copy()
+    names.encoding.strokeWidth = alt.Undefined
     return [
-        base.mark_rule(strokeDash=[6, 3]).encode(strokeWidth=width, tooltip=tooltip),
-        base.mark_text(align="left", baseline="bottom", dx=4, dy=-1, fontSize=10).encode(
+        bounds.mark_rule(strokeDash=[6, 3]).encode(
+            tooltip=pointed(*pointed_at, ("v:Q", "least possible (m³)"))
+        ),
+        names.mark_text(align="left", baseline="bottom", dx=4, dy=-1, fontSize=10).encode(
             x=alt.XValue(0), text=alt.Text("text:N"),
         ),
     ]
@@ -337,7 +340,7 @@ def balance(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 "term:N", title=None,
                 scale=alt.Scale(domain=list(parts), range=[_TERMS[term] for term in parts]),
             ),
-            tooltip=pointed("run:N", "term:N", alt.Tooltip("v:Q", title="m³", format=".6~g")),
+            tooltip=pointed("run:N", "term:N", ("v:Q", "m³")),
         )
         panels.append(Panel(chart, tank, height=max(90, 17 * len(rows)), toggle="term"))
     return Figure(
@@ -379,7 +382,7 @@ def forecast_errors(report: Report) -> Figure:
         "not begin at 0."
     )
     if any(row["bound_m3"] for row in cases):
-        caption += " Black: the least that any controller with commands up to 1 could reach."
+        caption += " Dashed: the least that any controller with commands up to 1 could reach."
     return Figure(
         "forecast-errors", "Deviation under forecast errors", caption, tuple(panels),
         min(len(panels), 3), data,
@@ -391,7 +394,6 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     bounds = sorted({row["bound_m3"] for row in cases if row["bound_m3"] is not None})
     values = [*bounds, *(row[column] for row in cases for column in _AMOUNTS.values())]
     low, high = min(values), max(values)
-    # Enough for the words below the line.
     margin = 0.08 * (high - low) or 0.08 * high or 1.0
     scale = alt.Scale(domain=[max(0.0, low - margin), high + margin], nice=False)
     skills = dict.fromkeys(
@@ -410,22 +412,13 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     shape = alt.Shape("series:N", title=None, scale=alt.Scale(
         domain=list(named), range=[next(shapes[name]) for name in named.values()],
     ))
-    layers: list[alt.Chart] = []
-    for bound in bounds:
-        least = alt.Chart(alt.InlineData([{"v": bound, "text": "least possible"}]))
-        layers += [
-            least.mark_rule(color="black", strokeWidth=1.5).encode(
-                y=y, tooltip=[alt.Tooltip("v:Q", title="least possible (m³)", format=".6~g")]
-            ),
-            least.mark_text(align="left", baseline="top", dx=4, dy=3, fontSize=10).encode(
-                x=alt.XValue(0), y=y, text=alt.Text("text:N")
-            ),
-        ]
-    tooltip = [
-        alt.Tooltip("series:N", title="controller"), alt.Tooltip("skill:N", title="skill"),
-        alt.Tooltip("amount:N", title="of the seeds"), alt.Tooltip("seeds:Q"),
-        alt.Tooltip("v:Q", title=_TOTAL_AXIS, format=".6~g"),
-    ]
+    layers = _least_layers(alt.Chart(alt.InlineData(
+        [{"v": bound, "text": "least possible"} for bound in bounds]
+    )).encode(y=y, color=alt.ColorValue("black"))) if bounds else []
+    tooltip = pointed(
+        ("series:N", "controller"), ("skill:N", "skill"), ("amount:N", "of the seeds"), "seeds:Q",
+        ("v:Q", _TOTAL_AXIS),
+    )
     base = alt.Chart(alt.NamedData(dataset))
     for amount, filled, dash in zip(_AMOUNTS, (True, False), ([1, 0], [4, 3]), strict=True):
         part = base.transform_filter(alt.datum.amount == amount)
@@ -501,7 +494,7 @@ def by_year(report: Report) -> Figure:
 def comparison_figure(report: Report) -> Figure:
     """Return the deviations relative to on/off with their intervals, a panel for each place."""
     cases = report.of(SEASONS)
-    names = [controller_name(each) for each in report.controllers]
+    names = list(map(controller_name, report.controllers))
     colour = alt.Color("controller:N", title=None, scale=cycled(COLOURS, names))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}

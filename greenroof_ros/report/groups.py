@@ -74,8 +74,10 @@ _SCHEMA: dict[str, Any] = {
 }
 # More than any controller has settings: a rank is a controller's place times this, and a setting's.
 _SETTINGS = 10_000
-# What follows a site's size: areas, the cistern's depth, and the volumes in them.
-_BY_SIZE = {"a1", "a2", "z_o", "x2_star", "initial_cistern", "initial_roof", "initial_layer"}
+# What follows a site's size: areas, the cistern's depth, and volumes in them.
+_BY_SIZE = {
+    "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
+}
 
 
 @dataclass(frozen=True)
@@ -210,9 +212,9 @@ class Report:
                 f"{first['run']} {first['error']}"
             )
         self.runs = {run.name: run for run in runs}
-        found = list(dict.fromkeys(run.row["controller"] for run in runs))
-        self.controllers = [name for name in PAPERS_CONTROLLERS if name in found]
-        self.controllers += [name for name in found if name not in PAPERS_CONTROLLERS]
+        ran = list(dict.fromkeys(run.row["controller"] for run in runs))
+        self.controllers = [name for name in PAPERS_CONTROLLERS if name in ran]
+        self.controllers += [name for name in ran if name not in PAPERS_CONTROLLERS]
         self.settings = {
             name: Settings([run for run in runs if run.row["controller"] == name])
             for name in self.controllers
@@ -324,15 +326,15 @@ class Report:
     @cached_property
     def _deviations(self) -> dict[int, Deviations]:
         """Of each case that is a season of several years."""
-        found: dict[int, Deviations] = {}
+        deviations: dict[int, Deviations] = {}
         seasons = self.table.filter(kind=SEASONS).sort(
             "year", pl.col("seed").str.len_chars(), "seed"
         )
         for (case, year), runs in seasons.group_by("case", "year", maintain_order=True):
-            of = found.setdefault(case, Deviations())
+            of = deviations.setdefault(case, Deviations())
             of.totals[year] = runs[TOTAL].to_numpy()
             of.weeks[year] = np.array(runs["season"].to_list())
-        return found
+        return deviations
 
     # --- what runs are compared within -----------------------------------------------------------
 
@@ -375,12 +377,12 @@ class Report:
         def order(row: Row) -> tuple[int, ...]:
             return row["window"], self.initials.index(row["from"]), row["rank"] // _SETTINGS
 
-        found = []
+        best = []
         for _, group in groupby(sorted(self.of(SINGLE), key=order), key=order):
             first, *others = sorted(group, key=lambda row: (row[TOTAL], row["case"]))
             alike = others and first[TOTAL] == others[-1][TOTAL]
-            found.append({**first, "setting": ALIKE} if alike else first)
-        return found
+            best.append({**first, "setting": ALIKE} if alike else first)
+        return best
 
     # --- seasons of several years ----------------------------------------------------------------
 
@@ -406,7 +408,7 @@ class Report:
         Of several with a share of the flow each, it is the one with the least mean deviation: in
         ticks of some seconds full flow goes beyond the target, which no site would have.
         """
-        (level,) = (each.default for each in OnOff.parameters if each.name == "level")
+        (level,) = (known.default for known in OnOff.parameters if known.name == "level")
         return _least(
             row for row in self.of(SEASONS) if row["controller"] == "onoff"
             and self.runs[row["run"]].parameters.get("level", level) == level
@@ -442,13 +444,13 @@ class Report:
         })
 
     def _over(self, references: dict[int, Row]) -> list[Row]:
-        found = []
+        compared = []
         for row in self.of(SEASONS):
             than = references.get(row["place"], row)
             has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
             if than["case"] != row["case"] and has is not None:
-                found.append({**row, "than": than, "has": has})
-        return found
+                compared.append({**row, "than": than, "has": has})
+        return compared
 
     def years(self, row: Row) -> list[tuple[int, np.ndarray[Any, Any]]]:
         """Return each year of a season's case with the total deviation of each seed (m3)."""

@@ -71,10 +71,10 @@ class Deviations:
     def _of_weeks(self, years: tuple[int, ...], counts: Array) -> Array:
         """Return the worst tenth of weeks where each year counts so often, shape (n, years)."""
         weeks = [self.weeks[year] for year in years]
-        place = np.repeat(np.arange(len(years)), [one.size for one in weeks])
-        seeds = np.array([len(one) for one in weeks])
+        place = np.repeat(np.arange(len(years)), [seasons.size for seasons in weeks])
+        seeds = np.array(list(map(len, weeks)))
         return _worst_tenths(
-            counts[:, place] / seeds[place], np.concatenate([one.ravel() for one in weeks])
+            counts[:, place] / seeds[place], np.concatenate(list(map(np.ravel, weeks)))
         )
 
 

@@ -52,6 +52,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     drawing = ("altair", "vl-convert-python", "rosbags", "polars")
     used = {name: metadata.version(name) for name in drawing}
     used["vega"] = vl_convert.get_vega_version()
+    by_name = {figure.name: figure for figure in figures}
     return page_of(
         __package__, figures,
         report=report,
@@ -61,7 +62,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         warnings=make_warnings(report),
         incidents=incident_tables(report),
         lead=sentences(report),
-        leading=next((one for name in LEADING for one in figures if one.name == name), None),
+        leading=next((by_name[name] for name in LEADING if name in by_name), None),
         cautions=cautions(report),
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
         bounds=bool(report.table["bound_m3"].sum()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
@@ -42,6 +42,9 @@ _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
 )
+
+
+_STATUS = ("done", "failed", "not run")
 
 
 @dataclass
@@ -86,11 +89,11 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
-            found = read_run(path, name, site_file)
-            if isinstance(found, Run):
-                sources.runs.append(found)
+            run = read_run(path, name, site_file)
+            if isinstance(run, Run):
+                sources.runs.append(run)
             else:
-                sources.failed.append(found)
+                sources.failed.append(run)
     for name, count in Counter(run.name for run in sources.runs).items():
         if count > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
@@ -131,22 +134,11 @@ def _told_apart(runs: Sequence[Run]) -> list[Run]:
 
 def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
     """Add the runs of a study, whose names begin with a prefix."""
-    file, configuration = path / "results.csv", path / "configuration"
-    sites: set[str] = set()
+    configuration, sites = path / "configuration", set[str]()
     # Files that hundreds of runs share.
     read, digest = cache(read_site), cache(file_digest)
-    rows = _rows(file)
-    for line, row in rows:
-        run = row["run"]
-        for key, fits, expected in (
-            ("run", run and Path(run).name == run, "the name of a directory under runs/"),
-            ("status", row["status"] in ("done", "failed", "not run"), "done, failed or not run"),
-        ):
-            if not fits:
-                raise ConfigurationError(
-                    f"must be {expected}", file=file, line=line, key=key, value=row[key]
-                )
-        given = parameters(row_parameters(row))
+    for row in read_results(path / "results.csv").to_dicts():
+        run, given = row["run"], parameters(row_parameters(row))
         row |= {**labels(row), **_season(row), "run": prefix + run}
         if row["status"] != "done":
             sources.failed.append(_failed(row, given))
@@ -171,44 +163,54 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                 "from": meaning_of_initial(row),
             },
         ))
-    if not rows:
-        raise ConfigurationError("has a header but no runs", file=file)
     for further in sorted(configuration.glob("*")):
         # Sites appear as a table of their own; weather files are long, and named with each run.
         if further.suffix in (".json", ".yaml") and further.name not in sites:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
-def _rows(file: Path) -> list[tuple[int, Row]]:
-    """Return the rows of a study's table with their lines; a number that is blank is None.
+def read_results(file: Path) -> pl.DataFrame:
+    """Return a study's table as it is, a row a run; an empty cell is null.
 
     Raises:
-        ConfigurationError: it is another table, or was cut.
+        ConfigurationError: it is another table, or was cut short.
     """
-    reader = csv.DictReader(io.StringIO(read_text(file)))
-    header = list(reader.fieldnames or ())
-    missing = [column for column in _NEEDED if column not in header]
+    text = read_text(file)
+    try:
+        table = pl.read_csv(io.StringIO(text), infer_schema=False)
+    except pl.exceptions.PolarsError as error:
+        reason = str(error).partition("\n")[0]
+        raise ConfigurationError(f"is no table of a study: {reason}", file=file) from error
+    missing = [column for column in _NEEDED if column not in table.columns]
     if missing:
         raise ConfigurationError(
             f"has no column {', '.join(missing)}; is it the results.csv of a study?",
             file=file, line=1,
         )
-    rows: list[tuple[int, Row]] = []
-    for cells in reader:
-        line, row = reader.line_num, dict[str, object](cells)
-        if None in row or None in row.values():
-            raise ConfigurationError(f"must have {len(header)} cells", file=file, line=line)
-        for column in _NUMBERS:
-            try:
-                row[column] = float(cells[column]) if cells.get(column) else None
-            except ValueError as error:
-                raise ConfigurationError(
-                    "must be a number", file=file, line=line, key=column, value=cells[column]
-                ) from error
-        for column in ("hours", "cistern_m3", "roof_m3"):
-            row[column] = row[column] or 0.0
-        rows.append((line, row))
-    return rows
+    if not text.endswith("\n"):
+        raise ConfigurationError(
+            "ends within a line, as a copy that was cut short; copy it again",
+            file=file, line=text.count("\n") + 1,
+        )
+    if table.is_empty():
+        raise ConfigurationError("has a header but no runs", file=file)
+    names = [column for column in _NUMBERS if column in table.columns]
+    numbers = table.with_columns(pl.col(names).cast(pl.Float64, strict=False))
+    outside = pl.col("run").is_null() | pl.col("run").str.contains("/|^[.]*$")
+    for key, wrong, expected in (
+        ("run", outside, "the name of a directory under runs/"),
+        ("status", ~pl.col("status").fill_null("").is_in(_STATUS), "done, failed or not run"),
+        *((name, pl.col(name).is_not_null() & numbers[name].is_null(), "a number")
+          for name in names),
+    ):
+        for place in table.select(wrong.arg_true()).to_series():
+            before = "".join(cell or "" for row in table[:place].rows() for cell in row)
+            raise ConfigurationError(
+                f"must be {expected}", file=file, line=place + 2 + before.count("\n"), key=key,
+                value=table[key][place],
+            )
+    volumes = pl.col("hours", "cistern_m3", "roof_m3").fill_null(0.0)
+    return numbers.with_columns(volumes)
 
 
 def _failed(row: Row, given: dict[str, float | str]) -> Row:

@@ -42,7 +42,8 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         ("roof", "green roof", "green roof, x2 (m³)"),
     ):
         curves = {row["run"]: report.drawn[row["run"]].curves[quantity] for row in rows}
-        domain, references = _axis(site, quantity, [v for one in curves.values() for _, v in one])
+        values = [value for curve in curves.values() for _, value in curve]
+        domain, references = _axis(site, quantity, values)
         scale, ticks = alt.Scale(domain=domain, nice=False), alt.Axis()
         if quantity == "command":
             # Of 1e-3 and of 1 both must be seen.
@@ -63,9 +64,8 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 x=time,
                 y=alt.Y("v:Q", title=axis, scale=scale, axis=ticks),
                 tooltip=pointed(
-                    alt.Tooltip("setting:N", title=named),
-                    alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"),
-                    alt.Tooltip("v:Q", title=axis, format=".6~g"),
+                    ("setting:N", named),
+                    alt.Tooltip("t:Q", title=f"time ({unit})", format=".4~g"), ("v:Q", axis),
                 ),
             )
             panels.append(series_panel(
@@ -141,6 +141,11 @@ def _reference_layers(
     return layers
 
 
+def _clock(hours: float) -> str:
+    """Return how the axis of a run of so many hours names times: six of them must differ."""
+    return "%H:%M:%S" if hours < 0.2 else "%H:%M" if hours <= 36 else "%d %b"
+
+
 def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     """Return rain and evapotranspiration over time (paper: Fig. 4).
 
@@ -163,12 +168,12 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
     top = 1.05 * max(row["v"] for row in rain) or 1.0
     evaporation: Rows = [
         {"method": method, "t": origin + time * 1000, "v": short(value / area * 8.64e7)}
-        for method, one in runs.items() for time, value in one.curves["evapotranspiration"]
+        for method, run in runs.items() for time, value in run.curves["evapotranspiration"]
     ]
     utc = alt.Scale(type="utc")
     x = alt.X(
         "t:T", scale=utc, title=f"local time (UTC{start.isoformat()[-6:]})",
-        axis=alt.Axis(tickCount=6, format="%H:%M" if rows[0]["hours"] <= 36 else "%d %b"),
+        axis=alt.Axis(tickCount=6, format=_clock(rows[0]["hours"])),
     )
     when = alt.Tooltip(
         "t:T", title="from", timeUnit="utcyearmonthdatehoursminutes", format="%Y-%m-%d %H:%M"

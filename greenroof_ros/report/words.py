@@ -53,14 +53,14 @@ def sentences(report: Report) -> list[str]:
 
 
 def windows(report: Report) -> list[str]:
-    """Name all windows of weather in which something ran."""
+    """Name all sets of conditions in which something ran."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
         named = {**row, "forecast": f"{row['forecast']} skill {row['skill']}"}
         seeds.setdefault(report.heading(named), set()).add(row["seed"])
     return [
         *map(report.heading, report.windows(SINGLE)),
-        *(f"{window}, {len(found)} seeds" for window, found in seeds.items()),
+        *(f"{window}, {len(drawn)} seeds" for window, drawn in seeds.items()),
         *_seasons(report),
     ]
 
@@ -72,9 +72,9 @@ def _seasons(report: Report) -> list[str]:
     for row in report.table.filter(kind=SEASONS).to_dicts():
         years.setdefault(heading(row, apart), set()).add(row["year"])
     return [
-        f"{name}, {min(found)} to {max(found)}" if max(found) - min(found) + 1 == len(found)
-        else f"{name}, {', '.join(map(str, sorted(found)))}"
-        for name, found in years.items()
+        f"{name}, {min(ran)} to {max(ran)}" if max(ran) - min(ran) + 1 == len(ran)
+        else f"{name}, {', '.join(map(str, sorted(ran)))}"
+        for name, ran in years.items()
     ]
 
 
@@ -105,7 +105,7 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
     if initials:
         many = len(initials) > _MOST_NAMED
         of += f", from {f'{len(initials)} initial states' if many else _and(initials)}"
-    place = where[0] if len(where) == 1 else f"{len(where)} windows of weather"
+    place = where[0] if len(where) == 1 else f"{len(where)} sets of conditions"
     return f"{len(report.runs)} runs of {of}: {place}."
 
 
@@ -208,7 +208,7 @@ def _of_seasons(report: Report) -> list[str]:
     cases = report.of(SEASONS)
     if report.sizing:
         return [first, *_of_sizes(cases)]
-    best = list(report.least.values())
+    best, apart = list(report.least.values()), report.apart(SEASONS)
     compared = [
         row for row in report.over_onoff if row["case"] == report.least[row["place"]]["case"]
     ]
@@ -216,7 +216,8 @@ def _of_seasons(report: Report) -> list[str]:
         first,
         "The least mean deviation of a season was "
         + _and(
-            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']})"
+            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']}"
+            + (f", {heading(row, apart, apart)})" if apart else ")")
             for row in best[:_MOST_NAMED]
         ) + ".",
         *(
@@ -228,7 +229,7 @@ def _of_seasons(report: Report) -> list[str]:
 
 def _over_onoff(row: Row) -> str:
     has = row["has"]
-    value, low, high = (f"{each:.3f}" for each in has.mean)
+    value, low, high = (f"{ratio:.3f}" for ratio in has.mean)
     verdict = ", which contains 1" if has.mean.verdict == CONTAINS_1 else ""
     return f"{value} (95 %: {low} to {high}{verdict}; less in {has.better} of {has.years} years)"
 
@@ -284,12 +285,14 @@ def cautions(report: Report) -> list[str]:
 
 def _too_few(report: Report) -> dict[str, str]:
     """Say where there are too few years or seeds, by kind of cases."""
-    found = {}
-    for kind, (what, least, why) in _FEWEST.items():
-        fewest = min((row[what] for row in report.of(kind)), default=least)
-        if fewest < least:
-            found[kind] = f"only {fewest} {what}: with fewer than {least}, {why}"
-    return found
+    fewest = {
+        kind: min((row[what] for row in report.of(kind)), default=least)
+        for kind, (what, least, _) in _FEWEST.items()
+    }
+    return {
+        kind: f"only {fewest[kind]} {what}: with fewer than {least}, {why}"
+        for kind, (what, least, why) in _FEWEST.items() if fewest[kind] < least
+    }
 
 
 _TOGETHER = {
@@ -302,7 +305,7 @@ _TOGETHER = {
 
 def make_warnings(report: Report) -> list[RunWarning]:
     """Return what a reader should know, each with the runs that it is about."""
-    found: dict[tuple[str, str], list[str]] = {}
+    runs_of: dict[tuple[str, str], list[str]] = {}
     too_few = _too_few(report)
     for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
         run, kind = report.runs[row["run"]], row["kind"]
@@ -310,8 +313,8 @@ def make_warnings(report: Report) -> list[RunWarning]:
         for note in (*(Note(text) for text in texts if text), *run.notes):
             text = note.text if kind == SINGLE else note.of_many or note.text
             sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."
-            found.setdefault((sentence, note.listed), []).append(row["run"])
-    return [RunWarning(text, listed, runs) for (text, listed), runs in found.items()]
+            runs_of.setdefault((sentence, note.listed), []).append(row["run"])
+    return [RunWarning(text, listed, runs) for (text, listed), runs in runs_of.items()]
 
 
 def _of_results(row: Row, run: Run) -> list[str]:

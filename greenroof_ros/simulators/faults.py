@@ -106,7 +106,7 @@ def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> N
     """Add ``--fault`` to a command."""
     parser.add_argument(
         "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
-        metavar="KIND[=PARAMETER]", help="a fault from the start on; see below",
+        metavar="KIND[=PARAMETER]", help="a fault from the start; see below",
     )
 
 

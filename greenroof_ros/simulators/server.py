@@ -209,8 +209,8 @@ class Server:
         )
         if not await server.listen():
             raise ConfigurationError(
-                "cannot be opened: the port is taken, not of this machine, or not allowed; or "
-                "there is no such serial device",
+                "cannot be opened: another program has the port, the address is not of this "
+                "machine, or you may not use it; or there is no such serial device",
                 key="address", value=str(self.address),
             )
         if not self.address.line:

@@ -97,8 +97,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     kept.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep the table only, of thousands of runs; a report then has no figures of weather, "
-        "commands and volumes",
+        help="keep the table only, for thousands of runs; a report then has no figures of "
+        "weather, commands and volumes",
     )
     return parser
 

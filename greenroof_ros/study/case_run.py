@@ -24,11 +24,12 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.model.metrics import METRICS, Metrics
+from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_pump_errors import Pump
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.study.grid import Case, in_directory
 from greenroof_ros.weather.reading import read_weather
 
@@ -129,7 +130,7 @@ def _run_in_process(run: Run, trajectory_every: float | None) -> Outcome:
         solver=controller.statistics(),
     )
     files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
-    return Outcome(_results(result), _timings(result), files)
+    return Outcome(summary_columns(result), _timings(result), files)
 
 
 def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> Outcome:
@@ -175,7 +176,7 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         raise RuntimeError(f"no ROS domain from {_DOMAINS[0]} to {_DOMAINS[-1]} is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     if trajectory_every is None:
-        return Outcome(_results(result), _timings(result), {})
+        return Outcome(summary_columns(result), _timings(result), {})
     site = read_site(output / "configuration" / "site.yaml")
     zone = read_start(case.start).tzinfo
     assert zone is not None
@@ -187,7 +188,7 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
     files = {name: (output / name).read_bytes() for name in kept}
     return Outcome(
-        _results(result), _timings(result),
+        summary_columns(result), _timings(result),
         {"trajectory.parquet": trajectory.to_parquet(), **files},
     )
 
@@ -215,26 +216,6 @@ def _domains(case: Case) -> Iterator[int]:
     first = int(case.identity, 16) % len(_DOMAINS)
     yield from _DOMAINS[first:]
     yield from _DOMAINS[:first]
-
-
-def _results(result: dict[str, Any]) -> dict[str, Any]:
-    """Return the columns of a summary that are the same in every repetition."""
-    solver = result["solver"] or {}
-    return {
-        **{metric.name: result[metric.name] for metric in METRICS if metric.name in result},
-        "weekly_deviation_m3": " ".join(map(repr, result["weekly_deviation_m3"])),
-        "solves": solver.get("solves"),
-        "fallbacks": solver.get("fallbacks"),
-        "frost_hours": result["frost_hours"],
-        "precipitation_in_frost_mm": result["precipitation_in_frost_mm"],
-        "filled_hours": result["filled_hours"],
-        "filled": "; ".join(
-            f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
-        ),
-        "weather_notes": "; ".join(result["weather_notes"]),
-        "suspicious": "; ".join(result["suspicious"]),
-        "forecast_repeats_from": result["forecast_repeats_last_record_from"],
-    }
 
 
 def _timings(result: dict[str, Any]) -> dict[str, float]:

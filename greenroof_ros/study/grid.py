@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import (
     YamlMapping,
     number,
@@ -252,8 +252,10 @@ class _Grid:
             site = read_site(path)
             # Those parameters that are not given are as they are on a site.
             settings = [
-                one._replace(parameters={**one.controller.defaults(site), **one.parameters})
-                for one in controllers if not one.sites or name in one.sites
+                setting._replace(
+                    parameters={**setting.controller.defaults(site), **setting.parameters}
+                )
+                for setting in controllers if not setting.sites or name in setting.sites
             ]
             for block in self._blocks(self._mapping, "weather", _WINDOW):
                 self._keys(block, ("file", "start"), (*_TIMES, "gaps", "forecast"))
@@ -266,18 +268,18 @@ class _Grid:
         for place, block in enumerate(self._blocks(self._mapping, "site", _SITE)):
             key = "site" if "site" in block else "file"
             self._keys(block, (key,), symbols)
-            for each in self._combinations(block, dict.fromkeys([key, *block])):
-                path = file = self._file(each, key)
-                own = {one: number(self._path, each, one) for one in each if one != key}
+            for values in self._combinations(block, dict.fromkeys([key, *block])):
+                path = file = self._file(values, key)
+                own = {name: number(self._path, values, name) for name in values if name != key}
                 read_site(file)
                 if own:
-                    label = "_".join(f"{one}-{shortest(value)}" for one, value in own.items())
+                    label = "_".join(f"{name}-{shortest(value)}" for name, value in own.items())
                     path = Path(self._scratch.name, str(place), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
                     path.write_text(edited(file, own), encoding="utf-8")
-                    with self._at(each, next(iter(own)), f"{each[key]} with these values: "):
+                    with self._at(values, next(iter(own)), f"{values[key]} with these values: "):
                         read_site(path)
-                yield each[key], path
+                yield values[key], path
 
     def _runs(
         self, site_file: Path, site: Site, window: YamlMapping, controllers: list[_Setting]
@@ -287,8 +289,8 @@ class _Grid:
             return text.replace("{year}", str(window["year"])) if "year" in window else text
 
         files: list[Path] = []
-        for each in self._combinations(window, ["file"]):
-            name = of_year(self._text(each, "file"))
+        for named in self._combinations(window, ["file"]):
+            name = of_year(self._text(named, "file"))
             with self._at(window, "file"):
                 files += find_files([name], "file", self._place(window, "file", name))
         hours = number(self._path, window, "hours") if "hours" in window else None
@@ -309,14 +311,16 @@ class _Grid:
         # with errors need the records that perfect ones do.
         checked: dict[tuple[object, ...], Run] = {}
         usual = list(self._forecasts(window if "forecast" in window else self._mapping))
-        forecasts = [usual if one.forecasts is None else one.forecasts for one in controllers]
-        own = itertools.chain(*forecasts)
+        forecasts = [
+            usual if setting.forecasts is None else setting.forecasts for setting in controllers
+        ]
         for choice, (initial, volumes) in itertools.product(
-            [*usual, *(one for one in dict.fromkeys(own) if one not in usual)],
+            dict.fromkeys(itertools.chain(usual, *forecasts)),
             list(self._initial_states(site_file, site)),
         ):
             theirs = [
-                one for one, each in zip(controllers, forecasts, strict=True) if choice in each
+                setting for setting, given in zip(controllers, forecasts, strict=True)
+                if choice in given
             ]
             for controller, parameters, *_ in theirs:
                 asked = ForecastChoice() if "seed" in choice.takes else choice
@@ -406,8 +410,8 @@ class _Grid:
             return
         for block in self._blocks(self._mapping, key, _ERRORS):
             self._keys(block, (), PARAMETERS)
-            for each in self._combinations(block, PARAMETERS):
-                yield SensorPumpErrors(**read_numbers(self._path, each, PARAMETERS))
+            for values in self._combinations(block, PARAMETERS):
+                yield SensorPumpErrors(**read_numbers(self._path, values, PARAMETERS))
 
     def _file(self, mapping: YamlMapping, key: str) -> Path:
         """Return the path of the file that a name under a key stands for."""
@@ -504,16 +508,15 @@ class _Grid:
         self._keys(state, ("name",), (*areas, *(f"{key}_level" for key in areas)))
         volumes = []
         for key, area in areas.items():
-            if (key in state) == (f"{key}_level" in state):
+            given = [name for name in (key, f"{key}_level") if name in state]
+            if len(given) != 1:
                 raise self._refuse(
                     self._mapping, "initial", f"a state has no {key}, or two of one"
                 )
-            volumes.append(
-                number(self._path, state, key) if key in state
-                else number(self._path, state, f"{key}_level") * area
-            )
-            if not volumes[-1] >= 0:
+            volume = number(self._path, state, given[0]) * (1.0 if key in state else area)
+            if not volume >= 0:
                 raise self._refuse(self._mapping, "initial", "volumes must not be negative")
+            volumes.append(volume)
         return volumes[0], volumes[1]
 
     def _bound_block(self, site: Site) -> float | None:
@@ -558,7 +561,7 @@ class _Grid:
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
         sites = []
         if "site" in given:
-            sites = [self._text(each, "site") for each in self._combinations(given, ["site"])]
+            sites = [self._text(named, "site") for named in self._combinations(given, ["site"])]
         known = [name for name, _ in self._sites()]
         for name in sites:
             if name not in known:
@@ -566,8 +569,8 @@ class _Grid:
         names = [key for key in given if key not in ("forecast", "site")]
         for name in names:
             controller.check_name(name, self._path, given.lines[name])
-        for each in self._combinations(given, names):
-            parameters = read_numbers(self._path, each, controller.parameters)
+        for values in self._combinations(given, names):
+            parameters = read_numbers(self._path, values, controller.parameters)
             yield _Setting(controller, parameters, forecasts, sites)
 
     @contextmanager
@@ -583,10 +586,9 @@ class _Grid:
     def _blocks(self, mapping: YamlMapping, key: str, expected: str) -> list[YamlMapping]:
         """Return what is under a key as a list of mappings; a text is one that has it there."""
         blocks = []
-        for each in self._listed(mapping, key):
-            block = each
-            if isinstance(each, str):
-                block = YamlMapping({key: each})
+        for block in self._listed(mapping, key):
+            if isinstance(block, str):
+                block = YamlMapping({key: block})
                 block.lines = {key: mapping.lines[key]}
             if not isinstance(block, YamlMapping):
                 raise self._refuse(mapping, key, expected)
@@ -597,9 +599,9 @@ class _Grid:
         """Yield a block with every combination of the values under some names."""
         lists = {name: self._listed(block, name) for name in names if name in block}
         for values in itertools.product(*lists.values()):
-            one = YamlMapping({**block, **dict(zip(lists, values, strict=True))})
-            one.lines = block.lines
-            yield one
+            chosen = YamlMapping({**block, **dict(zip(lists, values, strict=True))})
+            chosen.lines = block.lines
+            yield chosen
 
     def _listed(self, mapping: YamlMapping, key: str) -> list[Any]:
         """Return a value as a list; one value is a list of one.
@@ -629,7 +631,7 @@ class _Grid:
         for key in mapping:
             if key not in known:
                 raise self._refuse(
-                    mapping, key, f"is not known here; there are {', '.join(known)}"
+                    mapping, key, f"is not a key here; {did_you_mean(key, known)}"
                 )
         for key in needed:
             if mapping.get(key) in (None, [], {}, ""):

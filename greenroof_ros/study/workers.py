@@ -195,11 +195,11 @@ def cluster(address: str) -> Iterator[Workers]:
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
     """Refuse workers whose numbers may be others."""
     here = versions()
-    for address, found in workers.items():
-        for package in here.keys() | found.keys():
-            if found.get(package) != here.get(package):
+    for address, theirs in workers.items():
+        for package in here.keys() | theirs.keys():
+            if theirs.get(package) != here.get(package):
                 raise ConfigurationError(
-                    f"its worker {address} has {package} {found.get(package, 'not at all')}, "
+                    f"its worker {address} has {package} {theirs.get(package, 'not at all')}, "
                     f"this process {here.get(package, 'not at all')}; make them the same",
                     key="--scheduler",
                 )

@@ -59,13 +59,13 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--bag", type=Path, metavar="DIR",
-        help="bag to read, of a run that has ended or is being recorded (default: the one that the "
-        "graph's recorder says it writes, where it is on this machine)",
+        help="bag to read, of a run that has ended or is being recorded (default: the bag that "
+        "the graph's recorder writes, if it is on this machine)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site file that levels are judged by (default: the one that the graph's nodes say "
-        "they have, otherwise the paper's, config/site.yaml)",
+        help="site file by which levels are judged (default: the site file of the graph's "
+        "nodes, otherwise the paper's, config/site.yaml)",
     )
     parser.add_argument(
         "--terminal", action="store_true",
@@ -73,9 +73,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--allow-release", action="store_true",
-        help="what was stopped on the page or over MQTT may be released there, and the fault "
-        "speed_not_followed be cleared, once in 24 h; where the site file allows it, a dose may be "
-        "given on the page, which then needs its token on this machine, too",
+        help="allow the page to release what was stopped there or over MQTT, and to clear the "
+        "fault speed_not_followed once in 24 h; if the site file allows it, also to ask for a "
+        "dose. The page then needs its token on this machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
@@ -85,7 +85,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--port", type=within(1, 65535, int), metavar="N",
-        help=f"TCP port of the page (default: {PORTS[0]}, and where it is taken the next free one)",
+        help=f"TCP port of the page (default: {PORTS[0]}, and if it is in use, the next free "
+             "port)",
     )
     return parser
 

@@ -7,15 +7,12 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import METRICS, Samples
 from greenroof_ros.model.plant import mains_flows, outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
-
-Stamps = NDArray[np.int64]
-Values = NDArray[np.float64]
+from greenroof_ros.watch.history import Stamps, Values
 
 # How long a value of a live site holds at most; as for a report, more is a gap.
 HOLDS_NS = 600_000_000_000
@@ -210,7 +207,9 @@ class Account:
         """Return the time (ns) to which everything that is waited for has come."""
         if not self._topics:
             return None
-        newest = max(one.last for one in self._topics.values())
+        newest = max(pending.last for pending in self._topics.values())
+        # What is not heard is missed from the first of what is on.
+        oldest = min(pending.first for pending in self._topics.values())
         if self._ended:
             return newest
         wanted = TOPICS if self.measured or not self.live else TOPICS[:-len(_OF_PLANT)]
@@ -219,9 +218,8 @@ class Account:
             pending = self._topics.get(topic)
             last = -math.inf if pending is None else pending.last
             heard_after = self._adds - (0 if pending is None else pending.adds)
-            # One that is behind comes in a moment: batches come topic by topic. What is not
-            # heard for so long, while the others were, does not count any more.
-            oldest = min(one.first for one in self._topics.values())
+            # What is behind comes in a moment: batches come topic by topic. What is not heard for
+            # so long, while the others were, does not count any more.
             silent = newest - max(last, oldest) > HOLDS_NS and heard_after > 2 * len(TOPICS)
             if not silent:
                 if pending is None:
@@ -235,20 +233,18 @@ class Account:
         if end is None:
             return
         if self.since is None:
-            begin = max(one.first for one in self._topics.values() if one.first <= end)
+            begin = max(
+                pending.first for pending in self._topics.values() if pending.first <= end
+            )
             self.since = self.until = begin
         if end > self.until:
             self._add_up(self.until, end)
             self.until = end
             for pending in self._topics.values():
                 pending.drop_before(end)
-        self._look_at_roof()
-
-    def _look_at_roof(self) -> None:
-        """Take the roof's volume at the end of the account."""
-        values = self._at(_ROOF, np.array([self.until]), math.inf)
-        if np.isfinite(values[0]):
-            volume = self._site.roof_volume(float(values[0]))
+        level = float(self._at(_ROOF, np.array([self.until]), math.inf)[0])
+        if math.isfinite(level):
+            volume = self._site.roof_volume(level)
             self._roofs = (volume if self._roofs is None else self._roofs[0], volume)
 
     def _at(self, topic: str, times: Stamps, holds: float) -> Values:
@@ -258,11 +254,11 @@ class Account:
         stamps, values = self._topics[topic].all()
         place = np.searchsorted(stamps, times, side="right") - 1
         known = (place >= 0) & (times - stamps[np.maximum(place, 0)] < holds)
-        found = values[np.maximum(place, 0)]
+        last = values[np.maximum(place, 0)]
         if self.measured and topic in (_RAIN, _EVAPORATED, _FLOW):
             # As for the plant: what it refused acted as 0.
-            found = np.nan_to_num(found)
-        return np.where(known, found, np.nan)
+            last = np.nan_to_num(last)
+        return np.where(known, last, np.nan)
 
     def _add_up(self, begin: int, end: int) -> None:
         """Add what happened from one time to another (ns)."""
@@ -281,7 +277,7 @@ class Account:
         if not self.measured:
             known[_DRAINAGE] = roof  # where it is known, the drainage can be computed
             known[_OUTFLOW] = _outflow(site, cistern)
-        unknown = np.any([np.isnan(one) for one in known.values()], axis=0)
+        unknown = np.any([np.isnan(values) for values in known.values()], axis=0)
         self.gap_s += float(duration[unknown].sum())
         rain, outflow = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_OUTFLOW])
         # As plant.Plant.flows: a tank gives no more than it holds. Drainage and outflow are those
@@ -328,11 +324,9 @@ class Account:
             times, _ = pending.all()
             over = times + holds
             edges += [over[:-1][over[:-1] < times[1:]], over[-1:]]
-            # In lockstep all topics have the same.
-            if not any(np.array_equal(times, one) for one in edges):
-                edges.append(times)
-        found = np.unique(np.concatenate(edges))
-        return found[(found >= begin) & (found <= end)]
+            edges.append(times)
+        between = np.unique(np.concatenate(edges))
+        return between[(between >= begin) & (between <= end)]
 
 
 def _outflow(site: Site, x1: Values) -> Values:

@@ -33,7 +33,7 @@ FOREIGN = "Another device or program says so, not the green roof: see its own in
 
 # A state of the pump with such a code asks for a hand at the pump, whatever caused it.
 _NEEDS_A_HAND = {
-    *(code for code, one in INTERLOCKS.items() if one.kind == LATCHED),
+    *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
     "operator_stop", "page_stop", "record_unknown", "stands_unknown", "stop_not_followed",
 }
 # Of each reason why the pump stands, the parts of its node that say more of it.
@@ -82,40 +82,34 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
     return (OTHER, False) if known is None else (known.advise(node, role), True)
 
 
-def row(
-    name: str, trouble: Trouble, *, since: float, over: float | None, at_least: bool = False,
-    acknowledged: bool = False, follows: str | None = None, recorded: bool = False,
-) -> dict[str, Any]:
-    """Return an alarm as the document has it, but for its times in words.
-
-    ``plain`` is whether ``do`` is about that alarm, so that an operator reads it instead of the
-    node's own words in ``what``. What only follows from another alarm names that in ``follows``.
-    """
-    node = name.partition(": ")[0]
-    do, known = advise(trouble.code, trouble.role, f"/{node}" if recorded else node)
-    return {
-        "id": name, "level": _LEVELS[trouble.level], "what": trouble.what, "code": trouble.code,
-        "do": do, "plain": known, "since": since, "since_at_least": at_least,
-        "acknowledged": acknowledged, "over": over, "follows": follows, "recorded": recorded,
-    }
-
-
 @dataclass
-class _Alarm:
-    """A trouble with its history."""
+class Alarm:
+    """A trouble with its history; an incident of a recording is one, too.
+
+    Attributes:
+        trouble: what is wrong, as it was said last.
+        since: when it began (s since 1970, of the graph).
+        at_least: whether it may have begun before.
+        over: when it ended; None where it did not.
+        wall: when it began, by a clock that is never set (s).
+        over_wall: when it ended, by that clock.
+        acknowledged: the gist of what somebody has seen.
+    """
 
     trouble: Trouble
     since: float
-    since_at_least: bool
-    acknowledged: str = ""  # the gist of what was seen to
+    at_least: bool = False
     over: float | None = None
+    wall: float = 0.0
     over_wall: float = 0.0
+    acknowledged: str = ""
 
     @property
     def gist(self) -> str:
         """What is wrong, without the numbers that change."""
-        one = self.trouble
-        return f"{one.level} {one.code} {one.gist or re.sub(r'[0-9.]+', '', one.what)}"
+        trouble = self.trouble
+        what = trouble.gist or re.sub(r"[0-9.]+", "", trouble.what)
+        return f"{trouble.level} {trouble.code} {what}"
 
     @property
     def is_serious(self) -> bool:
@@ -126,6 +120,28 @@ class _Alarm:
     def is_acknowledged(self) -> bool:
         """Whether somebody has seen it as it is now, but for its numbers."""
         return self.gist == self.acknowledged
+
+    def row(
+        self, name: str, follows: str | None = None, *, recorded: bool = False
+    ) -> dict[str, Any]:
+        """Return it as the document has it, but for its times in words.
+
+        ``plain`` is whether ``do`` is about that alarm, so that an operator reads it instead of the
+        node's own words in ``what``.
+
+        Args:
+            name: of its status.
+            follows: the name of the alarm that it only follows from; None for none.
+            recorded: whether it is an incident of a recording.
+        """
+        trouble, node = self.trouble, name.partition(": ")[0]
+        do, known = advise(trouble.code, trouble.role, f"/{node}" if recorded else node)
+        return {
+            "id": name, "level": _LEVELS[trouble.level], "what": trouble.what,
+            "code": trouble.code, "do": do, "plain": known, "since": self.since,
+            "since_at_least": self.at_least, "acknowledged": self.is_acknowledged,
+            "over": self.over, "follows": follows, "recorded": recorded,
+        }
 
 
 class Alarms:
@@ -152,7 +168,7 @@ class Alarms:
 
     def start_over(self) -> None:
         """Forget all alarms and events; who is there is known."""
-        self._alarms: dict[str, _Alarm] = {}
+        self._alarms: dict[str, Alarm] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
     def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
@@ -166,16 +182,15 @@ class Alarms:
         troubles = self.registry.troubles(wall) if self.shown else {}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
-            if alarm is not None and alarm.over is not None and wall - alarm.over_wall > _AGAIN_S:
-                alarm = None
-            before = alarm.trouble.gist if alarm is not None else ""
-            another = before and trouble.gist and before != trouble.gist
-            if alarm is not None and not another:
-                alarm.trouble, alarm.over = trouble, None
+            if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):
+                self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
                 continue
-            if alarm is not None:
-                self._note(f"{name}: {trouble.what}; before: {alarm.trouble.what}")
-            self._alarms[name] = _Alarm(trouble, now, trouble.at_least)
+            before = alarm.trouble
+            if before.gist and trouble.gist and before.gist != trouble.gist:
+                self._note(f"{name}: {trouble.what}; before: {before.what}")
+                self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
+            else:
+                alarm.trouble, alarm.over = trouble, None
         for name, alarm in self._alarms.items():
             if name not in troubles and alarm.over is None:
                 alarm.over, alarm.over_wall = now, wall
@@ -190,43 +205,35 @@ class Alarms:
         Of both kinds the pump's state comes first, then the worst. The newest of a severity comes
         first: what has stood for long is known. So is what was acknowledged, which comes later.
         """
-        causes = self._causes()
-        names = [*self._present(causes), *self._past()]
-        return [
-            row(
-                name, (one := self._alarms[name]).trouble, since=one.since, over=one.over,
-                at_least=one.since_at_least, acknowledged=one.is_acknowledged,
-                follows=causes.get(name),
-            )
-            for name in names[:_ROWS]
-        ]
+        present, causes = self._present(), self._causes()
 
-    def _causes(self) -> dict[str, str]:
-        """Return of the alarms of now that follow from another one which that is."""
-        own = [
-            name for name, one in self._alarms.items() if one.over is None and one.trouble.role
-        ]
-        own.sort(key=lambda name: self._alarms[name].since)
-        return find_causes({name: self._alarms[name].trouble for name in own})
-
-    def _present(self, causes: Mapping[str, str]) -> list[str]:
-        """Return the names of the alarms of now, in order."""
         def order(name: str) -> tuple[bool, bool, int, bool, int, float]:
-            alarm = self._alarms[name]
+            alarm = present[name]
             trouble = alarm.trouble
             # Whether it runs is not known; how it is.
             rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((trouble.role, trouble.part), 2)
             return (
                 not trouble.role, name in causes, rank, alarm.is_acknowledged,
-                _SEVERITY[trouble.level], -alarm.since,
+                _SEVERITY[trouble.level], -alarm.wall,
             )
 
-        return sorted((one for one in self._alarms if self._alarms[one].over is None), key=order)
+        names = [*sorted(present, key=order), *self._past()]
+        return [self._alarms[name].row(name, causes.get(name)) for name in names[:_ROWS]]
+
+    def _present(self) -> dict[str, Alarm]:
+        """Return the alarms of now, by their names."""
+        return {name: alarm for name, alarm in self._alarms.items() if alarm.over is None}
 
     def _past(self) -> list[str]:
         """Return the names of the alarms that are over, the newest first."""
-        over = [one for one in self._alarms if self._alarms[one].over is not None]
-        return sorted(over, key=lambda one: -self._alarms[one].over_wall)
+        over = [name for name, alarm in self._alarms.items() if alarm.over is not None]
+        return sorted(over, key=lambda name: -self._alarms[name].over_wall)
+
+    def _causes(self) -> dict[str, str]:
+        """Return of the alarms of now that follow from another one which that is."""
+        own = [item for item in self._present().items() if item[1].trouble.role]
+        own.sort(key=lambda item: item[1].wall)
+        return find_causes({name: alarm.trouble for name, alarm in own})
 
     def events(self) -> list[dict[str, Any]]:
         """Return the events, the newest first."""
@@ -240,21 +247,6 @@ class Alarms:
         """Note an event."""
         self._events.append((now, plain(text, _TEXT)))
 
-    def date_again(self, first: float, last: float, begin: float) -> None:
-        """Have all that is dated from one time to another one (s since 1970) be of a third time.
-
-        It was noted before the graph's clock was known, by the system's.
-        """
-        for alarm in self._alarms.values():
-            if first <= alarm.since <= last:
-                alarm.since, alarm.since_at_least = begin, True
-            if alarm.over is not None and first <= alarm.over <= last:
-                alarm.over = begin
-        self._events = deque(
-            ((begin if first <= at <= last else at, text) for at, text in self._events),
-            maxlen=_EVENTS,
-        )
-
     def acknowledge(self, alarm_id: str) -> bool:
         """Note that somebody saw an alarm, until it is another one; False if there is none such."""
         alarm = self._alarms.get(alarm_id)
@@ -267,9 +259,8 @@ class Alarms:
 
         A cause counts by the worst of itself and of what follows from it.
         """
-        causes = self._causes()
-        present = [name for name, one in self._alarms.items() if one.over is None]
-        serious = {causes.get(one, one) for one in present if self._alarms[one].is_serious}
+        causes, present = self._causes(), self._present()
+        serious = {causes.get(name, name) for name in present if present[name].is_serious}
         return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> Any:
@@ -296,9 +287,9 @@ def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
     for name, trouble in troubles.items():
         for other in _candidates(name, trouble, troubles):
             first = causes.get(other, other)
-            group = [name, *(one for one, cause in causes.items() if cause == name)]
+            group = [name, *(follower for follower, cause in causes.items() if cause == name)]
             worse = troubles[first].level == WARN and any(
-                troubles[one].level == ERROR for one in group
+                troubles[follower].level == ERROR for follower in group
             )
             if first != name and not worse:
                 causes.update(dict.fromkeys(group, first))
@@ -309,7 +300,7 @@ def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
 def _candidates(
     name: str, trouble: Trouble, troubles: Mapping[str, Trouble]
 ) -> Iterator[str]:
-    """Return the alarms from which one may follow, the likeliest first."""
+    """Yield the alarms from which this one may follow, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
     state = (trouble.role, part) == (PUMP, PUMP)
     if code in _NEEDS_A_HAND and part == PUMP:
@@ -321,36 +312,36 @@ def _candidates(
     if part in _TAKES_IN and code in _ABSENT:
         yield from _publishers(trouble, troubles)
     more = _PARTS_OF_REASON.get(code, ()) if state else _SAYS_MORE.get(part, ())
-    yield from (found for one in more if (found := f"{node}: {one}") in troubles)
+    yield from (name for name in (f"{node}: {part}" for part in more) if name in troubles)
     if part == "inputs":
         # What the pump has against that input, which stops it, says more.
         yield from (
-            other for other, one in troubles.items()
-            if one.role == PUMP and one.part in ("levels", "command", "frost")
-            and (one.code == code or trouble.role == PUMP)
+            name for name, other in troubles.items()
+            if other.role == PUMP and other.part in ("levels", "command", "frost")
+            and (other.code == code or trouble.role == PUMP)
         )
 
 
 def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Return the other nodes that are wrong as a whole: those that are waited for."""
-    for other, one in troubles.items():
-        waited_for = {other.rpartition("/")[2], one.role} & set(trouble.names)
-        if other != node and ": " not in other and (
-            waited_for or (trouble.part == "supervisor" and one.role != PUMP)
+    """Yield the other nodes that are wrong as a whole: those that are waited for."""
+    for name, other in troubles.items():
+        waited_for = {name.rpartition("/")[2], other.role} & set(trouble.names)
+        if name != node and ": " not in name and (
+            waited_for or (trouble.part == "supervisor" and other.role != PUMP)
         ):
-            yield other
+            yield name
 
 
 def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Return the alarms of those who publish what an alarm lacks."""
+    """Yield the alarms of those who publish what an alarm lacks."""
     interface, roles = read_topics(), {*_TAKES_IN[trouble.part]}
     for name in interface.keys() & set(trouble.names):
         roles.update(interface[name].publishers, interface[name].live_publishers)
     roles.discard(trouble.role)
     for whole in (True, False):  # a node that is not there, before what it says
-        for other, one in troubles.items():
+        for name, other in troubles.items():
             if (
-                one.role in roles and (not one.part) == whole
-                and one.part not in ("inputs", "refused")
+                other.role in roles and (not other.part) == whole
+                and other.part not in ("inputs", "refused")
             ):
-                yield other
+                yield name

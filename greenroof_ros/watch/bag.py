@@ -12,7 +12,6 @@ for tens of seconds.
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import struct
@@ -23,7 +22,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from io import BytesIO
 from pathlib import Path
 
@@ -34,15 +32,10 @@ from mcap.records import Channel, Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
-from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
-from greenroof_ros.experiment.summary import SUMMARY
-from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.history import Stamps, Values
 
 # How far back the past of a bag in many files is read, from the newest (s).
 _PAST_S = 7 * 86_400
@@ -54,7 +47,6 @@ _LONGEST = 1 << 28
 _MUCH = 1 << 23
 # How often a bag is looked at again that was read to its end (s).
 _LOOK_S = 0.5
-_MOST_TEXT = 500
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -68,9 +60,6 @@ _NUMBER_LENGTH = _NUMBER.itemsize - _HEAD.size
 
 _FLOAT = "std_msgs/msg/Float64"
 _TYPES = (_FLOAT, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String")
-
-Times = NDArray[np.int64]
-Values = NDArray[np.float64]
 
 
 @dataclass
@@ -88,7 +77,7 @@ class Batch:
         replaced: whether it is another bag than the one that was read; it has to be begun again.
     """
 
-    numbers: list[tuple[str, Times, Values]] = field(default_factory=list)
+    numbers: list[tuple[str, Stamps, Values]] = field(default_factory=list)
     messages: dict[tuple[str, int], tuple[int, bytes]] = field(default_factory=dict)
     newest_ns: int = 0
     problem: str = ""
@@ -269,21 +258,21 @@ class Recorded:
         name, namespace = file.channels.get(channel, ""), self._namespace or ""
         return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
 
-    def _group(self, file: _File, found: NDArray[np.void], batch: Batch) -> None:
-        """Part records of numbers, or as long as one, by their topics."""
-        values = found["value"].copy()
-        other = found["header"][:, 1] == 0  # of a machine with the other byte order
+    def _group(self, file: _File, records: NDArray[np.void], batch: Batch) -> None:
+        """Part records of numbers, or as long as such, by their topics."""
+        values = records["value"].copy()
+        other = records["header"][:, 1] == 0  # of a machine with the other byte order
         values[other] = values[other].byteswap()
-        times = found["time"].astype(np.int64)
-        for channel in np.unique(found["channel"]).tolist():
-            mine = found["channel"] == channel
+        times = records["time"].astype(np.int64)
+        for channel in np.unique(records["channel"]).tolist():
+            mine = records["channel"] == channel
             name = self._name(file, channel)
             if self._types.get(name) == _FLOAT:
                 batch.numbers.append((name, times[mine], values[mine]))
             else:  # a short text, such as "off"
-                for one in found[mine]:
-                    message = one["header"].tobytes() + one["value"].tobytes()
-                    self._keep(file, channel, int(one["time"]), message, batch)
+                for record in records[mine]:
+                    message = record["header"].tobytes() + record["value"].tobytes()
+                    self._keep(file, channel, int(record["time"]), message, batch)
 
     def _keep(
         self, file: _File, channel: int, time_ns: int, message: bytes, batch: Batch
@@ -291,8 +280,8 @@ class Recorded:
         """Keep a message of a topic that is no number's, if it is shown at all."""
         name = self._name(file, channel)
         if self._types.get(name, _FLOAT) != _FLOAT:
-            each = 0 if name.startswith("/forecast/") else time_ns
-            batch.messages[name, each] = time_ns, message
+            newest_alone = name.startswith("/forecast/")
+            batch.messages[name, 0 if newest_alone else time_ns] = time_ns, message
 
 
 def _recent(paths: list[Path]) -> list[Path]:
@@ -374,79 +363,3 @@ def main() -> None:
             sys.stdout.buffer.flush()
             if not batch.more:
                 time.sleep(_LOOK_S)
-
-
-# --- what stands beside a bag ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Dated:
-    """An incident with its times as the recording has them (s since 1970).
-
-    Attributes:
-        node: that says so, or that was lost.
-        part: of it; empty for the node itself.
-        cause: in words.
-        code: of it, for programs.
-        began: when.
-        ended: when; None where it lasted to the end.
-    """
-
-    node: str
-    part: str
-    cause: str
-    code: str
-    began: float
-    ended: float | None
-
-    @property
-    def name(self) -> str:
-        """As of an alarm."""
-        return f"{self.node}: {self.part}" if self.part else self.node
-
-    def stands(self, now: float) -> bool:
-        """Whether it has begun at a time, and is not over."""
-        return self.began <= now and (self.ended is None or now < self.ended)
-
-    @property
-    def of_pump(self) -> bool:
-        """Whether what the pump does is not known while it stands."""
-        return self.part == "drive" or (self.node, self.part) == (PUMP, "")
-
-
-def read_beside(bag: Path) -> tuple[str, list[Dated], str]:
-    """Return who commanded in a recorded run, its incidents as they began, and what is wrong there.
-
-    Incidents stand in a file of their own, and in the summary where that could not be written.
-    Their times are those of ticks where the site is simulated, otherwise those of the wall.
-    """
-    directory, controller = bag.parent, ""
-    try:
-        path = directory / SUMMARY
-        summary = json.loads(read_text(path)) if path.exists() else {}
-        controller = plain(str(summary.get("controller", "")), _MOST_TEXT)
-        found = read_incidents(directory)
-        found = found or [Incident(**one) for one in summary.get("incidents", ())]
-        start, tau = 0.0, 0.0
-        if any(one.began_tick is not None for one in found):
-            start = datetime.fromisoformat(summary["start"]).timestamp()
-            tau = float(summary["tau_s"])
-        dated = [_dated(one, start, tau) for one in found]
-        return controller, sorted(dated, key=lambda one: one.began), ""
-    except (OSError, ConfigurationError, ValueError, KeyError, TypeError, AttributeError) as error:
-        why = getattr(error, "strerror", None) or error
-        return controller, [], f"{directory / INCIDENTS} cannot be shown ({why})."
-
-
-def _dated(one: Incident, start: float, tau: float) -> Dated:
-    """Return an incident of a run that began at a time (s since 1970), by ticks of so long (s)."""
-    def at(tick: int | None, wall: str) -> float:
-        return datetime.fromisoformat(wall).timestamp() if tick is None else start + tick * tau
-
-    whole = one.part == PROCESS
-    return Dated(
-        one.node, "" if whole else one.part, plain(one.cause, _MOST_TEXT),
-        # A node that stays away ends the run; of another one the incident is its return.
-        "started_again" if whole and one.ended else one.code,
-        at(one.began_tick, one.began), at(one.ended_tick, one.ended) if one.ended else None,
-    )

@@ -183,7 +183,8 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
     present = [row for row in shown["alarms"] if row["over"] is None]
     return {
         "mode": store.mode,
-        **{key: _number(NUMBERS[key][0], one if here else None) for key, one in numbers.items()},
+        **{key: _number(topic, numbers[key] if here else None)
+           for key, (topic, _) in NUMBERS.items()},
         "pump": pump["value"] if here else UNKNOWN,
         "plan": tiles["controller"]["sentence"][:_MOST_TEXT] if here else UNKNOWN,
         "planned_volume": None if volume is None else round(volume * 1e3),

@@ -12,18 +12,18 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
-from greenroof_ros.watch.alarms import row
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.registry import ERROR, Node, Trouble
+from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import INTERVALS, Store
 from greenroof_ros.watch.tiles import Tile, band_of
 
@@ -56,7 +56,7 @@ def document(store: Store, wall: float) -> dict[str, Any]:
         wall: now (steady clock, s).
     """
     with store.lock:
-        store.note(wall)
+        store.look(wall)
         return _document(store)
 
 
@@ -64,18 +64,22 @@ def _document(store: Store) -> dict[str, Any]:
     now, alarms = store.now, store.alarms
     known, incidents = store.graph.anybody or not store.ended, store.incidents()
     recorded = [
-        row(
-            one.name, Trouble(ERROR, one.cause, one.code, one.node), since=one.began,
-            over=None if one.stands(now or 0.0) else one.ended, recorded=True,
-        )
-        for one in incidents
+        incident.row(": ".join(filter(None, (trouble.role, trouble.part))), recorded=True)
+        for incident in incidents for trouble in (incident.trouble,)
     ]
-    rows = sorted([*recorded, *alarms.rows()], key=lambda one: one["over"] is not None)
-    for one in rows:
-        one["since_text"] = store.time_of_day(one["since"])
-        one["over_text"] = "" if one["over"] is None else store.time_of_day(one["over"])
-    events = [{**one, "at_text": store.time_of_day(one["at"])} for one in alarms.events()]
-    listed, present = _within(rows, _MOST_ALARMS), [one for one in rows if one["over"] is None]
+    rows = sorted([*recorded, *alarms.rows()], key=lambda row: row["over"] is not None)
+    for row in rows:
+        since, over = store.dated(row["since"]), row["over"] and store.dated(row["over"])
+        row |= {
+            "since": since, "since_text": store.time_of_day(since),
+            "since_at_least": row["since_at_least"] or since != row["since"],
+            "over": over, "over_text": "" if over is None else store.time_of_day(over),
+        }
+    events = [
+        {"at": at, "what": what, "at_text": store.time_of_day(at)}
+        for at, what in ((store.dated(event["at"]), event["what"]) for event in alarms.events())
+    ]
+    listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
         "roof": tiles.roof(store), "cistern": tiles.cistern(store),
         "pump": tiles.pump(store, present), "rain": tiles.rain(store),
@@ -83,7 +87,7 @@ def _document(store: Store) -> dict[str, Any]:
     }
     stop, waits = _stop(store), tiles.waiting(store, shown["pump"]["idle"])
     serious, warnings, following = alarms.counts()
-    over = sum(one["over"] is not None for one in recorded)
+    over = sum(row["over"] is not None for row in recorded)
     serious += len(recorded) - over
     level = "error" if serious or stop["warning"] else "warn" if warnings else _level(
         store, shown, waits, over=over > 0, known=known
@@ -102,7 +106,7 @@ def _document(store: Store) -> dict[str, Any]:
         "time": {
             "now": now, "utc_offset": store.utc_offset,
             "text": words.UNKNOWN if now is None
-            else words.date_time_and_zone(now, store.utc_offset),
+            else words.date_and_time(now, store.utc_offset, zone=True),
         },
         "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
         "tiles": shown,
@@ -135,9 +139,8 @@ def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]
     weather = store.graph.node("weather")
     if weather is not None and (source := weather.text("forecast_by")):
         notes.append(f"{source[:1].upper()}{source[1:]}.")
-    newest = store.newest.values()
-    silent = min((one.silent_for(store.wall) for one in newest), default=None)
-    if store.mode != "none" and silent and all(one.stale for one in newest):
+    silent = store.silent_s
+    if store.mode != "none" and silent and all(newest.stale for newest in store.newest.values()):
         notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
     return [note for note in notes if note]
 
@@ -267,11 +270,6 @@ def _stop(store: Store) -> dict[str, Any]:
     state = "" if node is None else (store.pump_says or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
     call = "" if node is None else f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
-    allowing = None if gone or not store.allow_release else node
-    owners, fault, refusal = _held(allowing)
-    greatest, no_dose = _doses(allowing)
-    others = " and ".join(one for one in owners if one != "page")
-    stays = f"It stays off for all that: it is held off by {others}, too. "
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
@@ -283,36 +281,40 @@ def _stop(store: Store) -> dict[str, Any]:
         "warning": warning,
         "call": f'{call} "{{data: true}}"' if call and not stopped else "",
         "release": f'{call} "{{data: false}}"' if asked else "",
+        **_allowed(None if gone or not store.allow_release else node, stands),
+    }
+
+
+def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
+    """Return what may be done here beside a stop, and what happens then.
+
+    Args:
+        node: the pump's, where it is heard and that was allowed; otherwise None.
+        stands: whether the pump does.
+    """
+    values: Mapping[str, Any] = {} if node is None else node.values
+    by, greatest = values.get("stopped_by"), values.get("greatest_dose")
+    owners = [str(owner) for owner in by] if isinstance(by, list) else []
+    fault, refusal, no_dose = (
+        "" if node is None else node.text(key) for key in ("fault", "page_may_not_clear", "no_dose")
+    )
+    others = " and ".join(owner for owner in owners if owner != "page")
+    stays = f"It stays off for all that: it is held off by {others}, too. "
+    doses = isinstance(greatest, (int, float))
+    return {
         "release_here": "page" in owners and stands,
         "release_then": (stays if others else _THEN) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and stands,
         "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
         "no_clear": refusal if fault else "",
-        "greatest_dose": greatest,
-        "dose_here": (dose_here := greatest is not None and not no_dose),
-        "asked_at": time.time() if dose_here else None,
+        "greatest_dose": greatest if doses else None,
+        "dose_here": doses and not no_dose,
+        "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
         "but not above the roof's target. It ends early where anything keeps the pump off. "
         + LOCK_OUT,
-        "no_dose": no_dose,
+        "no_dose": no_dose if doses else "",
     }
-
-
-def _held(node: Node | None) -> tuple[list[str], str, str]:
-    """Return who holds the pump off, its fault, and why that may not be cleared here."""
-    if node is None:
-        return [], "", ""
-    owners = node.values.get("stopped_by")
-    names = [str(one) for one in owners] if isinstance(owners, list) else []
-    return names, node.text("fault"), node.text("page_may_not_clear")
-
-
-def _doses(node: Node | None) -> tuple[float | None, str]:
-    """Return the largest dose that may be asked for (m3), None for none, and why none can now."""
-    greatest = None if node is None else node.values.get("greatest_dose")
-    if node is None or not isinstance(greatest, (int, float)):
-        return None, ""
-    return greatest, node.text("no_dose")
 
 
 # --- the water account ----------------------------------------------------------------------------
@@ -354,12 +356,8 @@ def _account(store: Store) -> dict[str, Any]:
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
     """Return the first rows that together have at most so many characters as JSON."""
-    length = 0
-    for place, one in enumerate(rows):
-        length += len(json.dumps(one)) + 2
-        if length > most:
-            return rows[:place]
-    return rows
+    lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
+    return [row for row, length in zip(rows, lengths, strict=True) if length <= most]
 
 
 # --- the charts -----------------------------------------------------------------------------------
@@ -376,24 +374,23 @@ def series(store: Store, hours: float) -> dict[str, Any]:
         hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
     """
     with store.lock:
-        now = store.now
+        now, site = store.now, store.site
         lines: dict[str, list[list[Any]]] = {name: [] for name in (*LINES, "roof_expected")}
         stretch = 0
         if now is not None:
-            newest = max((one.time_ns for one in store.newest.values()), default=0)
+            newest = max((value.time_ns for value in store.newest.values()), default=0)
             last = max(newest, round(now * 1e9))
             first = last - round(hours * 3.6e12)
             stretch = stretch_of(first, last, _POINTS)
             for name, topic in LINES.items():
                 if topic in store.newest:
                     lines[name] = store.newest[topic].past.window(first, last, _POINTS)
-            for history in (store.expected, store.expected_next()):
-                lines["roof_expected"] += history.window(first, last, _POINTS)
+            lines["roof_expected"] = store.expected.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()
-        for one in store.incidents():
-            if one.of_pump:
-                lost.add(one.began, math.inf if one.ended is None else one.ended)
+        for incident in store.incidents():
+            if incident.trouble.hides_pump:
+                lost.add(incident.since, math.inf if incident.over is None else incident.over)
         lines["flow"] = lost.cut_out(store.unknown_flow.cut_out(lines["flow"]))
         forecast, plan = store.forecast, store.plan
         return {
@@ -404,17 +401,12 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             "gaps": gaps,
             "forecast": [] if forecast is None else forecast.rows(),
             "plan": [] if plan is None or now is None else plan.rows(now),
-            "marks": _marks(store.site),
+            "marks": {  # m; None where there is none
+                "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
+                "low_outlet": site.low_outlet_level, "outlet": site.z_o,
+            },
             "display": {name: asdict(words.display_of(topic)) for name, topic in LINES.items()},
         }
-
-
-def _marks(site: Site) -> dict[str, Any]:
-    """Return the references of the charts (m); None where there is none."""
-    return {
-        "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
-        "low_outlet": site.low_outlet_level, "outlet": site.z_o,
-    }
 
 
 def _gap(rows: list[list[Any]], stretch_ns: int) -> float:

@@ -10,7 +10,6 @@ with nothing missing. What is heard becomes the past where there is none.
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections import defaultdict, deque
@@ -30,7 +29,8 @@ from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.graph.supervision import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.bag import Batch, FollowedBag, read_beside
+from greenroof_ros.watch.bag import Batch, FollowedBag
+from greenroof_ros.watch.incidents import read_beside
 from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # Up to how many times real time the numbers of a run are heard: 60 and its jitter.
@@ -121,10 +121,8 @@ class Feed:
         self._awake = time.monotonic()
         self._said = 0.0
         self._problem, self._problem_until = "", 0.0
-        self._asked: queue.SimpleQueue[tuple[str, dict[str, float], Future[str]]] = (
-            queue.SimpleQueue()
-        )
-        self._waiting: list[tuple[str, dict[str, float], Future[str]]] = []
+        self._asked: list[tuple[str, dict[str, float], Future[str]]] = []
+        self._asking = threading.Lock()  # of that list
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
@@ -178,7 +176,10 @@ class Feed:
             StopFailedError: it did not say that it did so.
         """
         asked: Future[str] = Future()
-        self._asked.put((action, request, asked))
+        with self._asking:
+            if action == "stop":
+                self._drop_before_stop()
+            self._asked.append((action, request, asked))
         if self._looker is not None:
             self._looker.wake()
         try:
@@ -188,6 +189,15 @@ class Feed:
             if not asked.cancel():
                 what = "whether the pump node did that is not known"
             raise StopFailedError(f"The watcher is busy: {what}.") from None
+
+    def _drop_before_stop(self) -> None:
+        """Undo what was asked before a stop: that must not be done after it."""
+        for action, _, before in self._asked:
+            if action != "stop" and before.set_running_or_notify_cancel():
+                before.set_exception(StopFailedError(
+                    "Nothing was done: somebody asks to stop the pump."
+                ))
+        self._asked = [request for request in self._asked if request[0] == "stop"]
 
     # --- the graph ------------------------------------------------------------------------------
 
@@ -205,7 +215,7 @@ class Feed:
         ) if self._fails(act)]
         # An error may come again at once; a stop waits for none.
         until = time.monotonic() + (_REST_S if failed else 0.0)
-        while time.monotonic() < until and self._asked.empty() and not self._closing.is_set():
+        while time.monotonic() < until and not self._asked and not self._closing.is_set():
             self._closing.wait(_LOOK_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
@@ -369,7 +379,8 @@ class Feed:
         """Have no node taken for silent because this process stood still."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
-            self._store.forgive(self._awake - before)
+            with self._store.lock:
+                self._graph.forgive(self._awake - before)
 
     def _take(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         self._forgive_own_pause()
@@ -483,23 +494,6 @@ class Feed:
         if two:
             raise StopFailedError(two)
 
-    def _take_asked(self) -> bool:
-        """Take in what is asked, and return whether anything is.
-
-        A stop comes first, and undoes what was asked before it: that must not be done after it.
-        """
-        while not self._asked.empty():
-            asked = self._asked.get()
-            if asked[0] == "stop":
-                for action, _, before in self._waiting:
-                    if action != "stop" and before.set_running_or_notify_cancel():
-                        before.set_exception(StopFailedError(
-                            "Nothing was done: somebody asks to stop the pump."
-                        ))
-                self._waiting = [one for one in self._waiting if one[0] == "stop"]
-            self._waiting.append(asked)
-        return bool(self._waiting)
-
     def _answer(self) -> None:
         if (looker := self._looker) is None:
             return
@@ -507,8 +501,9 @@ class Feed:
             "stop": looker.stop_pump, "release": looker.release_pump, "clear": looker.clear_fault,
             "dose": looker.give_dose,
         }
-        while self._take_asked():
-            action, request, asked = self._waiting.pop(0)
+        while self._asked:
+            with self._asking:
+                action, request, asked = self._asked.pop(0)
             if asked.set_running_or_notify_cancel():
                 try:
                     self._prepare_stop()

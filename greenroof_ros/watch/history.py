@@ -81,8 +81,8 @@ class History:
             return []
         # Whole stretches, at the same times whenever it is asked: a line that is drawn again
         # and again stands still.
-        each = stretch_of(first, last, points)
-        firsts, lasts = _groups(times // each)
+        stretch = stretch_of(first, last, points)
+        firsts, lasts = _groups(times // stretch)
         columns = (
             times[lasts] / 1e9, np.minimum.reduceat(rows[:, 0], firsts),
             np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
@@ -125,10 +125,10 @@ class Gaps:
 
     def at(self, times: Values) -> NDArray[np.bool_]:
         """Return whether it was not known at each of these times (s)."""
-        found = np.zeros(len(times), dtype=bool)
+        unknown = np.zeros(len(times), dtype=bool)
         for begin, end in self._times:
-            found |= (times > begin) & (times < end)
-        return found
+            unknown |= (times > begin) & (times < end)
+        return unknown
 
     def cut_out(self, rows: list[list[float]]) -> list[list[Any]]:
         """Return the rows of a window without those times: where each begins, one of None."""

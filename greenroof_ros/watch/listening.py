@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import os
 import socket
 from dataclasses import dataclass
 
@@ -40,13 +41,13 @@ def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
         ConfigurationError: it has none.
     """
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         raise ConfigurationError(
             "is no address or name of this machine, such as 0.0.0.0 for all of its addresses",
             key="--host", value=host,
         ) from error
-    return [(family, str(address[0])) for family, _, _, _, address in found]
+    return [(family, str(address[0])) for family, _, _, _, address in known]
 
 
 def is_loopback(host: str) -> bool:
@@ -70,17 +71,18 @@ def listen(host: str, port: int | None) -> Place:
     """
     family, address = _addresses(host)[0]
     ports = PORTS if port is None else [port]
-    for each in ports:
+    for number in ports:
         try:
-            listening = socket.create_server((address, each), family=family)
+            listening = socket.create_server((address, number), family=family)
         except OSError as error:
-            if error.errno == errno.EADDRINUSE and each != ports[-1]:
+            if error.errno == errno.EADDRINUSE and number != ports[-1]:
                 continue
             key, value = ("--host", host) if error.errno == errno.EADDRNOTAVAIL else (
                 "--port", f"{ports[0]} to {ports[-1]}" if port is None else str(port)
             )
             raise ConfigurationError(
-                f"cannot be listened on: {error.strerror}", key=key, value=value
+                f"cannot be used: {os.strerror(error.errno or 0)}; choose another",
+                key=key, value=value,
             ) from error
         break
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # of its connections

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
+from greenroof_ros.watch.history import Values
 
 AHEAD_S = 12 * 3600.0
 """How far people look ahead (s)."""
@@ -90,7 +89,7 @@ class Forecast(_Steps):
         fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
-        low, high = (float(one[0]) for one in _ranges(amounts[:, None]))
+        low, high = (float(end[0]) for end in _ranges(amounts[:, None]))
         return Amount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:

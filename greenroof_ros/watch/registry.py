@@ -11,7 +11,7 @@ import math
 import re
 import socket
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -72,6 +72,11 @@ class Trouble:
     gist: str = ""
     at_least: bool = False
 
+    @property
+    def hides_pump(self) -> bool:
+        """Whether what the pump does is not known while this lasts."""
+        return self.part == "drive" or (self.role, self.part) == (PUMP, "")
+
 
 @dataclass
 class _Part:
@@ -82,7 +87,6 @@ class _Part:
     code: str
     heard: float  # wall time (s)
     first: bool  # whether it was heard now for the first time, and its node too
-    times: int = 1
 
 
 @dataclass
@@ -201,26 +205,32 @@ class Registry:
                 name: part for name, part in self._foreign.items()
                 if wall - part.heard <= _FOREIGN_SILENT_S
             }
-        rest: list[tuple[str, Status]] = []
-        for status in statuses:
+        # A node before its parts.
+        for status in sorted(statuses, key=lambda status: ": " in status.name):
             name = plain(status.name, _NAME)
             values = self._values_of(name, status)
             if values is None:
-                rest.append((name, status))
+                self._hear_other(wall, name, status)
             elif (node := self._hear_node(wall, name, status.message, values)) is not None and (
                 self._holders.get(_PLANT) is node
             ):
                 self._hear_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
-        for name, status in rest:
-            node_name, _, part = name.partition(": ")
-            node = self._latest.get(node_name) if part else None
-            known, key, most = (
-                (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
+
+    def _hear_other(self, wall: float, name: str, status: Status) -> None:
+        """Take what is said of a part of a node, or of another device."""
+        node_name, _, part = name.partition(": ")
+        node = self._latest.get(node_name) if part else None
+        known, key, most = (
+            (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
+        )
+        if key in known or len(known) < most:
+            first = key not in known if node is None else node.first
+            # A level that there is not is an error.
+            known[key] = _Part(
+                status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
+                plain(status.message, _TEXT) or "says nothing",
+                plain(status.values.get("code", ""), _NAME), wall, first,
             )
-            if key in known or len(known) < most:
-                times = known[key].times + 1 if key in known else 1
-                first = times == 1 if node is None else node.first
-                known[key] = _part(status, wall, first, times)
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
         """Return what a node of this graph says of itself; None for any other status."""
@@ -249,8 +259,8 @@ class Registry:
                 node.first = False
                 self._say(f"{name} was started again")
             self._nodes[name, process] = node
-            for other in [one for one in self._foreign if one.startswith(f"{name}: ")]:
-                del self._foreign[other]
+            for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
+                del self._foreign[part]
         else:
             before, node.values, node.first = node.values, values, False
             if state != node.state:
@@ -267,7 +277,7 @@ class Registry:
         """Let go of the node that is silent for longest where there are too many."""
         if len(self._nodes) < _NODES:
             return True
-        silent = min(self._nodes.values(), key=lambda one: one.heard)
+        silent = min(self._nodes.values(), key=lambda node: node.heard)
         if wall - silent.heard <= SILENT_S:
             return False
         self._forget(silent)
@@ -292,9 +302,9 @@ class Registry:
             self._start_ns, self.samples = 0, None
             self._ticks.clear()
             # What the others said was of the run before.
-            for one in list(self._nodes.values()):
-                if not one.is_heard(wall):
-                    self._forget(one)
+            for other in list(self._nodes.values()):
+                if not other.is_heard(wall):
+                    self._forget(other)
 
     def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
         """Tell as events, and note as trouble, what changed in a node's values."""
@@ -328,21 +338,20 @@ class Registry:
             self._ticks.popleft()
         # The tick that waits for its time is not yet on the clock, so that the later start is it.
         self._start_ns = max(self._start_ns, stamp_ns - round(tick * tau * 1e9))
-        said = {topic: node.values.get(key) for topic, key in _SAMPLES.items()}
-        found = {
-            topic: float(value) for topic, value in said.items() if isinstance(value, (int, float))
+        values = {
+            topic: float(value) for topic, key in _SAMPLES.items()
+            if isinstance(value := node.values.get(key), (int, float))
         }
         time_ns = self._start_ns + round(tick * tau * 1e9)
-        self.samples = (time_ns, found) if time_ns < _LAST_NS else None
+        self.samples = (time_ns, values) if time_ns < _LAST_NS else None
 
     def forgive(self, seconds: float) -> None:
         """Count a time in which nobody could be heard (s) as no silence of anybody."""
         for node in self._nodes.values():
             node.heard += seconds
-            for part in node.parts.values():
+        for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
+            for part in parts.values():
                 part.heard += seconds
-        for part in self._foreign.values():
-            part.heard += seconds
 
     # --- what graph it is -----------------------------------------------------------------------
 
@@ -365,19 +374,20 @@ class Registry:
     def mode(self, wall: float) -> str:
         """Return what graph it is: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
         plant, pump = self._holders.get(_PLANT), self.pump(wall) is not None
-        here = [one for one in self._holders.values() if one.is_here(wall)]
+        nodes = self._holders.values()
+        here = [node for node in nodes if node.is_here(wall)]
         if plant is not None and plant.is_here(wall):
             return "loop" if pump else "simulated"
-        if any(not one.lockstep for one in here):
+        if any(not node.lockstep for node in here):
             return "live"
         if plant is not None and pump:
             return "loop"  # a pump may turn when its plant is gone
         if here and plant is None:
             return "none"  # they wait for their plant
         # Who fell silent without a word may run on unheard, and so may a pump.
-        if any(not one.lockstep and not one.over for one in self._holders.values()):
+        if any(not node.lockstep and not node.over for node in nodes):
             return "live" if plant is None else "loop"
-        return "ended" if self._holders else "none"
+        return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:
         """Return the pump node that is there; None where there is none."""
@@ -387,26 +397,27 @@ class Registry:
     def two_pumps(self, wall: float) -> str:
         """Return that two present nodes say that they are the pump's; empty where no two do."""
         node = self._holders.get(PUMP)
-        rival = None if node is None else self._rival(node, wall, lambda one: one.role == PUMP)
+        rival = None if node is None else self._rival(node, wall, "role")
         if node is None or rival is None:
             return ""
-        two = " and ".join(f"{one.name} ({one.process})" for one in (node, rival))
+        two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
         return plain(
             f"Two nodes say that they are the pump's, {two}: which one has it is not known. Stop "
             "the pump at its drive's panel, and end the node that should not run.", _TEXT,
         )
 
-    def _rival(self, node: Node, wall: float, alike: Callable[[Node], bool]) -> Node | None:
-        """Return another process that is heard in turn with one; None where none is.
+    def _rival(self, node: Node, wall: float, same: str) -> Node | None:
+        """Return another process of the same name, or role, that is heard in turn with a node.
 
-        One that is started again in place of one that is gone makes no two: the one before is not
-        heard any more.
+        None where none is. One that is started again in place of one that is gone makes no two: the
+        one before is not heard any more.
         """
-        for one in self._nodes.values():
-            if one is not node and alike(one) and one.is_heard(wall) and node.is_heard(wall):
-                older, newer = sorted((one, node), key=lambda each: each.began)
+        for rival in self._nodes.values():
+            alike = rival is not node and getattr(rival, same) == getattr(node, same)
+            if alike and rival.is_heard(wall) and node.is_heard(wall):
+                older, newer = sorted((rival, node), key=lambda process: process.began)
                 if older.heard > newer.began:
-                    return one
+                    return rival
         return None
 
     def bag(self) -> Path | None:
@@ -434,17 +445,17 @@ class Registry:
 
     def troubles(self, wall: float) -> dict[str, Trouble]:
         """Return all that is wrong now, each by the name of its status."""
-        found: dict[str, Trouble] = {}
+        troubles: dict[str, Trouble] = {}
         for name, part in self._foreign.items():
             silent = wall - part.heard > _FOREIGN_SILENT_S
             # One that was heard once perhaps never meant to report again and again.
-            if silent and part.times > 1 and not self._has_ended(name, part):
-                found[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
+            if silent and not part.first and not self._has_ended(name, part):
+                troubles[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
             elif part.level != OK and not silent:
-                found[name] = Trouble(part.level, part.message, at_least=part.first)
+                troubles[name] = Trouble(part.level, part.message, at_least=part.first)
         for node in self._latest.values():
-            found.update(self._troubles_of(node, wall))
-        return found
+            troubles.update(self._troubles_of(node, wall))
+        return troubles
 
     def _has_ended(self, name: str, part: _Part) -> bool:
         """Whether it is of another graph's node, or a part of it, whose last word was its end."""
@@ -461,19 +472,19 @@ class Registry:
             return
         silent = wall - node.heard > SILENT_S
         not_heard = f"not heard for {SILENT_S:g} s"
-        twin = self._rival(node, wall, lambda one: one.name == name)
+        twin = self._rival(node, wall, "name")
         waiting = node.values.get("waiting")
         if silent:
             yield name, Trouble(STALE, not_heard, "not_heard", role)
         elif twin is not None:
-            two = " and ".join(one.process for one in sorted(
-                (node, twin), key=lambda one: one.began
-            ))
+            older, newer = sorted((node, twin), key=lambda process: process.began)
             yield name, Trouble(
-                ERROR, f"two processes report under this name: {two}", "two_processes", role
+                ERROR,
+                f"two processes report under this name: {older.process} and {newer.process}",
+                "two_processes", role,
             )
         elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
-            who = tuple(str(one) for one in waiting[:10])
+            who = tuple(map(str, waiting[:10]))
             yield name, Trouble(
                 WARN, f"waits for {plain(', '.join(who), _TEXT)}", "waits", role, names=who
             )
@@ -483,12 +494,12 @@ class Registry:
                 WARN, f"values of {topics} are refused: not plausible", "values_refused", role,
                 "refused", names=node.refused,
             )
-        for part, one in node.parts.items():
+        for part, said in node.parts.items():
             # What a silent node last said was wrong stays so, as far as anybody knows.
-            if not silent and wall - one.heard > SILENT_S:
+            if not silent and wall - said.heard > SILENT_S:
                 yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
-            elif one.level != OK:
-                yield f"{name}: {part}", _trouble_of_part(node, part, one)
+            elif said.level != OK:
+                yield f"{name}: {part}", _trouble_of_part(node, part, said)
 
 
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
@@ -507,13 +518,6 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     return Trouble(level, said.message, code, node.role, part, (), gist, said.first)
 
 
-def _part(status: Status, wall: float, first: bool, times: int) -> _Part:
-    """Return a status as it can be shown and kept; a level that there is not is an error."""
-    level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
-    code = plain(status.values.get("code", ""), _NAME)
-    return _Part(level, plain(status.message, _TEXT) or "says nothing", code, wall, first, times)
-
-
 def _read_value(text: str) -> Any:
     """Return a value of a status of this package's nodes, which is a JSON text.
 
@@ -521,8 +525,8 @@ def _read_value(text: str) -> Any:
     quantity is such, and what is computed with it would fail.
     """
     return json.loads(
-        text, parse_int=lambda one: int(one) if len(one) < 20 else None,
-        parse_float=lambda one: value if math.isfinite(value := float(one)) else None,
+        text, parse_int=lambda digits: int(digits) if len(digits) < 20 else None,
+        parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
 
@@ -530,8 +534,8 @@ def _read_value(text: str) -> Any:
 def _counts(values: Mapping[str, Any]) -> dict[str, int]:
     """Return how many values of each topic a node refused so far."""
     refused = values.get("refused")
-    given: Iterable[tuple[str, Any]] = refused.items() if isinstance(refused, dict) else ()
-    return {topic: count for topic, count in given if isinstance(count, int)}
+    counts = refused.items() if isinstance(refused, dict) else ()
+    return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
@@ -539,9 +543,8 @@ def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: 
     old, all_now = before.get(key), values.get(key)
     if not isinstance(old, list) or not isinstance(all_now, list):
         return []
-    first, last = (
-        number if isinstance(number := said.get(count), int) else len(entries)
-        for said, entries in ((before, old), (values, all_now))
-    )
+    first, last = before.get(count), values.get(count)
+    if not (isinstance(first, int) and isinstance(last, int)):
+        first, last = len(old), len(all_now)
     added = max(0, last - first)
     return all_now[-min(added, _NEWEST):] if added else []

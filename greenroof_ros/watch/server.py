@@ -143,7 +143,8 @@ class News:
         async with self._making:
             now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
             self._newest = {  # what was made for others who have gone is let go of
-                each: one for each, one in self._newest.items() if now - one.looked < _AT_LEAST_S
+                name: message for name, message in self._newest.items()
+                if now - message.looked < _AT_LEAST_S
             }
             old = self._newest.get(key)
             if old is not None and now - old.looked < lasts:
@@ -181,9 +182,9 @@ class _Connections:
         """Make what handles another connection, for asyncio."""
         self._forget_closed()
         if len(self._until) >= _MOST_CONNECTIONS:  # those just accepted count, too
-            idle = [(until, one) for one, until in self._until.items() if until is not None]
+            idle = {handler: at for handler, at in self._until.items() if at is not None}
             if idle:
-                self._drop(min(idle, key=lambda each: each[0])[1])
+                self._drop(min(idle, key=idle.__getitem__))
         handler = self._server()
         self._until[handler] = time.monotonic() + _FIRST_S
         return handler

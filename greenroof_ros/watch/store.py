@@ -12,11 +12,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
@@ -26,15 +26,12 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words
 from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
-from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.bag import Dated
-from greenroof_ros.watch.history import Gaps, History
+from greenroof_ros.watch.alarms import Alarm, Alarms
+from greenroof_ros.watch.history import Gaps, History, Stamps, Values
 from greenroof_ros.watch.outlook import Forecast, Plan
 from greenroof_ros.watch.registry import Node, Registry
 from greenroof_ros.watch.wire import Status
 
-Stamps = NDArray[np.int64]
-Values = NDArray[np.float64]
 _Outlook = TypeVar("_Outlook", Forecast, Plan)
 
 FLOW, RAIN_FORECAST = "/pump/flow", "/forecast/precipitation"
@@ -54,9 +51,9 @@ _QUIET_S = 2.0
 _SET_BACK_S = 60.0
 # A forecast is another one where its rain differs by so much (m), once in so long (s).
 _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
-# How long before a time a level is expected that is compared with the one that came (s), how often
-# what one plan expects is kept, though its steps are longer (s), and how much of it at most (s).
-_LEAD_S, _EXPECTED_EVERY_S, _WEEK_S = 3600.0, 300.0, 7 * 86_400.0
+# How long before a time a level is expected that is compared with the one that came (s), and how
+# often that is kept (s).
+_LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
 _MOST_TEXT = 500
 # Steps of a forecast or a plan: of the longest look-ahead that there is.
 _MOST_STEPS = 1000
@@ -103,7 +100,7 @@ class Newest:
         usual = float(np.median(self._intervals)) if self._intervals else 0.0
         self.stale = not ended and wall - self._heard > max(_STALE_S, INTERVALS * usual)
 
-    def silent_for(self, wall: float) -> float:
+    def silent_s(self, wall: float) -> float:
         """Return how long ago something came (s of wall time)."""
         return 0.0 if self._heard is None else max(0.0, wall - self._heard)
 
@@ -145,7 +142,7 @@ class Store:
         self.site = read_site(papers_site())
         self.notes = ["", ""]
         self.recorded_controller = ""
-        self.recorded_incidents: Sequence[Dated] = ()
+        self.recorded_incidents: Sequence[Alarm] = ()
         self.alarms = Alarms(namespace)
         self._nobody = Registry()
         self._interface = read_topics()
@@ -166,7 +163,7 @@ class Store:
     def _forget_values(self) -> None:
         self.newest: dict[str, Newest] = {}
         self.expected = History()
-        self._expected_until = -math.inf  # s since 1970
+        self._expected_at = -math.inf  # when what is expected was kept last (s since 1970)
         self._begin_account()
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
@@ -231,7 +228,7 @@ class Store:
         with self.lock:
             self._forget()
 
-    def look(self, wall: float, system: float) -> None:
+    def look(self, wall: float, system: float | None = None) -> None:
         """Note what came, and what did not: often, be there a document to show or not.
 
         Where the clock of a live site is set back, charts and account start again: what comes would
@@ -239,29 +236,30 @@ class Store:
 
         Args:
             wall: now.
-            system: the system's time, which a live site has (s since 1970).
+            system: the system's time, which a live site has (s since 1970); None: as it was then.
         """
         with self.lock:
-            before, self._system = self._system, system
-            if self.mode == "live" and before is not None and system < before - _SET_BACK_S:
+            before, self._system = self._system, self._system if system is None else system
+            if self.mode == "live" and before is not None and self._system is not None and (
+                back := before - self._system
+            ) > _SET_BACK_S:
                 self._forget_values()
-                back = words.length_of_time(before - system)
                 self.alarms.add_event(
-                    system, f"The system's clock was set back by {back}: charts and account start "
-                    "again",
+                    self._system, f"The system's clock was set back by {words.length_of_time(back)}"
+                    ": charts and account start again",
                 )
-            self.note(wall)
+            self.wall = wall
+            for newest in self.newest.values():
+                newest.look(wall, ended=self.ended)
+            self._note_clock()
+            self.alarms.look(wall, self._now_or(time.time()))
+            if self.ended and self.silent_s > _QUIET_S:
+                self.account.end()
 
-    def note(self, wall: float) -> None:
-        """Note what came since the last look; the system's time is as it was then."""
-        self.wall = wall
-        for newest in self.newest.values():
-            newest.look(wall, ended=self.ended)
-        self._date_again()
-        self.alarms.look(wall, self._now_or(time.time()))
-        quiet = all(one.silent_for(wall) > _QUIET_S for one in self.newest.values())
-        if self.ended and quiet:
-            self.account.end()
+    @property
+    def silent_s(self) -> float:
+        """For how long no value of any topic has come (s); 0 where none ever did."""
+        return min((newest.silent_s(self.wall) for newest in self.newest.values()), default=0.0)
 
     @property
     def ended(self) -> bool:
@@ -294,19 +292,16 @@ class Store:
         """
         if not self.is_number(topic) or not len(times_ns):
             return
-        # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
+        # Copies: what is given may be a view of a longer batch.
         times = np.array(times_ns, dtype=np.int64)
-        numbers = np.asarray(values, dtype=np.float64) + 0.0
         with self.lock:
             newest = self.newest.get(topic) or Newest()
             possible = np.where(times < _LATEST_NS, times, 0)
             before = np.append(newest.past_ns, possible[:-1])
             newer = (possible > np.maximum.accumulate(before)) & (possible <= self._latest_ns())
-            times, numbers = times[newer], numbers[newer]
+            times, numbers = times[newer], self._plausible(topic, np.asarray(values)[newer])
             if not len(times):
                 return
-            low, high = self._limits(topic)
-            numbers = np.where((numbers >= low) & (numbers <= high), numbers, np.nan)
             self.newest[topic] = newest
             newest.take(int(times[-1]), float(numbers[-1]))
             newest.past_ns = int(times[-1])
@@ -331,17 +326,17 @@ class Store:
             newest = self.newest.get(topic) or Newest()
             if newest.time_ns < time_ns <= self._latest_ns():
                 self.newest[topic] = newest
-                low, high = self._limits(topic)
-                newest.take(time_ns, value + 0.0 if low <= value <= high else math.nan)
+                newest.take(time_ns, float(self._plausible(topic, np.array(value))))
 
     def is_number(self, topic: str) -> bool:
         """Whether the interface has such a topic, and it is of single numbers."""
         return topic in self._interface and self._interface[topic].type == _NUMBER
 
-    def _limits(self, topic: str) -> tuple[float, float]:
-        """Return between which values one of a topic is plausible, in its unit."""
+    def _plausible(self, topic: str, values: Values) -> Values:
+        """Return values of a topic, NaN in place of one that is not plausible; no minus zero."""
         entry = self._interface[topic]
-        return max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+        low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+        return np.where((values >= low) & (values <= high), values + 0.0, np.nan)
 
     def known(self, topic: str) -> float | None:
         """Return a value that is of now; None where there is none."""
@@ -364,34 +359,36 @@ class Store:
             past: of a plan, as in :meth:`add_plan`.
         """
         if topic == PUMP_STATE:
-            self.add_pump_state(time_ns, wire.text(message) or "")
-        elif topic == PLAN and (found := wire.rows(message)) is not None:
-            self.add_plan(time_ns, found[0], past=past)
-        elif topic.startswith("/forecast/") and (found := wire.rows(message)) is not None:
-            self.add_forecast(topic, time_ns, *found)
+            if text := wire.text(message):
+                self.add_pump_state(time_ns, text)
+        elif (rows := wire.rows(message)) is None:
+            return
+        elif topic == PLAN:
+            self.add_plan(time_ns, rows[0], past=past)
+        elif topic == RAIN_FORECAST:
+            self.add_forecast(time_ns, *rows)
 
     def add_pump_state(self, time_ns: int, text: str) -> None:
         """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
-            if text and (self.pump_state is None or time_ns > self.pump_state[0]):
+            if self.pump_state is None or time_ns > self.pump_state[0]:
                 self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
 
     # --- what is to come ------------------------------------------------------------------------
 
-    def add_forecast(self, topic: str, time_ns: int, values: Values, front: Values) -> None:
-        """Take a forecast; rain's is shown, where it says when its steps end.
+    def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
+        """Take a forecast of rain; it is shown where it says when its steps end.
 
         Args:
-            topic: its name in the interface.
             time_ns: when its first step begins, since 1970.
-            values: in the topic's unit, shape (steps,), or (members, steps) of an ensemble.
+            values: m/s, shape (steps,), or (members, steps) of an ensemble.
             front: when it was issued (s since 1970, NaN where that is not known), and the end of
                 each step (s from ``time_ns``), shape (1 + steps,).
         """
-        if topic != RAIN_FORECAST or not 0 < time_ns < _LATEST_NS:
+        if not 0 < time_ns < _LATEST_NS:
             return
         rain = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        limits, at = self._interface[topic], time_ns / 1e9
+        limits, at = self._interface[RAIN_FORECAST], time_ns / 1e9
         members, steps = rain.shape if rain.ndim == 2 else (0, 0)
         ends = front[1:]
         fits = (
@@ -434,18 +431,28 @@ class Store:
                 that is expected at its end (m), and to which it is filled if no rain has come (m),
                 shape (steps, 4); without the last in older bags. Empty: nothing has changed. With a
                 number that cannot be: there is no plan now.
-            past: whether it is for the past, too: what it expects is kept, and all plans before it
+            past: whether it is of the past, where what it expects is kept, and all plans before it
                 have come.
         """
         at = time_ns / 1e9
-        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+        if not 0 < time_ns < _LATEST_NS:
             return
         with self.lock:
-            if past and at > self._past_plan[0]:
+            if np.size(rows):
+                if past and at > self._past_plan[0]:
+                    self._past_plan = at, _plan_of(at, rows)
+                if not past and at > self._plan[0]:
+                    self._plan = at, _plan_of(at, rows)
+            if past and at >= self._expected_at + _EXPECTED_EVERY_S:
                 self._keep_expected(at)
-                self._past_plan = at, _plan_of(at, rows)
-            if not past and at > self._plan[0]:
-                self._plan = at, _plan_of(at, rows)
+
+    def _keep_expected(self, at: float) -> None:
+        """Keep which level the plan of a time expects an hour later."""
+        plan, later = self._past_plan[1], at + _LEAD_S
+        if plan is not None and later <= plan.ends[-1]:
+            level = np.interp([later], plan.ends, plan.level)
+            self.expected.add(np.array([round(later * 1e9)]), level)
+            self._expected_at = at
 
     @property
     def plan(self) -> Plan | None:
@@ -460,43 +467,11 @@ class Store:
 
     def _of_now(self, newest: _Outlook | None) -> _Outlook | None:
         """Return a forecast or plan; None where newer ones may still be to be read."""
-        now_ns = max((one.time_ns for one in self.newest.values()), default=0)
+        now_ns = max((value.time_ns for value in self.newest.values()), default=0)
         past_ns = self._past_ns()
         if newest is None or (now_ns - past_ns > HOLDS_NS and newest.at * 1e9 <= past_ns):
             return None
         return newest
-
-    def _keep_expected(self, until: float) -> None:
-        """Keep what the plan expects that held until then: it is known that none came before."""
-        times, levels = self._not_kept(until)
-        if len(times):
-            self.expected.add((times * 1e9).astype(np.int64), levels)
-            self._expected_until = float(times[-1])
-
-    def expected_next(self) -> History:
-        """Return what is expected of the times after those of ``expected``."""
-        times, levels = self._not_kept(self._past_ns() / 1e9)
-        found = History()
-        found.add((times * 1e9).astype(np.int64), levels)
-        return found
-
-    def _not_kept(self, until: float) -> tuple[Values, Values]:
-        """Return what the plan that holds until then expects, of times that nothing is kept of.
-
-        Of each time what the plan of an hour before it expects: times (s since 1970), levels (m).
-        """
-        plan = self._past_plan[1]
-        if plan is None:
-            return np.empty(0), np.empty(0)
-        end = min(until + _LEAD_S, float(plan.ends[-1]))
-        begin = max(self._expected_until, plan.at + _LEAD_S, end - _WEEK_S)
-        if end <= begin:
-            return np.empty(0), np.empty(0)
-        often = np.arange(begin + _EXPECTED_EVERY_S, end, _EXPECTED_EVERY_S)
-        times = np.unique(np.concatenate([
-            plan.ends[(plan.ends > begin) & (plan.ends < end)], often, [end],
-        ]))
-        return times, np.interp(times, plan.ends, plan.level)
 
     # --- what nodes say -------------------------------------------------------------------------
 
@@ -519,7 +494,7 @@ class Store:
             now = self._now_or(time.time())
             if self._heard_since is None:
                 self._heard_since = time.time()
-            self._date_again()
+            self._note_clock()
             self.alarms.hear(
                 wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=self.site.tau
             )
@@ -537,7 +512,6 @@ class Store:
             return
         controller = node.name, node.process
         if self._controller not in (None, controller):
-            self._keep_expected(self._past_ns() / 1e9)
             # The new one's first plan may have come before its first word.
             if self._past_plan[0] <= self._controller_at:
                 self._past_plan = self._past_plan[0], None
@@ -555,36 +529,36 @@ class Store:
         with self.lock:
             self.alarms.add_event(self._now_or(system), text)
 
-    def forgive(self, seconds: float) -> None:
-        """Take nobody for silent who was not heard while the watcher stood still, so long (s)."""
-        with self.lock:
-            self.alarms.registry.forgive(seconds)
-
     def acknowledge(self, alarm_id: str) -> bool:
         """Note that somebody saw an alarm; False where there is none such."""
         with self.lock:
             return self.alarms.acknowledge(alarm_id)
 
-    def incidents(self) -> list[Dated]:
+    def incidents(self) -> list[Alarm]:
         """Return the recorded incidents that have begun; none where nodes say how they are.
 
         On a live site those that were over before the nodes were heard here.
         """
         if self.mode == "live" and self._heard_since is not None:
             return [
-                one for one in self.recorded_incidents
-                if one.ended is not None and one.ended < self._heard_since
+                incident for incident in self.recorded_incidents
+                if incident.over is not None and incident.over < self._heard_since
             ]
         now = self.now
         if self.graph.anybody or not self.ended or now is None:
             return []
-        return [one for one in self.recorded_incidents if one.began <= now]
+        return [
+            incident if incident.over is None or incident.over <= now
+            else replace(incident, over=None)  # it stands at the time that is shown
+            for incident in self.recorded_incidents if incident.since <= now
+        ]
 
     @property
     def lost_pump(self) -> bool:
         """Whether a recording says that what the pump does is not known now."""
-        now = self.now or 0.0
-        return any(one.of_pump and one.stands(now) for one in self.incidents())
+        return any(
+            incident.over is None and incident.trouble.hides_pump for incident in self.incidents()
+        )
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -612,15 +586,24 @@ class Store:
         """Write a time that comes (s since 1970)."""
         return words.hour_and_minute(at, self.utc_offset, self.now or at)
 
-    def _date_again(self) -> None:
-        """Date what was noted before the clock of a simulation was known by that clock's begin."""
-        first, last = self._began - _SET_BACK_S, time.time() + _SET_BACK_S
+    def _is_of_system(self, at: float) -> bool:
+        """Whether a time (s since 1970) is of the system's clock, since the watcher began."""
+        return self._began - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
+
+    def _note_clock(self) -> None:
+        """Note when the clock of a simulation began, as far as that is known."""
         times = (self._clock_began, self.now, self._stamp)
-        known = [at for at in times if at is not None and not first <= at <= last]
-        if known:
+        known = [at for at in times if at is not None and not self._is_of_system(at)]
+        if known and self.mode in ("simulated", "loop"):
             self._clock_began = min(known)
-            if self.mode in ("simulated", "loop"):
-                self.alarms.date_again(first, last, self._clock_began)
+
+    def dated(self, at: float) -> float:
+        """Return a time of an alarm or event (s since 1970).
+
+        What was noted before the clock of a simulation was known is of that clock's begin.
+        """
+        began = self._clock_began
+        return at if began is None or not self._is_of_system(at) else began
 
     def _now_or(self, system: float) -> float:
         """Return the time of what happens now (s since 1970).

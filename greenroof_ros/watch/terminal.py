@@ -67,27 +67,27 @@ def pages(
     """
     options = console.options.update(width=max(console.width, _LEAST_WIDTH), height=None)
     parts = _parts(document, series, options.max_width, ascii_only=options.ascii_only)
-    each = _ENDLESS if height is None else max(1, height - 1)
+    fit = _ENDLESS if height is None else max(1, height - 1)
     lines: list[list[Segment]] = []
     for part in parts:
-        block, room = console.render_lines(part, options, pad=False), each - len(lines) % each
-        if isinstance(part, Group) and room < len(block) <= each:
+        block, room = console.render_lines(part, options, pad=False), fit - len(lines) % fit
+        if isinstance(part, Group) and room < len(block) <= fit:
             lines += [[]] * room  # it stays together
         lines += block
     if options.ascii_only:
         lines = [
-            [Segment(one.text.encode("ascii", "replace").decode(), one.style) for one in line]
+            [Segment(part.text.encode("ascii", "replace").decode(), part.style) for part in line]
             for line in lines
         ]
     if height is None:
         return [SegmentLines(lines, new_lines=True)]
-    begins, found = range(0, len(lines), each), []
+    begins, drawn = range(0, len(lines), fit), []
     for number, begin in enumerate(begins, 1):
-        seen = lines[begin:begin + each]
+        seen = lines[begin:begin + fit]
         keys = f"page {number} of {len(begins)}; space turns it, q ends"
-        filled = [*seen, *[[]] * (each - len(seen)), [Segment(keys, Style.parse(_DIM))]]
-        found.append(SegmentLines(filled, new_lines=True))
-    return found
+        filled = [*seen, *[[]] * (fit - len(seen)), [Segment(keys, Style.parse(_DIM))]]
+        drawn.append(SegmentLines(filled, new_lines=True))
+    return drawn
 
 
 def _parts(
@@ -207,15 +207,15 @@ def _columns(
     steps: Iterable[tuple[float, float, float]], first: float, last: float, columns: int
 ) -> list[float | None]:
     """Return the greatest value in each of equally long times; None where there is none."""
-    found: list[float | None] = [None] * columns
+    greatest: list[float | None] = [None] * columns
     width = (last - first) / columns
     for begin, end, value in steps:
         column = math.floor((begin - first) / width)
         until = max(column + 1, math.ceil((end - first) / width))
         for at in range(max(0, column), min(columns, until)):
-            known = found[at]
-            found[at] = value if known is None else max(known, value)
-    return found
+            known = greatest[at]
+            greatest[at] = value if known is None else max(known, value)
+    return greatest
 
 
 def _bars(values: Sequence[float | None], low: float, high: float, bars: str) -> str:
@@ -241,14 +241,15 @@ def _account(account: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _events(events: Sequence[Mapping[str, Any]]) -> list[RenderableType]:
-    lines = (Text(f"{one['at_text']}  {one['what']}") for one in events)
+    lines = (Text(f"{event['at_text']}  {event['what']}") for event in events)
     return [Text("Events", _HEAD), Padding(Group(*lines), (0, 0, 0, 2))] if events else []
 
 
 def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
     """Yield how the pump is stopped and released, and what is wrong with that."""
     stop = document["stop"]
-    yield from (Text(one, _ALARM) for one in (stop["warning"],) if one)
+    if stop["warning"]:
+        yield Text(stop["warning"], _ALARM)
     for what, call in (("stop", stop["call"]), ("release", stop["release"])):
         if call:
             # On a line of its own and whole: the first part of a stop alone would release the pump.
@@ -259,7 +260,7 @@ def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
     keys = [name for here, name in (
         ("release_here", "r releases the pump"), ("clear_here", "c clears its fault"),
     ) if stop[here]]
-    yield from (Text(one, _HEAD) for one in ("; ".join(keys), document.get("asked", "")) if one)
+    yield from (Text(said, _HEAD) for said in ("; ".join(keys), document.get("asked")) if said)
 
 
 def run(store: Store, feed: Feed) -> None:
@@ -308,11 +309,10 @@ def run(store: Store, feed: Feed) -> None:
                     console.print(*pages(document, charts, console, None), "")
                     shown_at = now
             elif turned or before != (document, charts, size):
-                found = pages(document, charts, console, size.height)
+                there = pages(document, charts, console, size.height)
                 # As many pages as there are now: alarms come and go.
-                number = min(number, len(found) - 1)
-                number = (number + turned) % len(found)
-                live.update(found[number], refresh=True)
+                number = (min(number, len(there) - 1) + turned) % len(there)
+                live.update(there[number], refresh=True)
             before = (document, charts, size)
 
 
@@ -323,7 +323,7 @@ def _series(store: Store) -> dict[str, Any]:
     if not begins or series["now"] is None:
         return series
     known = (series["now"] - min(begins)) / 3600
-    hours = next(one for one in (1.0, 3.0, 6.0, math.inf) if known <= one)
+    hours = next(most for most in (1.0, 3.0, 6.0, math.inf) if known <= most)
     return series if hours > 6.0 else series_of(store, hours)
 
 

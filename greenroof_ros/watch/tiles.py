@@ -50,8 +50,8 @@ def _tile(
         text, state, sentence = words.UNKNOWN, "unknown", "nothing was heard of it yet"
     else:
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor says what cannot be"
-    if stale := newest is not None and newest.stale:
-        assert newest is not None
+    stale = newest is not None and newest.stale
+    if newest is not None and newest.stale:
         sentence = f"{text} when last heard at {store.time_of_day(newest.time_ns / 1e9)}"
         text, number, state = words.UNKNOWN, None, "unknown"
     return {
@@ -168,7 +168,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     if stale and state != words.UNKNOWN:
         parts.insert(0, f"{state} when last heard")
     name = "" if node is None else node.name
-    kept_off = store.known(_FROST) or any(one["id"] == f"{name}: {PUMP}" for one in wrong)
+    kept_off = store.known(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
     state = "unknown" if stale else state
     return {
         "label": "Pump", "value": state,
@@ -259,7 +259,7 @@ def _range(amount: Amount) -> str:
     """Write the range of an ensemble's rain behind its mean: `` (19 to 46)``; empty of others."""
     if amount.members == 1:
         return ""
-    low, high = (words.rain(one).removesuffix(" mm") for one in (amount.low, amount.high))
+    low, high = (words.rain(rain).removesuffix(" mm") for rain in (amount.low, amount.high))
     return f" ({low} to {high})"
 
 
@@ -275,9 +275,9 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     if store.ended:
         name = name or store.recorded_controller or None
     alarm = next((
-        one["what"] for one in wrong
-        if node is not None and one["level"] in ("error", "stale")
-        and one["id"].partition(": ")[0] == node.name
+        row["what"] for row in wrong
+        if node is not None and row["level"] in ("error", "stale")
+        and row["id"].partition(": ")[0] == node.name
     ), "")
     command, plan, now = store.newest.get(_COMMAND), store.plan, store.now
     known = name is not None and store.known(_COMMAND) is not None

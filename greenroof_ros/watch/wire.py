@@ -7,7 +7,6 @@ says: what is not whole is None.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -52,45 +51,30 @@ class _Cursor:
     def __init__(self, message: bytes) -> None:
         if len(message) < _HEADER or message[0] != 0 or message[1] > 1:
             raise ValueError
-        self.order = "<" if message[1] else ">"
+        self._order = "<" if message[1] else ">"
         self._message = message
-        self.at = _HEADER
+        self._at = _HEADER
 
-    def align(self, size: int) -> None:
-        self.at += (_HEADER - self.at) % size
-
-    def skip(self, size: int) -> None:
-        self.at += size
-        if self.at > len(self._message):
+    def take(self, size: int, align: int = 1) -> bytes:
+        start = self._at + (_HEADER - self._at) % align
+        self._at = start + size
+        if self._at > len(self._message):
             raise ValueError
-
-    def byte(self) -> int:
-        self.skip(1)
-        return self._message[self.at - 1]
+        return self._message[start : self._at]
 
     def whole(self, kind: str = "I") -> int:
-        self.align(4)
-        (value,) = struct.unpack_from(self.order + kind, self._message, self.at)
-        self.at += 4
-        return int(value)
+        return int(struct.unpack(self._order + kind, self.take(4, 4))[0])
 
     def text(self) -> str:
         length = self.whole()
-        start = self.at
-        self.skip(length)
-        end = start + min(max(length - 1, 0), _TEXT)  # a NUL ends it
-        return self._message[start:end].decode("utf-8", errors="replace")
+        kept = min(max(length - 1, 0), _TEXT)  # a NUL ends it
+        return self.take(length)[:kept].decode("utf-8", errors="replace")
 
     def numbers(self, count: int) -> NDArray[np.float64]:
-        if count == 0:
-            return np.empty(0)
         if count > _NUMBERS:
             raise ValueError
-        self.align(8)
-        start = self.at
-        self.skip(8 * count)
-        found = np.frombuffer(self._message, f"{self.order}f8", count, start)
-        return found.astype(np.float64)
+        content = self.take(8 * count, 8 if count else 1)
+        return np.frombuffer(content, f"{self._order}f8").astype(np.float64)
 
 
 def _whole_or_none(
@@ -101,7 +85,7 @@ def _whole_or_none(
     def reader(message: bytes) -> _Result | None:
         try:
             return read(_Cursor(message))
-        except (ValueError, struct.error):
+        except ValueError:
             return None
 
     reader.__doc__ = read.__doc__
@@ -139,12 +123,8 @@ def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         shape.append(cursor.whole())
         cursor.whole()  # the stride, which follows from the sizes
     offset = cursor.whole()
-    front, found = np.split(cursor.numbers(cursor.whole()), [offset])
-    if len(shape) >= 2:
-        if math.prod(shape) != len(found):
-            raise ValueError
-        found = found.reshape(shape)
-    return found, front
+    front, numbers = np.split(cursor.numbers(cursor.whole()), [offset])
+    return numbers.reshape(shape) if len(shape) >= 2 else numbers, front
 
 
 @_whole_or_none
@@ -155,9 +135,9 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
     """
     stamp = _stamp(cursor)
     cursor.text()
-    found = []
+    statuses = []
     for _ in range(min(cursor.whole(), _STATUSES)):
-        level = cursor.byte()
+        level = cursor.take(1)[0]
         name, message, hardware = cursor.text(), cursor.text(), cursor.text()
         values = {}
         for place in range(cursor.whole()):
@@ -165,8 +145,8 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
             if place < _VALUES:
                 values[key] = value
         # A level that is none counts as the worst that somebody can do something about.
-        found.append(Status(name, level if level <= 3 else 2, message, hardware, values))
-    return stamp, found
+        statuses.append(Status(name, level if level <= 3 else 2, message, hardware, values))
+    return stamp, statuses
 
 
 def _stamp(cursor: _Cursor) -> int:

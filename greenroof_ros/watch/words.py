@@ -98,16 +98,10 @@ def moment(seconds: float, utc_offset: float) -> datetime | None:
         return None
 
 
-def date_and_time(seconds: float, utc_offset: float) -> str:
-    """Write a time since 1970 (s): ``2021-07-20 05:00:00``."""
+def date_and_time(seconds: float, utc_offset: float, *, zone: bool = False) -> str:
+    """Write a time since 1970 (s): ``2021-07-20 05:00:00``, and with its zone ``UTC-04:00``."""
     at = moment(seconds, utc_offset)
-    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S")
-
-
-def date_time_and_zone(seconds: float, utc_offset: float) -> str:
-    """Write a time since 1970 (s): ``2021-07-20 05:00:00 UTC-04:00``."""
-    at = moment(seconds, utc_offset)
-    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S %Z")
+    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S" + " %Z" * zone)
 
 
 def time_of_day(seconds: float, utc_offset: float, now: float) -> str:
@@ -135,6 +129,6 @@ def plain(text: str, most: int) -> str:
     if short.isprintable():
         return short
     return "".join(
-        one if one.isprintable() else " " if one.isspace() else "\N{REPLACEMENT CHARACTER}"
-        for one in short
+        sign if sign.isprintable() else " " if sign.isspace() else "\N{REPLACEMENT CHARACTER}"
+        for sign in short
     )

@@ -185,8 +185,9 @@ class WeatherSeries:
         before = (weather.end - start).total_seconds()
         if start < weather.first or steps * site.tau > before:
             raise ConfigurationError(
-                f"holds {to_minutes(weather.first)} to {to_minutes(weather.end)}, but the run is "
-                f"from {to_minutes(start)} on for {steps * site.tau / 3600:g} hours",
+                f"has records from {to_minutes(weather.first)} to {to_minutes(weather.end)}, "
+                f"but the run starts at {to_minutes(start)} and lasts "
+                f"{steps * site.tau / 3600:g} hours",
                 file=weather.source,
             )
         ticks = steps + site.M

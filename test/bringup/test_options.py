@@ -96,18 +96,18 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
 WEATHERED = "live --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 WRONG = {
-    "live --weather external --pump external": "--sensors FILE: is missing: live",
-    "live --weather external --sensors external": "--drive NAME: is missing: live",
+    "live --weather external --pump external": "--sensors FILE: is missing: a live site needs it",
+    "live --weather external --sensors external": "--drive NAME: is missing: a live site needs it",
     WEATHERED:
-        "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
+        "--forecast FILE.csv: is missing: mpc needs a forecast; or give --weather external",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
+        "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
     f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
         "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
     f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
     f"{WEATHERED} --weather external --forecast forecast.csv":
-        "--forecast = 'forecast.csv': is of the weather node",
+        "--forecast = 'forecast.csv': is for the weather node",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",

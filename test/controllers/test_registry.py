@@ -59,7 +59,7 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
         ("onoff", "mpc: {}\n", r"must hold '/\*\*/onoff:' and in it 'ros__parameters:'"),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    weight: 1.0\n",
-            r"mine.yaml, line 3: weight: is not a parameter of onoff; they are fraction",
+            r"mine.yaml, line 3: weight: is not a parameter of onoff; choose from fraction",
         ),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n",
@@ -104,10 +104,10 @@ def test_a_node_is_named_after_the_class() -> None:
     ("code", "message"),
     [
         ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("class Mine: pass", "is no controller: it lacks parameters, command, skip, statistics"),
+        ("class Mine: pass", "is not a controller: it lacks parameters, command, skip, statistics"),
         (
             "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
-            " def statistics(self): pass", "is no controller: it lacks a tuple of Parameter",
+            " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",
         ),
     ],
 )

@@ -22,6 +22,8 @@ PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
     *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
 ]
+# The most words on a page of these folders.
+WORDS = {"explanation": 1800}
 
 
 def name(path: Path) -> str:
@@ -31,6 +33,22 @@ def name(path: Path) -> str:
 @pytest.mark.parametrize(("page", "lines"), [("README.md", 90), ("CONTRIBUTING.md", 60)])
 def test_first_pages_are_short(page: str, lines: int) -> None:
     assert len((CHECKOUT / page).read_text().splitlines()) <= lines
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.parent.name in WORDS], ids=name
+)
+def test_a_page_has_few_words(page: Path) -> None:
+    assert len(page.read_text().split()) <= WORDS[page.parent.name]
+
+
+def test_documentation_has_few_words() -> None:
+    """README and ``doc/`` without the reference, which is made or holds tables."""
+    read = [
+        page for page in PAGES
+        if page.parent.name not in ("reference", "modules") and page.name != "CONTRIBUTING.md"
+    ]
+    assert sum(len(page.read_text().split()) for page in read) <= 30_000
 
 
 def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:

@@ -194,10 +194,11 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
 def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
     """A run and a stop go out at once, however seldom the drive is asked; half a speed may wait."""
     with closing(Bench(period_s=20.0, dead_man_s=60.0)) as bench:
+        bench.ask_no_more()
         bench.connect()
-        bench.speed = 0.5
+        bench.exchange.demand(0.5)
         assert wait(lambda: bench.drive.values[0] == 0x047F) < 2.0
-        bench.speed = None
+        bench.exchange.demand(None)
         assert wait(lambda: bench.drive.values[0] == 0x047E) < 2.0
 
 

@@ -339,7 +339,7 @@ def test_the_shipped_file_is_read() -> None:
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates are for mqtts://"),
-        ("counts: true ", "period: 1.0 #", 32, "rain_gauge.period = 1.0: is no key here"),
+        ("counts: true ", "period: 1.0 #", 32, "rain_gauge.period = 1.0: is not a key here"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 42, "thermometer.counts = True: is "
          "for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),

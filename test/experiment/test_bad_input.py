@@ -30,7 +30,7 @@ OPTIONS = {
     "--weight 0": "greater than 0",
     "--weight nan": "--weight",
     "--noise-seed 0.5": "must be a whole number from 0 to 2147483647",
-    "--speed fast": "must be max, or a number greater than 0, is fast",
+    "--speed fast": "must be max, or a number greater than 0, not fast",
     "--cistern 60": "--cistern and --roof",
     "--initial low-low --cistern 60 --roof 2": "--initial",
     "--hours 0.0001": "whole number of ticks",

@@ -376,7 +376,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
             alarm = "incident 1: recorder: nothing is recorded: "
             process.until_said(alarm, 60)
             process.until_said("/roof/level has not come", 50)
-            assert process.nodes().keys() == {"controller", "live_recorder"}
+            assert process.nodes().keys() == {"controller", "recorder"}
         assert old.read_text() == "of before"
         printed = process.stderr()
         assert "No space left on device; the new configuration is in memory only" in printed

@@ -31,7 +31,7 @@ from greenroof_ros.report.runs import find_runs
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
-NAMES = [one.name for one in dataclasses.fields(Trajectory)][1:]
+NAMES = [field.name for field in dataclasses.fields(Trajectory)][1:]
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = {
     "/cistern/level": "cistern", "/roof/level": "roof", "/pump/command": "command",
@@ -193,20 +193,21 @@ def small_bag(directory: Path, **changes: list[float]) -> Path:
 
 
 def ended_run(
-    directory: Path, status: str = "done", one: Simulated | None = None, **known: Any
+    directory: Path, status: str = "done", example: Simulated | None = None, **known: Any
 ) -> Path:
     """Write what bringup leaves of 720 ticks of MPC, or of another run, without its metrics."""
-    one = one or simulate("mpc", "0.001", "low-low")
+    example = example or simulate("mpc", "0.001", "low-low")
     ticks = known.get("last_tick") or 720
-    columns = {name: getattr(one.trajectory, name)[: ticks + 1] for name in NAMES}
+    columns = {name: getattr(example.trajectory, name)[: ticks + 1] for name in NAMES}
     write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
     (directory / "configuration").mkdir()
     shutil.copy(CONFIG / "site.yaml", directory / "configuration")
     (directory / "summary.json").write_text(json.dumps({
-        "status": status, "reason": None, "last_tick": None, "controller": one.row["controller"],
-        "parameters": {"weight": 0.001, "max_command": None}, "weather": "toronto_2021-07.csv",
-        "initial": {"name": "low-low", "cistern_m3": one.row["cistern_m3"],
-                    "roof_m3": one.row["roof_m3"]},
+        "status": status, "reason": None, "last_tick": None,
+        "controller": example.row["controller"], "weather": "toronto_2021-07.csv",
+        "parameters": {"weight": 0.001, "max_command": None},
+        "initial": {"name": "low-low", "cistern_m3": example.row["cistern_m3"],
+                    "roof_m3": example.row["roof_m3"]},
         "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
         "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
         **known,

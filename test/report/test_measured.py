@@ -36,12 +36,12 @@ def trajectory(samples: int, dt: float = 1.0, **values: object) -> Trajectory:
 
 def found_in(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return what is found in a bag."""
-    return measured(Run(row={"run": "bag"}, site=site), Recorded(happened))
+    return measured(Run(site=site, row={"run": "bag"}), Recorded(happened))
 
 
 def test_samples_of_a_real_site() -> None:
     """Samples at 0, 10, 40 and 100 s, deviations of 1, 2, 3 and 4 m3, by hand."""
-    found = found_in(replace(
+    row = found_in(replace(
         trajectory(
             4, cistern=[10, 9, 8, 7], roof=TARGET + np.array([1, 2, 3, 4]),
             precipitation=[1e-5, 0, 2e-5, 9], evapotranspiration=[1e-3, 2e-3, 0, 9],
@@ -59,7 +59,7 @@ def test_samples_of_a_real_site() -> None:
         "frost_hours": 30 / 3600, "frost_pumped_m3": 0.3, "cistern_m3": 10,
         "final_cistern_m3": 7, "hours": 100 / 3600,
     }
-    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-12)
 
 
 def test_band_includes_its_edges_and_counts_time() -> None:
@@ -72,14 +72,14 @@ def own_tally(options: tuple[str, ...]) -> dict[str, float]:
     """Check a run against its own tally, and return that."""
     run = paper_run(*options)
     metrics = Metrics()
-    found = found_in(record(run, closed_loop(run, run.make_controller(), metrics)), run.site)
+    row = found_in(record(run, closed_loop(run, run.make_controller(), metrics)), run.site)
     results = metrics.results()
     if results["limited_steps"]:
         # What a limited roof gave is worked out from the trajectory in another way.
         for name in ("evapotranspiration_m3", "evapotranspiration_ratio"):
-            assert found[name] == pytest.approx(results[name], rel=1e-9)
-            found[name] = results[name]
-    assert {name: found[name] for name in results if name != "limited_steps"} == {
+            assert row[name] == pytest.approx(results[name], rel=1e-9)
+            row[name] = results[name]
+    assert {name: row[name] for name in results if name != "limited_steps"} == {
         name: value for name, value in results.items() if name != "limited_steps"
     }
     return results
@@ -97,19 +97,19 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     layer.write_text(
         f"{measured_roof}initial_cistern: 61.0\ninitial_roof: 2.7\ninitial_layer: 0.3\n"
     )
-    found = own_tally(("--controller", "onoff", "--hours", "0.5", "--site", str(layer)))
-    assert found["final_layer_m3"] < 0.3 and found["drainage_m3"] > 0.1
+    row = own_tally(("--controller", "onoff", "--hours", "0.5", "--site", str(layer)))
+    assert row["final_layer_m3"] < 0.3 and row["drainage_m3"] > 0.1
     low = site_file(
         tmp_path, a_in=100.0, runoff_coefficient=0.5, low_outlet_level=2.0, low_outlet_radius=0.05
     )
-    found = own_tally((
+    row = own_tally((
         "--controller", "onoff", "--cistern", "76", "--roof", "1", "--hours", "2",
         "--start", "2021-07-08T08:00", "--site", str(low),
     ))
-    assert found["outflow_m3"] > 20 and found["rain_cistern_m3"] > 0
+    assert row["outflow_m3"] > 20 and row["rain_cistern_m3"] > 0
     mains.write_text((CONFIG / "site.yaml").read_text() + "mains_level: 0.8\nmains_flow: 0.004\n")
-    found = own_tally((
+    row = own_tally((
         "--controller", "onoff", "--cistern", "20", "--roof", "1", "--hours", "1",
         "--site", str(mains),
     ))
-    assert found["mains_m3"] > 0.9
+    assert row["mains_m3"] > 0.9

@@ -28,8 +28,8 @@ def study(change: Callable[[str], str] = lambda text: text + "\n") -> Callable[[
     """A study whose table is changed."""
 
     def make(at: Path) -> None:
-        one = simulate("onoff", "0.5", "low-low", "0.01")
-        write_study(at / "in", [(one.row, one.trajectory)])
+        example = simulate("onoff", "0.5", "low-low", "0.01")
+        write_study(at / "in", [(example.row, example.trajectory)])
         file = at / "in" / "results.csv"
         text = file.read_text()
         assert change(text) != text
@@ -81,7 +81,16 @@ WRONG: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         ("no finished run; 1 failed or did not run",),
     ),
     "row-cut": (
-        study(lambda text: text[: text.index("\n") + 60]), ("results.csv, line 2", "cells")
+        study(lambda text: text[: text.index("\n") + 60]),
+        ("results.csv, line 2", "ends within a line", "copy it again"),
+    ),
+    "row-too-long": (study(lambda text: text[:-1] + ",1\n"), ("results.csv", "more fields")),
+    "after-an-error-of-two-lines": (
+        study(
+            lambda text: text.replace(",done,,", ',done,"a\nb",')
+            + text.splitlines()[1].replace(",done,", ",lost,") + "\n"
+        ),
+        ("results.csv, line 4", "status = 'lost'"),
     ),
     "status-unknown": (
         study(lambda text: text.replace(",done,", ",lost,")),

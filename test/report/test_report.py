@@ -60,7 +60,7 @@ def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) 
     """A study of them."""
     return write_study(
         tmp_path_factory.mktemp("study") / "study",
-        [(one.row, one.trajectory) for one in simulated],
+        [(example.row, example.trajectory) for example in simulated],
     )
 
 
@@ -69,12 +69,12 @@ def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) 
 
 def test_results_are_those_of_the_table(tmp_path: Path) -> None:
     """With a sample a minute kept, of a command that is above 1 for a second in between."""
-    one = simulate("onoff", "0.5", "low-low")
-    row = {**one.row, "max_command": 2.0, "beyond_hours": 1 / 3600, "pump_starts": 31,
+    example = simulate("onoff", "0.5", "low-low")
+    row = {**example.row, "max_command": 2.0, "beyond_hours": 1 / 3600, "pump_starts": 31,
            "excess_starts": 11, "limited_steps": 3}
-    report = report_of(write_study(tmp_path / "study", [(row, one.trajectory.thinned(60))]))
-    (found,), results = report.single, [name for name in row if name.endswith("_m3")]
-    assert [found[name] for name in results] == [row[name] for name in results]
+    report = report_of(write_study(tmp_path / "study", [(row, example.trajectory.thinned(60))]))
+    (judged,), results = report.single, [name for name in row if name.endswith("_m3")]
+    assert [judged[name] for name in results] == [row[name] for name in results]
     text = page_of(report)
     assert "The command was above 1" in text and "no real pump can follow it." in text
     assert "The pumps started more than 20 times in an hour" in text
@@ -91,26 +91,26 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
         "electric_energy_kwh": 2.0, "near_target_hours": 0.1, "hours": 0.2, "bound_m3": 100.0,
         TOTAL: 150.0,
     }
-    (found,) = study_of(tmp_path / "study", row, energy_price=0.2, water_price=5.0).single
-    assert (found["cistern_change_m3"], found["roof_change_m3"]) == (-5, 1.5)
-    assert found["cistern_residual_m3"] == pytest.approx(-5 - (1 - 4 - 2.5))
-    assert found["roof_residual_m3"] == pytest.approx(1.5 - (0.5 + 4 - 2 - 0.75))
-    assert (found["energy_cost"], found["water_value"], found["ratio"]) == (0.4, 20, 1.5)
-    assert found["near_share"] == pytest.approx(0.1 / (0.2 + 1 / 3600))
+    (judged,) = study_of(tmp_path / "study", row, energy_price=0.2, water_price=5.0).single
+    assert (judged["cistern_change_m3"], judged["roof_change_m3"]) == (-5, 1.5)
+    assert judged["cistern_residual_m3"] == pytest.approx(-5 - (1 - 4 - 2.5))
+    assert judged["roof_residual_m3"] == pytest.approx(1.5 - (0.5 + 4 - 2 - 0.75))
+    assert (judged["energy_cost"], judged["water_value"], judged["ratio"]) == (0.4, 20, 1.5)
+    assert judged["near_share"] == pytest.approx(0.1 / (0.2 + 1 / 3600))
 
 
 def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     """Of samples, where a tick each was not kept, and says so; unknown without any."""
-    one = simulate("onoff", "0.5", "low-low")
-    kept = one.trajectory.thinned(60)
-    path = write_study(tmp_path / "study", [(one.row, kept), (one.row, None)])
+    example = simulate("onoff", "0.5", "low-low")
+    kept = example.trajectory.thinned(60)
+    path = write_study(tmp_path / "study", [(example.row, kept), (example.row, None)])
     report = report_of(path, band=0.2)
     first, second = report.single
     assert first["near_target_hours"] == near_hours(PAPER_SITE, kept, 0.2)
     assert second["near_target_hours"] is None
     assert "the time near the target is of samples every 60 s" in report.runs["001"].notes[-1].text
     for usual in report_of(path, band=NEAR_TARGET).single:
-        assert usual["near_target_hours"] == one.row["near_target_hours"]
+        assert usual["near_target_hours"] == example.row["near_target_hours"]
 
 
 def test_a_study_without_trajectories(tmp_path: Path) -> None:
@@ -222,14 +222,14 @@ def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None
 
     lines = figures["trajectories-1-1"]
     assert len(lines.panels) == 6 and lines.columns == 2
-    for one in simulated[:4]:
-        name = one.row["controller"]
-        label = one.row[f"parameter:{'weight' if name == 'mpc' else 'fraction'}"]
+    for example in simulated[:4]:
+        name = example.row["controller"]
+        label = example.row[f"parameter:{'weight' if name == 'mpc' else 'fraction'}"]
         for quantity in ("command", "cistern", "roof"):
             rows = [
                 row for row in lines.data[f"{quantity}-1-1-{name}"] if row["setting"] == label
             ]
-            values = getattr(one.trajectory, quantity)
+            values = getattr(example.trajectory, quantity)
             if quantity == "command":
                 values = np.append(values[:-1], values[-2])  # the last is not applied, nor drawn
             assert 100 < len(rows) <= MOST_POINTS
@@ -243,10 +243,10 @@ def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None
         for row in figures["total-deviation-1"].data[f"total-deviation-1-{name}"]
     }
     assert totals == pytest.approx({
-        (one.row["controller"],
-         float(one.row.get("parameter:weight") or one.row["parameter:fraction"]),
-         one.row["initial"]): one.row[TOTAL]
-        for one in simulated
+        (example.row["controller"],
+         float(example.row.get("parameter:weight") or example.row["parameter:fraction"]),
+         example.row["initial"]): example.row[TOTAL]
+        for example in simulated
     }, rel=1e-6)
     # A fifth of an hour is not the paper's window.
     data = figures["total-deviation-1"].data
@@ -259,7 +259,7 @@ def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None
         sums: dict[str, float] = {}
         for row in figures["water-balance-1"].data[f"balance-1-{tank}"]:
             sums[row["run"]] = sums.get(row["run"], 0) + row["v"]
-        changes = [np.ptp(getattr(one.trajectory, tank)[[0, -1]]) for one in simulated]
+        changes = [np.ptp(getattr(example.trajectory, tank)[[0, -1]]) for example in simulated]
         assert sorted(map(abs, sums.values())) == pytest.approx(sorted(changes), abs=1e-5)
 
 
@@ -281,15 +281,15 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
         ).data
         assert ("published-1-onoff" in data) == there
         if there:
-            found = {one["x"]: one["v"] for one in data["published-1-onoff"]}
-    assert found == {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
+            totals = {mark["x"]: mark["v"] for mark in data["published-1-onoff"]}
+    assert totals == {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
 
 
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     """Controllers and parameters that this package does not know yet, numbers and words."""
-    one = simulate("mpc", "0.001", "low-low")
-    base = {key: value for key, value in one.row.items() if not key.startswith("parameter:")}
-    few = one.trajectory.thinned(60)
+    example = simulate("mpc", "0.001", "low-low")
+    base = {key: value for key, value in example.row.items() if not key.startswith("parameter:")}
+    few = example.trajectory.thinned(60)
     rows = [
         ({**base, "controller": name, **{f"parameter:{key}": text for key, text in given.items()}},
          few)
@@ -316,8 +316,8 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
     """A line for each initial state in the figure, and a column in the tables."""
     rows = [
-        {**one.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[one.row["initial"]]}
-        for one in simulated
+        {**example.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[example.row["initial"]]}
+        for example in simulated
     ]
     # Two of the rows do not know it.
     rows[0]["bound_m3"] = rows[7]["bound_m3"] = ""
@@ -341,11 +341,11 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
     path = write_study(tmp_path / "study", [(row, few), (more, few)])
     report = report_of(path)
     assert [window["evapotranspiration"] for window in report.windows()] == ["published", "fao56"]
-    (table,) = [one for one in make_tables(report) if "both kinds" in one.name]
+    (table,) = [table for table in make_tables(report) if "both kinds" in table.name]
     assert [cell.text for cell in table.rows[0]][2:] == [
         f"{row[TOTAL]:.2f}", f"{1.03 * row[TOTAL]:.2f}", "+3.00"
     ]
-    assert {one["method"] for one in figures_of(report)["weather-1"].data["evapotranspiration-1"]
+    assert {row["method"] for row in figures_of(report)["weather-1"].data["evapotranspiration-1"]
             } == {"published", "fao56"}
 
 
@@ -410,11 +410,11 @@ def test_seeds_page(seeds: Report) -> None:
 
 def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     """A perfect forecast and a single seed stay as they were, and their tables leave none out."""
-    one = simulate("mpc", "0.001", "low-low")
-    few = one.trajectory.thinned(60)
-    errors = {**one.row, "forecast": "errors", "forecast_skill": "real"}
+    example = simulate("mpc", "0.001", "low-low")
+    few = example.trajectory.thinned(60)
+    errors = {**example.row, "forecast": "errors", "forecast_skill": "real"}
     report = report_of(write_study(tmp_path / "study", [
-        (one.row, few),
+        (example.row, few),
         ({**errors, "forecast_skill": "worse", "forecast_seed": "7"}, few),
         *(({**errors, "forecast_seed": seed, "max_command": 2}, None) for seed in ("1", "2")),
     ]))
@@ -478,10 +478,10 @@ def test_study(tmp_path: Path) -> None:
 
     With --force a report of before is gone.
     """
-    one = simulate("onoff", "2", "low-low")
-    failed = {**one.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
+    example = simulate("onoff", "2", "low-low")
+    failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
     not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    done_row = (one.row, one.trajectory.thinned(60))
+    done_row = (example.row, example.trajectory.thinned(60))
     report = write_study(
         tmp_path / "study", [done_row, (failed, None), (not_run, None)]
     ) / "report"
@@ -520,7 +520,7 @@ def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Re
         "A run of MPC (weight 0.001): ": page_of(ended_run(tmp_path / "run")),
         "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":
         page_of(study),
-        "600 runs of MPC and on/off (2 settings), from low-low and high-low: 4 windows of weather.":
+        "600 runs of MPC and on/off (2 settings), from low-low and high-low: 4 sets of conditions.":
         page_of(seeds),
     }
     for first, text in pages.items():

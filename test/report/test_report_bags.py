@@ -55,10 +55,10 @@ def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
     columns[:, :3] = [-0.0, np.nan, np.inf]
     written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     (tmp_path / "file").write_bytes(written.to_parquet())
-    found = read_parquet(tmp_path / "file")
-    assert found.start.isoformat() == START.isoformat()
+    again = read_parquet(tmp_path / "file")
+    assert again.start.isoformat() == START.isoformat()
     for name in NAMES:
-        bits = (getattr(one, name).view(np.int64) for one in (found, written))
+        bits = (getattr(whole, name).view(np.int64) for whole in (again, written))
         np.testing.assert_array_equal(*bits)
 
 
@@ -85,8 +85,8 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) -> None:
     """Read from the bag alone, under a namespace or not, with the paper's site; two are refused."""
-    one = simulate("mpc", "0.00001", "low-low")
-    plain = messages_of(one.trajectory)
+    example = simulate("mpc", "0.00001", "low-low")
+    plain = messages_of(example.trajectory)
     spaced = {f"/site1{topic}": messages for topic, messages in plain.items()}
     for name, messages in (
         ("plain", plain), ("spaced", spaced), ("both", {**plain, **spaced}),
@@ -98,11 +98,12 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) ->
         trajectory, notes = loaded(tmp_path / run.name)
         for name in NAMES:
             np.testing.assert_allclose(
-                getattr(trajectory, name), getattr(one.trajectory, name), rtol=1e-15, err_msg=name
+                getattr(trajectory, name), getattr(example.trajectory, name), rtol=1e-15,
+                err_msg=name,
             )
         assert trajectory.start == START and notes == ()
         for name in (TOTAL, "pumped_m3"):
-            assert row[name] == pytest.approx(one.row[name], rel=1e-12)
+            assert row[name] == pytest.approx(example.row[name], rel=1e-12)
         assert (row["controller"], row["from"]) == ("unknown", "as recorded")
         assert any("the paper's, config/site.yaml" in note.text for note in run.notes)
     with pytest.raises(ConfigurationError, match=r"of one graph, but holds .* /, /site1"):
@@ -214,9 +215,9 @@ def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
 # --- run directories -----------------------------------------------------------------------------
 
 
-def own_run(directory: Path, one: Simulated, **known: Any) -> Path:
+def own_run(directory: Path, example: Simulated, **known: Any) -> Path:
     """Write what bringup leaves of on/off, with its weather."""
-    ended_run(directory, one=one, parameters={"fraction": 2.0}, **known)
+    ended_run(directory, example=example, parameters={"fraction": 2.0}, **known)
     (directory / "configuration" / "weather").mkdir()
     shutil.copy(
         CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather"
@@ -229,17 +230,17 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
 
     No bound belongs to it, since its first reading is not what was on the roof.
     """
-    one = simulate("onoff", "2", "low-low", "0.05")
-    path = own_run(tmp_path / "run", one)
+    example = simulate("onoff", "2", "low-low", "0.05")
+    path = own_run(tmp_path / "run", example)
     (row,) = report_of(path).single
     assert row["bound_m3"] == pytest.approx(
         clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.05")).bound_m3, rel=1e-9
     )
-    assert row["ratio"] == pytest.approx(one.row[TOTAL] / row["bound_m3"], rel=1e-9)
-    results = {name: one.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
-    off = dataclasses.replace(one.trajectory, roof=one.trajectory.roof + 0.5)
+    assert row["ratio"] == pytest.approx(example.row[TOTAL] / row["bound_m3"], rel=1e-9)
+    results = {name: example.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
+    off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
     path = own_run(
-        tmp_path / "noisy", one._replace(trajectory=off), status="done", **results,
+        tmp_path / "noisy", example._replace(trajectory=off), status="done", **results,
         sensor_pump_errors={"roof_offset": 0.005},
     )
     report = report_of(path)
@@ -249,9 +250,9 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true one"
     assert sensor in page_of(report)
     # Nor where the rain in the bag is not that in the file.
-    rain = one.trajectory.precipitation + 1e-7
-    wet = dataclasses.replace(one.trajectory, precipitation=rain)
-    report = report_of(own_run(tmp_path / "wet", one._replace(trajectory=wet)))
+    rain = example.trajectory.precipitation + 1e-7
+    wet = dataclasses.replace(example.trajectory, precipitation=rain)
+    report = report_of(own_run(tmp_path / "wet", example._replace(trajectory=wet)))
     assert report.single[0]["bound_m3"] is None
     assert "over the least possible" not in page_of(report)
 
@@ -336,28 +337,6 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
 # --- graphs --------------------------------------------------------------------------------------
 
 
-def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
-    """The bag of bringup gives the numbers of the summary, and its labels the run's."""
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    summary = bring_up(domain, tmp_path, "--hours", "0.1", "--controller", "onoff")
-    report = report_of(tmp_path / "run")
-    (row,), (run,) = report.single, report.runs.values()
-    assert (row["controller"], row["from"], row["site"]) == ("onoff", "low-low", "site.yaml")
-    assert report.drawn["run"].start.isoformat() == summary["start"]
-    assert report.runs["run"].notes == ()
-    assert row["bound_m3"] == pytest.approx(
-        clairvoyant_bound(paper_run("--hours", "0.1")).bound_m3, rel=1e-9
-    )
-    (tmp_path / "run" / "summary.json").unlink()  # as after a crash
-    crashed = report_of(tmp_path / "run")
-    (found,) = crashed.single
-    assert crashed.runs["run"].parameters == run.parameters
-    for name in row:
-        if name in summary and isinstance(row[name], float) and found[name] is not None:
-            assert found[name] == pytest.approx(summary[name], rel=1e-12), name
-    assert found["roof_residual_m3"] == pytest.approx(0, abs=1e-12)
-
-
 # The example's pump, but it gives 1 L/s, and in every tenth tick, the first too, what cannot be.
 DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text()
 BAD_FLOWS = """
@@ -368,8 +347,11 @@ rclpy.init()
 """
 
 
-def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
-    """Summary and bag agree, and with the sum by hand: 9 of 10 ticks of 1 L/s, 12 starts."""
+def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
+    """The bag of bringup gives the numbers of the summary, and its labels the run's.
+
+    By hand: 9 of 10 ticks of 1 L/s, 12 starts, since flows that were refused act as 0.
+    """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     bad = DRIVER.replace("rclpy.init()\n", BAD_FLOWS)
     bad = bad.replace(".publish(flow)", ".publish(Float64(data=next(flows)))")
@@ -389,13 +371,23 @@ def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
     assert summary["refused"] == {"/pump/flow": 13}  # of ticks 0 to 120
     assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
     assert summary["pump_starts"] == 12
-    (tmp_path / "run" / "summary.json").unlink()
     report = report_of(tmp_path / "run")
-    (row,) = report.single
-    for name in (TOTAL, "pumped_m3", "pump_starts", "final_roof_m3", "electric_energy_kwh"):
-        assert row[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert any("13 of 121 values of /pump/flow were refused" in note.text
-               for note in report.runs["run"].notes)
+    (row,), (run,) = report.single, report.runs.values()
+    assert (row["controller"], row["from"], row["site"]) == ("onoff", "low-low", "site.yaml")
+    assert report.drawn["run"].start.isoformat() == summary["start"]
+    (note,) = run.notes
+    assert note.text.startswith("13 of 121 values of /pump/flow were refused")
+    assert row["bound_m3"] == pytest.approx(
+        clairvoyant_bound(paper_run("--hours", str(120 / 3600))).bound_m3, rel=1e-9
+    )
+    (tmp_path / "run" / "summary.json").unlink()  # as after a crash
+    crashed = report_of(tmp_path / "run")
+    (worked_out,) = crashed.single
+    assert crashed.runs["run"].parameters == run.parameters
+    for name in row:
+        if name in summary and isinstance(row[name], float) and worked_out[name] is not None:
+            assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
+    assert worked_out["roof_residual_m3"] == pytest.approx(0, abs=1e-12)
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
@@ -527,9 +519,12 @@ def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
 
 
 def test_incidents_of_a_live_site(tmp_path: Path) -> None:
-    """From its summary, in local standard time; its site is the one it ran with."""
+    """From its summary, in local standard time; its site is the one it ran with.
+
+    What no sensor can have said is left out, and did not act as 0 as in a simulation.
+    """
     path = tmp_path / "live"
-    small_bag(path / "bag")
+    small_bag(path / "bag", pump_command=[0.1] * 100 + [math.nan] + [0.1] * 99)
     (path / "configuration" / "site").mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", path / "configuration" / "site" / "my_site.yaml")
     lost = {**LOSS, "number": 300, "began_tick": None, "ended_tick": None}
@@ -540,6 +535,7 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
         "sensors": "sensors.yaml", "forecast": "/var/forecast.csv", "drive": "drive.yaml",
         "drive_at": "/dev/ttyUSB0", "versions": {},
     }))
+    assert set(loaded(path)[0].command.tolist()) == {0.1}
     text = page_of(path)
     assert "done, with 300 incidents." in text and "damaged or foreign" not in text
     assert "A run of on/off (fraction 1): my_site.yaml" in text

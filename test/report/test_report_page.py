@@ -37,18 +37,18 @@ NOISE = {
 }
 SCENE = """
 // Where the plotting area begins on the canvas.
-window.corner = (view) => view.origin().map((one, i) => one + view.padding()[i ? "top" : "left"]);
+window.corner = (view) => view.origin().map((at, i) => at + view.padding()[i ? "top" : "left"]);
 // All marks of a view, each with where on the canvas its items have their origin.
 window.scene = (id) => {
-  const view = window.reportViews.get(id), found = [];
+  const view = window.reportViews.get(id), marks = [];
   const walk = (mark, x, y) => {
-    found.push([mark, x, y]);
+    marks.push([mark, x, y]);
     if (mark.marktype !== "group") return;
     mark.items.forEach((item) => item.items.forEach(
-      (one) => walk(one, x + (item.x ?? 0), y + (item.y ?? 0))));
+      (inner) => walk(inner, x + (item.x ?? 0), y + (item.y ?? 0))));
   };
   walk(view.scenegraph().root, ...corner(view));
-  return found;
+  return marks;
 };
 // Those that belong to the data, by name.
 window.marks = (id, type) => scene(id).map(([mark]) => mark).filter(
@@ -76,10 +76,10 @@ window.crowded = () => [...window.reportViews.keys()].flatMap((id) => {
   const apart = (p, q) => Math.max(Math.max(p.x1, q.x1) - Math.min(p.x2, q.x2),
                                    Math.max(p.y1, q.y1) - Math.min(p.y2, q.y2));
   return scene(id).filter(([mark]) => mark.role === "axis-label").flatMap(([mark]) => {
-    const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
-    return shown.flatMap((one, place) => shown.slice(place + 1)
-      .filter((other) => apart(one.bounds, other.bounds) < 4)
-      .map((other) => [id, one.text, other.text]));
+    const shown = mark.items.filter((label) => label.opacity !== 0 && label.text !== "");
+    return shown.flatMap((label, place) => shown.slice(place + 1)
+      .filter((other) => apart(label.bounds, other.bounds) < 4)
+      .map((other) => [id, label.text, other.text]));
   });
 });
 """
@@ -149,7 +149,7 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iter
 
 def unfold_all(page: Any) -> None:
     """Open all that is folded, and wait until it is drawn."""
-    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+    page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true })")
     page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
     settle(page)
 
@@ -180,7 +180,7 @@ def overflow(page: Any) -> int:
 def first_number(page: Any) -> float:
     """Return where the first table's leftmost number ends (px)."""
     return page.locator("table").first.evaluate(
-        "(one) => Math.min(...[...one.tBodies[0].querySelectorAll('td:not(.text)')].map("
+        "(table) => Math.min(...[...table.tBodies[0].querySelectorAll('td:not(.text)')].map("
         "(cell) => cell.getBoundingClientRect().right))"
     )
 
@@ -250,7 +250,7 @@ def test_table_sorts(page: Any) -> None:
 
     def column(name: str) -> tuple[Any, list[str]]:
         header = table.locator("thead th", has_text=re.compile(f"^{name}"))
-        place = header.evaluate("(one) => one.cellIndex") + 1
+        place = header.evaluate("(element) => element.cellIndex") + 1
         return header, table.locator(f"tbody tr > :nth-child({place})").all_inner_texts()
 
     header, before = column("total deviation")
@@ -357,11 +357,11 @@ def test_widths(browser: Any, tmp_path: Path) -> None:
         assert max(page.evaluate("clipped()")) <= 1
         assert first_number(page) <= 500 - 16
         box = page.locator(".scroll").nth(1)
-        assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
-        box.evaluate("(one) => { one.scrollLeft = 300 }")
-        left = box.evaluate("(one) => one.getBoundingClientRect().left")
+        assert box.evaluate("(element) => element.scrollWidth > element.clientWidth")
+        box.evaluate("(element) => { element.scrollLeft = 300 }")
+        left = box.evaluate("(element) => element.getBoundingClientRect().left")
         first = box.locator("tbody th").first.evaluate(
-            "(one) => one.getBoundingClientRect().left"
+            "(element) => element.getBoundingClientRect().left"
         )
         assert first == pytest.approx(left, abs=2)
         lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
@@ -383,14 +383,14 @@ def test_widths(browser: Any, tmp_path: Path) -> None:
 def test_many_seeds(browser: Any, tmp_path: Path) -> None:
     """A panel for each window and initial state: mean and worst tenth; the legend switches both."""
     row = simulate("onoff", "0.5", "low-low", "0.01").row
-    write_study(tmp_path / "study", [(one, None) for one in seeded_rows(row)])
+    write_study(tmp_path / "study", [(seeded, None) for seeded in seeded_rows(row)])
     with opened(browser, reported(tmp_path, "study"), 1400) as page:
         assert page.locator("#forecast-errors canvas").count() == 4
         first, second = (f"forecast-errors-panel-{number}" for number in (1, 2))
 
         def marks(panel: str, kind: str) -> int:
             return page.evaluate(
-                f"marks('{panel}', '{kind}').reduce((sum, one) => sum + one.items.length, 0)"
+                f"marks('{panel}', '{kind}').reduce((sum, mark) => sum + mark.items.length, 0)"
             )
 
         # 3 settings, 2 skills, mean and worst tenth; a line has an item for each of its points.
@@ -413,6 +413,12 @@ def test_runs(browser: Any, tmp_path: Path) -> None:
     ended_run(tmp_path / names[0])
     ended_run(tmp_path / names[1], parameter_changes=[change])
     ended_run(tmp_path / names[2], "failed", last_tick=72, reason="node weather ended (SIGKILL)")
+    with opened(browser, reported(tmp_path, "broken"), 1400) as page:
+        labels = page.evaluate(
+            "scene('weather-1-panel-1').filter(([mark]) => mark.role === 'axis-label')"
+            ".flatMap(([mark]) => mark.items.map((label) => label.text))"
+        )
+        assert len(set(labels)) == len(labels), labels  # of 72 s
     with opened(browser, reported(tmp_path, names[0]), 1400, unfold=False) as page:
         short(page, 2700)
         unfold_all(page)

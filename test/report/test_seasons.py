@@ -49,19 +49,19 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
 
 def deviations(*seeds: dict[int, float]) -> Deviations:
     """Return deviations with a seed for each of these totals."""
-    found = Deviations()
+    made = Deviations()
     for year in seeds[0]:
-        totals = np.array([one[year] for one in seeds])
-        found.totals[year] = totals
-        found.weeks[year] = totals[:, None] * (1 / 8, 3 / 8)
-    return found
+        totals = np.array([of_seed[year] for of_seed in seeds])
+        made.totals[year] = totals
+        made.weeks[year] = totals[:, None] * (1 / 8, 3 / 8)
+    return made
 
 
 def over_onoff(*seeds: dict[int, float]) -> Comparison:
     """Return what a controller with a seed for each of these totals has over on/off."""
-    found = compare(deviations(*seeds), deviations(ONOFF))
-    assert found is not None
-    return found
+    over = compare(deviations(*seeds), deviations(ONOFF))
+    assert over is not None
+    return over
 
 
 # --- statistics ----------------------------------------------------------------------------------
@@ -81,18 +81,18 @@ def test_a_tenth_whatever_the_number_of_values() -> None:
 
 def test_ratios_and_what_is_said_of_them() -> None:
     """The same in all years is no luck; to and fro contains 1."""
-    found = over_onoff({year: total * 0.8 for year, total in ONOFF.items()})
-    assert found.mean == pytest.approx((0.8, 0.8, 0.8))
-    assert found.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
-    assert found.mean.verdict == "better" and (found.better, found.years) == (11, 11)
-    assert found.difference == pytest.approx(-30)
-    found = over_onoff({year: total + 30 for year, total in ONOFF.items()})
-    assert found.mean.verdict == "worse" and found.better == 0
-    assert (found.mean.value, found.difference) == pytest.approx((180 / 150, 30))
+    over = over_onoff({year: total * 0.8 for year, total in ONOFF.items()})
+    assert over.mean == pytest.approx((0.8, 0.8, 0.8))
+    assert over.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
+    assert over.mean.verdict == "better" and (over.better, over.years) == (11, 11)
+    assert over.difference == pytest.approx(-30)
+    over = over_onoff({year: total + 30 for year, total in ONOFF.items()})
+    assert over.mean.verdict == "worse" and over.better == 0
+    assert (over.mean.value, over.difference) == pytest.approx((180 / 150, 30))
     # Of 22 whole weeks the worst 2.2: the second weeks of 2025, 2024 and a fifth of 2023.
-    assert found.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
-    found = over_onoff({year: total + (-1) ** year * 30 for year, total in ONOFF.items()})
-    assert found.mean.verdict == CONTAINS_1 == "contains 1" and found.better == 6  # the odd years
+    assert over.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
+    over = over_onoff({year: total + (-1) ** year * 30 for year, total in ONOFF.items()})
+    assert over.mean.verdict == CONTAINS_1 == "contains 1" and over.better == 6  # the odd years
     # A target that on/off never leaves, and a single year: no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None
@@ -106,20 +106,20 @@ def test_intervals_of_another_library() -> None:
     """Scipy's percentile bootstrap of the years, widened."""
     random = np.random.default_rng(7)
     own = {year: total + random.normal(-10, 20) for year, total in ONOFF.items()}
-    found = over_onoff(own)
+    over = over_onoff(own)
 
     def worst(years: Any) -> float:
         """Return what the worst 2.2 of 22 weeks have over on/off's."""
         weeks = [
-            [week for year in years for week in (one[2015 + year] / 8, one[2015 + year] * 3 / 8)]
-            for one in (own, ONOFF)
+            [week for year in years for week in (run[2015 + year] / 8, run[2015 + year] * 3 / 8)]
+            for run in (own, ONOFF)
         ]
         return float(np.divide(*(np.sort(weeks)[:, -3:] @ (0.2, 1, 1))))
 
     def mean(years: Any) -> float:
-        return float(np.divide(*(sum(one[2015 + year] for year in years) for one in (own, ONOFF))))
+        return float(np.divide(*(sum(run[2015 + year] for year in years) for run in (own, ONOFF))))
 
-    for interval, statistic in ((found.mean, mean), (found.worst_weeks, worst)):
+    for interval, statistic in ((over.mean, mean), (over.worst_weeks, worst)):
         resampled = scipy.stats.bootstrap(
             (range(11),), statistic, method="percentile", vectorized=False, n_resamples=10_000,
             random_state=1,
@@ -135,7 +135,7 @@ def test_intervals_of_another_library() -> None:
 
 def test_a_year_has_one_value_the_mean_of_its_seeds() -> None:
     """Seeds whose mean is the same in every year leave nothing unsure, however far apart."""
-    apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
+    apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
     assert over_onoff(*apart).mean == pytest.approx((1, 1, 1))
 
 
@@ -149,15 +149,15 @@ def test_means_by_hand(tmp_path: Path) -> None:
         tmp_path / "study", *rows("onoff", None, ONOFF), *rows("mpc", 1, ONOFF),
         *rows("mpc", 2, lower),
     )
-    one = next(row for row in report.of(SEASONS) if row["controller"] == "mpc")
-    assert one[TOTAL] == pytest.approx(150 - 10)
-    assert (one["worst_year"], one["worst_year_m3"]) == (2025, 190)
-    assert (one["seeds"], one["years"], one["forecast"]) == (2, 11, "errors skill real")
-    assert one["saved_m3"] == pytest.approx(3.5)
-    assert one["ratio"] == pytest.approx(140 / 50)
+    case = next(row for row in report.of(SEASONS) if row["controller"] == "mpc")
+    assert case[TOTAL] == pytest.approx(150 - 10)
+    assert (case["worst_year"], case["worst_year_m3"]) == (2025, 190)
+    assert (case["seeds"], case["years"], case["forecast"]) == (2, 11, "errors skill real")
+    assert case["saved_m3"] == pytest.approx(3.5)
+    assert case["ratio"] == pytest.approx(140 / 50)
     # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and
     # of the next, 2024 less 20 or 2022, four tenths.
-    assert one["worst_tenth_m3"] == pytest.approx(
+    assert case["worst_tenth_m3"] == pytest.approx(
         3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
     )
     assert not report.single
@@ -187,11 +187,11 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
         for fraction, level, more in ((0.1, 0.9, -30), (1.0, 1.0, 15), (0.1, 1.0, 0))
     )
     report = study_of(tmp_path / "a", *lower, *full, *tenth, *rows("mpc", None, ONOFF))
-    found = {
+    ratios = {
         row["setting"] if row["controller"] == "onoff" else "mpc": row["has"].mean.value
         for row in report.over_onoff
     }
-    assert found == pytest.approx(
+    assert ratios == pytest.approx(
         {"fraction 0.1, level 0.9": 0.8, "fraction 1, level 1": 1.1, "mpc": 1}
     )
     table = make_tables(report)[1]
@@ -230,7 +230,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
 
     One that has no forecasts with errors beside it is known by its horizon.
     """
-    lower, lowest = ({year: total - each for year, total in ONOFF.items()} for each in (20, 30))
+    lower, lowest = ({year: total - more for year, total in ONOFF.items()} for more in (20, 30))
     report = study_of(
         tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF),
         *rows("lookahead", 1, lower), *rows("lookahead", None, lowest),
@@ -309,8 +309,10 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         assert small["outflow_m3"] > large["outflow_m3"] >= 0
         for row in (small, large):
             assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
-        # Sites that differ in something else are not compared by their size.
+        # A roof of half the area is another size, too; what differs in something else is none.
         site = directory / "out" / "configuration" / small["site"]
+        site.write_text(edited(site, {"a2": 34.4}))
+        assert len(figures_of(report_of(directory / "out"))["sizing"].panels) == 2 * 2
         site.write_text(edited(site, {"pump_efficiency": 0.7}))
         assert report.sizing and not report_of(directory / "out").sizing
         return

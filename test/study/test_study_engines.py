@@ -37,13 +37,13 @@ from greenroof_ros.study.grid import read_grid
 def children(process: int) -> Iterator[int]:
     """Yield all processes under a process."""
     try:
-        found = [
+        under = [
             int(child) for thread in Path(f"/proc/{process}/task").iterdir()
             for child in (thread / "children").read_text().split()
         ]
     except OSError:
         return  # it has just ended
-    for child in found:
+    for child in under:
         yield child
         yield from children(child)
 
@@ -87,8 +87,8 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     """The others go on; the failure is in the table; the next call makes it good."""
     grid(tmp_path, lasting("3").replace("[low-low, ", "["))
     process = begun(tmp_path, "--jobs", "2")
-    found = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
-    os.kill(found[0], signal.SIGKILL)
+    busy = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
+    os.kill(busy[0], signal.SIGKILL)
     _, errors = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "failed: mpc" in errors
@@ -410,7 +410,7 @@ def test_dask(tmp_path: Path) -> None:
         assert result.returncode == 0, result.stderr
         assert f"{len(before)} of 12 runs are there already" in result.stderr
         assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
-        here, there = (tmp_path / each / "results.csv" for each in ("here", "out"))
+        here, there = (tmp_path / name / "results.csv" for name in ("here", "out"))
         assert here.read_bytes() == there.read_bytes()
         assert {row["status"] for row in rows_of(there)} == {"done"}
         for run, outcome in before.items():

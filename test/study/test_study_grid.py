@@ -18,7 +18,10 @@ from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 WRONG = {
-    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not known here"),
+    "unknown-key": (
+        GRID + "engine: ros\n",
+        "line 14: engine = 'ros': is not a key here; choose from site, weather, initial",
+    ),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
     "site-kind": (
         edited(SITE, "site: [{file: site.yaml}, 10]"),
@@ -218,11 +221,11 @@ def test_settings_of_one_controller(tmp_path: Path) -> None:
       forecast: {model: errors, skill: real, seed: [1, 2]}
 """
     cases = read_grid(tmp_path / grid(tmp_path, text))
-    found = sorted(
+    settings = sorted(
         (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
         for case in cases if (case.initial, case.evapotranspiration) == ("dry", "fao56")
     )
-    assert found == [
+    assert settings == [
         (0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2),
     ]
 

@@ -132,8 +132,8 @@ def test_tables_and_figures_of_the_report(varied: Path) -> None:
         for dataset, rows in figure.data.items():
             kind = dataset.partition("-")[0]
             if kind in ("command", "cistern", "roof"):  # one curve a run
-                found = {row["setting"] for row in rows}
-                assert len(found) == (2 if dataset.endswith("mpc") else 1)
+                shown = {row["setting"] for row in rows}
+                assert len(shown) == (2 if dataset.endswith("mpc") else 1)
             elif kind in ("total", "time", "energy", "pump"):
                 if rows and "setting" in rows[0]:
                     distinct((row["setting"], row["initial"]) for row in rows)

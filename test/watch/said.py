@@ -10,6 +10,8 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.model.site import Site
+from greenroof_ros.watch.alarms import Alarm
+from greenroof_ros.watch.registry import Trouble
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
@@ -38,16 +40,21 @@ def node(
     ]
 
 
+def incident(role: str, part: str, cause: str, code: str, began: float, ended: float) -> Alarm:
+    """Return an incident of a recording, with its times (s since 1970)."""
+    return Alarm(Trouble(ERROR, cause, code, role, part), began, over=ended)
+
+
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
     """Return what is known of a graph of which only the site is."""
-    one = Store()
-    one.set_site(site)
-    one.set_present(mode=mode, factor=30.0, note="")
-    return one
+    graph = Store()
+    graph.set_site(site)
+    graph.set_present(mode=mode, factor=30.0, note="")
+    return graph
 
 
-def hear(one: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
+def hear(graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
     """Have each topic's value from one second to another, the last one not included."""
     times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():
-        one.add(topic, times, np.full(len(times), value))
+        graph.add(topic, times, np.full(len(times), value))

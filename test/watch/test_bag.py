@@ -61,15 +61,15 @@ class Run:
 
 def whole(*files: Path) -> dict[str, list[tuple[int, float]]]:
     """Return the numbers of finished files, as the mcap library reads them."""
-    found = defaultdict(list)
+    numbers = defaultdict(list)
     for path in files:
         with path.open("rb") as stream:
             for schema, channel, message in make_reader(stream).iter_messages():
                 assert schema is not None
                 if schema.name == "std_msgs/msg/Float64":
                     value = struct.unpack_from("<d", message.data, 4)[0]
-                    found[channel.topic].append((message.log_time, value))
-    return dict(found)
+                    numbers[channel.topic].append((message.log_time, value))
+    return dict(numbers)
 
 
 class Reader:
@@ -186,9 +186,9 @@ def test_a_file_that_ends_in_zeros_keeps_what_was_before(finished: Path, tmp_pat
     reader.read()
     assert "damaged" in reader.recorded.problem
     for topic, pairs in whole(finished).items():
-        found = reader.numbers[topic]
-        kept = len(found) - 20
-        assert found[:kept] == pairs[:kept]
+        numbers = reader.numbers[topic]
+        kept = len(numbers) - 20
+        assert numbers[:kept] == pairs[:kept]
         assert kept > 200
     after = whole(bag / "bag_1.mcap")
     assert {topic: pairs[-20:] for topic, pairs in reader.numbers.items()} == after
@@ -294,7 +294,7 @@ def test_much_is_read_in_pieces(tmp_path: Path) -> None:
     while True:
         batch = reader.read()
         notes.add(batch.progress)
-        batches.append(np.concatenate([np.empty(0), *(one for *_, one in batch.numbers)]))
+        batches.append(np.concatenate([np.empty(0), *(values for *_, values in batch.numbers)]))
         if not batch.more:
             break
     assert np.array_equal(np.concatenate(batches), values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import json
 import os
 import signal
 import socket
@@ -10,39 +11,69 @@ import time
 from pathlib import Path
 
 import pytest
+from brokers import mosquitto, needs_mosquitto
 from browsers import started_browser
 from graphs import Process, bag_file, bring_up, wait_for
+from test_bridge import phone
 from test_watch_command import document, end, stop_on_page, watcher
+
+from greenroof_ros.common.interface import read_conditions
 
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
 pytest.importorskip("pymodbus", reason="drives are on Modbus")
 
 
+@needs_mosquitto
 def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
     domain: int, tmp_path: Path
 ) -> None:
-    """Until the pump node is told so: for another watcher, and when the controller is killed."""
+    """On the page, and by its code over MQTT; a stop holds until the pump node is told otherwise.
+
+    It holds for another watcher, and when the controller is killed. A broker that hangs costs the
+    site nothing.
+    """
     from faults.rig import SiteRig
 
-    with SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig:
+    with (
+        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
+        SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig,
+    ):
+        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
         process, port = watcher(domain, tmp_path)
 
         def silent() -> bool:
             rows = document(port)["alarms"]
-            return any(
+            on_page = any(
                 row["id"] == "/roof_sensor: sensor" and row["over"] is None
                 and "no valid answer" in row["what"] for row in rows
             )
+            state = heard.state()
+            over_mqtt = (state["problem"], state["roof_level"]) == ("ON", None)
+            return on_page and over_mqtt
 
         rig.until_running(120)
+        wait_for(lambda: heard.state().get("pump") == "running", 60, "a running pump")
+        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "no alarm")
+        assert heard.state()["mode"] == "live"
+        wait_for(
+            lambda: (level := heard.state()["roof_level"]) is not None
+            and abs(level / 1000 - rig.levels()[1]) < 0.001, 10, "the roof's true level",
+        )
         rig.truth.inject_site("roof_silent")
         wait_for(silent, 60, "the alarm")
+        alarms = json.loads(heard.last("greenroof/roof/alarms"))["alarms"]
+        codes = {row["code"] for row in alarms}
+        assert heard.state()["condition"] in codes <= read_conditions().keys()
         rig.truth.inject_site("none")
-        wait_for(lambda: not silent(), 60, "the end of the alarm")
+        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "the end of the alarm")
+        wait_for(lambda: not silent(), 60, "its end on the page")
         rig.until_running()
+        broker.pause()
+        bridge.until_said("not connected to")
         stop_on_page(port)
         wait_for(lambda: rig.truth.speed < 0.005, 60, "a pump that stands")
-        end(process)
+        for ended in (bridge, process):
+            end(ended)
         process, port = watcher(domain, tmp_path)
         wait_for(
             lambda: document(port)["tiles"]["controller"]["value"] == "onoff", 60, "a controller"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -11,11 +10,9 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
-from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -26,7 +23,6 @@ from places import guarding
 from said import ERROR, SECOND, START, hear, node, store
 from simulators import Simulator
 
-from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.common.mqtt import make_client, parse_broker
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.bridge import alarms_of, state_of
@@ -102,11 +98,11 @@ class Phone:
 
 @contextmanager
 def phone(address: str, name: str = "phone") -> Iterator[Phone]:
-    one = Phone(address, name)
+    client = Phone(address, name)
     try:
-        yield one
+        yield client
     finally:
-        one.close()
+        client.close()
 
 
 def end(process: Process) -> None:
@@ -151,22 +147,22 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 # --- what is published ----------------------------------------------------------------------------
 
 
-def state(one: Store, wall: float = 0.0) -> dict[str, Any]:
-    return state_of(one, read_document(one, wall))
+def state(graph: Store, wall: float = 0.0) -> dict[str, Any]:
+    return state_of(graph, read_document(graph, wall))
 
 
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
-    one = store("live")
-    hear(one, 0, 10, {
+    graph = store("live")
+    hear(graph, 0, 10, {
         "/roof/level": 0.0457, "/cistern/level": 2.5, "/weather/precipitation": 1e-6,
         "/pump/flow": 1e-3, "/pump/command": 0.25, "/weather/frost": 1.0,
     })
     # 12 h: 1 L/s for the hour that begins in 1000 s.
-    one.add_plan(START + 9 * SECOND, np.array([
+    graph.add_plan(START + 9 * SECOND, np.array([
         [1000.0, 0.0, 0.04], [4600.0, 1e-3, 0.045], [43_200.0, 0.0, 0.04],
     ]), past=False)
-    one.look(0.0, START / SECOND + 10)
-    said = state(one)
+    graph.look(0.0, START / SECOND + 10)
+    said = state(graph)
     assert {key: said[key] for key in (
         "mode", "roof_level", "cistern_level", "rain", "flow", "command", "frost", "planned_volume",
         "planned_start",
@@ -175,31 +171,27 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
         "command": 25, "frost": "ON", "planned_volume": 3600,
         "planned_start": "2021-07-20T05:16:49+00:00",
     }
-    later = state(one, 20.0)
+    later = state(graph, 20.0)
     assert {later[key] for key in (
         "roof_level", "cistern_level", "rain", "flow", "command", "frost"
     )} == {None}
-
-
-def test_an_impossible_value_and_an_ended_run_are_unknown() -> None:
-    one = store("simulated")
-    hear(one, 0, 10, {"/roof/level": 0.0457, "/cistern/level": -1.0})
-    assert (state(one)["roof_level"], state(one)["cistern_level"]) == (45.7, None)
-    one.set_present(mode="ended", factor=None, note="")
-    said = state(one)
+    hear(graph, 30, 40, {"/roof/level": 0.0457, "/cistern/level": -1.0})
+    assert (state(graph, 20.0)["roof_level"], state(graph, 20.0)["cistern_level"]) == (45.7, None)
+    graph.set_present(mode="ended", factor=None, note="")
+    said = state(graph, 20.0)
     assert (said["roof_level"], said["pump"], said["problem"]) == (None, "unknown", None)
 
 
 def test_alarms_are_said_by_code() -> None:
-    one = store("live")
+    graph = store("live")
     quiet = node("/pump", "pump", stands=True, pump="off")
-    one.add_statuses(0.0, quiet)
-    assert (state(one)["problem"], state(one)["condition"]) == ("OFF", "none")
-    one.add_statuses(1.0, node(
+    graph.add_statuses(0.0, quiet)
+    assert (state(graph)["problem"], state(graph)["condition"]) == ("OFF", "none")
+    graph.add_statuses(1.0, node(
         "/pump", "pump", ("pump", ERROR, "held: the levels are not known", "roof_level_unknown"),
         stands=True, pump="held: the levels are not known",
     ))
-    said, alarms = state(one, 1.0), alarms_of(read_document(one, 1.0))
+    said, alarms = state(graph, 1.0), alarms_of(read_document(graph, 1.0))
     assert (said["problem"], said["condition"]) == ("ON", "roof_level_unknown")
     (row,) = alarms["alarms"]
     assert (row["code"], row["level"], row["id"]) == (
@@ -229,7 +221,7 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
 
         wait_for(
             lambda: heard.state().get("planned_volume") is not None
-            and len({one["roof_level"] for one in states()}) > 3, 60, "a plan, and water",
+            and len({state["roof_level"] for state in states()}) > 3, 60, "a plan, and water",
         )
         assert heard.state()["mode"] == "simulated" and not heard.state()["can_stop"]
         assert "pump" in heard.state()["plan"]
@@ -252,7 +244,7 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
         )
     }
     for key, values in recorded.items():
-        assert {one[key] for one in states()} - {None} <= values
+        assert {state[key] for state in states()} - {None} <= values
 
 
 @contextmanager
@@ -327,49 +319,11 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: heard.last(availability) == "offline", 10, "its last word")
 
 
-@needs_mosquitto
-def test_at_a_live_site_an_alarm_comes_and_goes_by_code(domain: int, tmp_path: Path) -> None:
-    """And a broker that is killed costs the site nothing."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    from faults.rig import SiteRig
-
-    with (
-        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
-        SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig,
-    ):
-        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
-        rig.until_running(120)
-        wait_for(lambda: heard.state().get("pump") == "running", 60, "a running pump")
-        assert heard.state()["mode"] == "live"
-        wait_for(
-            lambda: (level := heard.state()["roof_level"]) is not None
-            and abs(level / 1000 - rig.levels()[1]) < 0.001, 10, "the roof's true level",
-        )
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "no alarm")
-        rig.truth.inject_site("roof_silent")
-        wait_for(
-            lambda: heard.state()["problem"] == "ON" and heard.state()["roof_level"] is None, 60,
-            "the alarm",
-        )
-        codes = {
-            row["code"] for row in json.loads(heard.last("greenroof/roof/alarms"))["alarms"]
-        }
-        assert heard.state()["condition"] in codes <= read_conditions().keys()
-        rig.truth.inject_site("none")
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "the end of the alarm")
-        rig.until_running()
-        broker.kill()
-        bridge.until_said("not connected to")
-        rig.until_running(steady_s=5.0)
-        end(bridge)
-    assert not rig.ended_badly
-
-
 # --- the broker -----------------------------------------------------------------------------------
 
 
 @needs_mosquitto
-def test_it_logs_in_over_tls(domain: int, tmp_path: Path) -> None:
+def test_it_logs_in_over_tls_and_says_once_why_not(domain: int, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     key, certificate, words = (tmp_path / name for name in ("key.pem", "cert.pem", "words"))
     subprocess.run(
@@ -390,167 +344,26 @@ def test_it_logs_in_over_tls(domain: int, tmp_path: Path) -> None:
         bridge = Process(domain, "bridge", *options, "--login", str(login), cwd=tmp_path)
         bridge.until_said(f"connected to {address}")
         end(bridge)
+        (nobody,) = free_ports(1)
         for wrong, why in (
             (options, "Not authorized"), (("--broker", address), "not connected"),
+            (("--broker", f"mqtt://127.0.0.1:{nobody}"), "nobody answers at"),
         ):
             bridge = Process(domain, "bridge", *wrong, cwd=tmp_path)
             bridge.until_said(why)
             assert f"\nconnected to {address}" not in f"\n{bridge.stderr()}"
+            time.sleep(2.0)  # it has tried again
+            assert bridge.stderr().count(why) == 1
             end(bridge)
 
 
-def test_without_a_broker_it_says_so_once_and_ends_soon(domain: int, tmp_path: Path) -> None:
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    (port,) = free_ports(1)
-    bridge = Process(domain, "bridge", "--broker", f"mqtt://127.0.0.1:{port}", cwd=tmp_path)
-    bridge.until_said("nobody answers at")
-    time.sleep(4.0)  # it has tried again
-    assert bridge.stderr().count("nobody answers") == 1
-    end(bridge)
-
-
-@needs_mosquitto
-def test_a_broker_that_hangs_is_lost_and_comes_back(domain: int, tmp_path: Path) -> None:
-    """Its connections stay open; nor does the bridge wait for it when it is asked to end."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    with mosquitto(tmp_path) as broker:
-        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
-        connected = f"connected to {broker.address};"
-        bridge.until_said(connected)
-        broker.pause()
-        bridge.until_said("not connected to")
-        broker.go_on()
-        wait_for(lambda: bridge.stderr().count(f"\n{connected}") == 1, 30, "a connection again")
-        broker.pause()
-        end(bridge)
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    (("--broker", "127.0.0.1"), "--broker = '127.0.0.1': must be mqtt://HOST[:PORT]"),
-    (("--broker", "mqtt://h", "--authority", "a.pem"), "certificates are for mqtts://"),
-    (("--broker", "mqtt://h", "--prefix", "a/#"), "--prefix = 'a/#': must be letters, digits"),
-    (("--broker", "mqtt://h", "--login", "nowhere.yaml"), "nowhere.yaml"),
-])
-def test_wrong_input_is_one_message(
-    arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
-) -> None:
-    done = run_command("bridge", *arguments, cwd=tmp_path, env=environment(unused_domain))
+def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
+    """For addresses and logins see test_mqtt.py."""
+    done = run_command(
+        "bridge", "--broker", "mqtt://h", "--prefix", "a/#", cwd=tmp_path,
+        env=environment(unused_domain),
+    )
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-    assert message in line
+    assert "--prefix = 'a/#': must be letters, digits" in line
     assert "Traceback" not in done.stderr
-
-
-# --- Home Assistant itself ------------------------------------------------------------------------
-
-HASS = os.environ.get("GREENROOF_ROS_TEST_HOME_ASSISTANT")
-
-
-class HomeAssistant:
-    """Its program ``hass``, without its pages, asked over its REST interface."""
-
-    def __init__(self, directory: Path) -> None:
-        assert HASS is not None
-        (port,) = free_ports(1)
-        directory.mkdir()
-        (directory / "configuration.yaml").write_text(
-            f"http:\n  server_host: 127.0.0.1\n  server_port: {port}\n"
-        )
-        self._at, self._token = f"http://127.0.0.1:{port}", ""
-        with (directory / "log").open("w") as log:
-            self.process = subprocess.Popen([HASS, "-c", str(directory)], stdout=log, stderr=log)
-
-    def ask(self, path: str, content: dict[str, Any] | None = None) -> Any:
-        """Post what is given, otherwise get."""
-        data, kind = None, "application/json"
-        if content is not None:
-            data = json.dumps(content).encode()
-            if path == "/auth/token":
-                data, kind = urlencode(content).encode(), "application/x-www-form-urlencoded"
-        headers = {"Content-Type": kind, "Authorization": f"Bearer {self._token}"}
-        with urlopen(Request(self._at + path, data, headers), timeout=30) as answer:
-            return json.load(answer)
-
-    def there(self) -> bool:
-        with suppress(OSError):
-            return bool(self.ask("/api/onboarding"))
-        return False
-
-    def set_up(self, broker_port: int) -> None:
-        """Make its user, and add the integration MQTT, as its pages do."""
-        wait_for(self.there, 600, "Home Assistant")
-        user = {"name": "a", "username": "a", "password": "a", "language": "en"}
-        client = f"{self._at}/"
-        code = self.ask("/api/onboarding/users", {"client_id": client, **user})["auth_code"]
-        self._token = self.ask("/auth/token", {
-            "grant_type": "authorization_code", "code": code, "client_id": client,
-        })["access_token"]
-        flow = "/api/config/config_entries/flow"
-        begun = self.ask(flow, {"handler": "mqtt"})
-        done = self.ask(f"{flow}/{begun['flow_id']}", {"broker": "127.0.0.1", "port": broker_port})
-        assert done["type"] == "create_entry", done
-
-    def states(self) -> dict[str, dict[str, Any]]:
-        found = {one["entity_id"]: one for one in self.ask("/api/states")}
-        return {key: one for key, one in found.items() if ".green_roof_site1_" in key}
-
-
-@needs_mosquitto
-@pytest.mark.skipif(
-    HASS is None, reason="GREENROOF_ROS_TEST_HOME_ASSISTANT does not name Home Assistant's hass"
-)
-def test_home_assistant_shows_the_site_and_stops_its_pump(domain: int, tmp_path: Path) -> None:
-    """Each entity once, with its unit; a stop; and all unavailable when the bridge is killed."""
-    with (
-        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
-        running_pump(domain, tmp_path),
-    ):
-        bridge = Process(
-            domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
-        )
-        home = HomeAssistant(tmp_path / "home")
-        try:
-            home.set_up(broker.port)
-            wait_for(lambda: len(home.states()) == 13, 60, "13 entities")
-
-            def shown(entity: str) -> str:
-                return str(home.states()[entity]["state"])
-
-            wait_for(
-                lambda: shown("sensor.green_roof_site1_pump") == "running", 60, "a running pump"
-            )
-            said, states = heard.state("site1"), home.states()
-            for entity, unit, kind in (
-                ("roof_level", "mm", "distance"), ("cistern_level", "mm", "distance"),
-                ("rain", "mm/h", "precipitation_intensity"),
-                ("pump_flow", "L/min", "volume_flow_rate"), ("pump_command", "%", None),
-            ):
-                one = states[f"sensor.green_roof_site1_{entity}"]
-                attributes = one["attributes"]
-                assert (
-                    attributes["unit_of_measurement"], attributes.get("device_class")
-                ) == (unit, kind)
-                float(one["state"])
-            assert abs(float(shown("sensor.green_roof_site1_cistern_level"))
-                       - said["cistern_level"]) < 50
-            assert shown("binary_sensor.green_roof_site1_frost") == "off"
-            alarm = "binary_sensor.green_roof_site1_alarm"
-            wait_for(lambda: "summary" in home.states()[alarm]["attributes"], 20, "the summary")
-            home.ask(
-                "/api/services/button/press", {"entity_id": "button.green_roof_site1_stop_the_pump"}
-            )
-            wait_for(lambda: shown("sensor.green_roof_site1_pump") == "held", 60, "a held pump")
-            assert shown("sensor.green_roof_site1_condition") == "page_stop"
-            (tmp_path / "states.json").write_text(json.dumps(home.states(), indent=1))
-            bridge.process.kill()
-            wait_for(
-                lambda: {one["state"] for one in home.states().values()} == {"unavailable"}, 60,
-                "all unavailable",
-            )
-        finally:
-            home.process.terminate()
-            home.process.wait(60)
-    log = (tmp_path / "home" / "log").read_text()
-    said = [line for line in log.splitlines() if re.search(r"(WARNING|ERROR).*mqtt", line)]
-    # Releases of early 2024 have no unknown time: they say so, and show it as unknown.
-    assert not [line for line in said if "Invalid state message" not in line]

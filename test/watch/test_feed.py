@@ -9,7 +9,6 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -68,11 +67,10 @@ class Kept(Store):
         self._keep(topic, time_ns, value)
         super().add_now(topic, time_ns, value)
 
-    def add_forecast(
-        self, topic: str, time_ns: int, values: NDArray[np.float64], front: NDArray[np.float64]
-    ) -> None:
-        self._keep(topic, time_ns, values.tolist())
-        super().add_forecast(topic, time_ns, values, front)
+    def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
+        if (rows := wire.rows(message)) is not None and topic in FORECASTS:
+            self._keep(topic, time_ns, rows[0].tolist())
+        super().take(topic, time_ns, message, past=past)
 
     def set_present(self, **present: Any) -> None:
         said = present["mode"], present["note"]
@@ -99,17 +97,17 @@ def fed(domain: int, bag: Path | None = None) -> Iterator[tuple[Kept, Feed]]:
 
 def recorded(run: Path) -> dict[str, dict[int, Any]]:
     """Return each value of a bag at its time."""
-    found: defaultdict[str, dict[int, Any]] = defaultdict(dict)
+    values: defaultdict[str, dict[int, Any]] = defaultdict(dict)
     with bag_file(run).open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             assert schema is not None
             if schema.name.endswith("Float64"):
-                found[channel.topic][message.log_time] = wire.number(message.data)
+                values[channel.topic][message.log_time] = wire.number(message.data)
             elif schema.name.endswith("Float64MultiArray"):
                 rows = wire.rows(message.data)
                 assert rows is not None
-                found[channel.topic][message.log_time] = rows[0].tolist()
-    return dict(found)
+                values[channel.topic][message.log_time] = rows[0].tolist()
+    return dict(values)
 
 
 def _shown(watched: Kept) -> dict[str, Any]:
@@ -329,14 +327,18 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
 
 def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None:
     """A release that is done after it would undo it."""
-    feed = Feed(Kept())
-    asked = [(action, Future[str]()) for action in ("release", "stop", "dose", "stop", "release")]
-    for action, answer in asked:
-        feed._asked.put((action, {}, answer))
-    assert feed._take_asked()
-    assert [one[0] for one in feed._waiting] == ["stop", "stop", "release"]
-    for number, (_, answer) in enumerate(asked):
-        assert answer.done() == (number in (0, 2))
-        if answer.done():
-            with pytest.raises(StopFailedError, match="Nothing was done: somebody asks to stop"):
-                answer.result()
+    feed = Feed(Kept())  # not entered: nobody answers
+    answers: dict[int, str] = {}
+
+    def ask(number: int, action: str) -> None:
+        with pytest.raises(StopFailedError) as failed:
+            feed.ask(action)
+        answers[number] = str(failed.value)
+
+    for number, action in enumerate(("release", "stop", "dose", "stop", "release")):
+        threading.Thread(target=ask, args=(number, action), daemon=True).start()
+        wait_for(lambda a=action: feed._asked and feed._asked[-1][0] == a, 10, "the request")
+    wait_for(lambda: len(answers) == 2, 10, "the end of what came before a stop")
+    assert [action for action, *_ in feed._asked] == ["stop", "stop", "release"]
+    assert answers.keys() == {0, 2}
+    assert {*answers.values()} == {"Nothing was done: somebody asks to stop the pump."}

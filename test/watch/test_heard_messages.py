@@ -74,10 +74,10 @@ def test_messages_are_read_as_written(little: bool) -> None:
         message = written(
             "std_msgs/Float64MultiArray", *rows_message(values, shape, offset), little=little
         )
-        found = wire.rows(message)
-        assert found is not None
-        np.testing.assert_array_equal(found[0], expected, strict=True)
-        np.testing.assert_array_equal(found[1], values[:offset], strict=True)
+        read = wire.rows(message)
+        assert read is not None
+        np.testing.assert_array_equal(read[0], expected, strict=True)
+        np.testing.assert_array_equal(read[1], values[:offset], strict=True)
     assert wire.statuses(diagnostics(little)) == (
         1_700_000_000_000_000_005,
         [
@@ -128,10 +128,10 @@ def test_hostile_diagnostics_are_cut() -> None:
         [made("diagnostic_msgs/DiagnosticStatus", 9, "/x", "m" * 1_000_000, "", [])]
         + [made("diagnostic_msgs/DiagnosticStatus", 2, "/y", "", "", [])] * 9_999,
     )
-    found = wire.statuses(many)
-    assert found is not None
-    assert len(found[1]) == 1000
-    assert (found[1][0].level, len(found[1][0].message)) == (2, 20_000)
+    read = wire.statuses(many)
+    assert read is not None
+    assert len(read[1]) == 1000
+    assert (read[1][0].level, len(read[1][0].message)) == (2, 20_000)
     assert wire.text(struct.pack("<III", 256, 4, 0x00FEFFFE)) == "\ufffd\ufffd\ufffd"
     assert wire.text(struct.pack("<II", 256, 2**32 - 1) + b"text") is None
 

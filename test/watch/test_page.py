@@ -17,13 +17,13 @@ from browsers import started_browser
 from graphs import wait_for
 from page_server import page_files, served
 from places import CONFIG
-from said import ERROR, SECOND, START, STOPPED, node, store
+from said import ERROR, SECOND, START, STOPPED, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.report.drawing import COLOURS
+from greenroof_ros.watch import feed
 from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.bag import Dated
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.store import Store
@@ -40,8 +40,9 @@ Open = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser without a window."""
-    with started_browser() as started:
+    """A browser without a window; who asks for a stop hears soon that nobody answers."""
+    with pytest.MonkeyPatch.context() as patch, started_browser() as started:
+        patch.setattr(feed, "_STOP_S", 0.5)
         yield started
 
 
@@ -97,7 +98,7 @@ def site_watched(mode: str = "ended") -> Store:
     ))
     front = np.array([seconds[-1], *growing_steps(1)[1:]])
     rain = np.outer(np.arange(3), np.full(len(front) - 1, 1e-6))
-    watched.add_forecast("/forecast/precipitation", now_ns, rain, front)
+    watched.add_forecast(now_ns, rain, front)
     return watched
 
 
@@ -153,9 +154,9 @@ def ended_run(browser: Any) -> Iterator[tuple[Store, Any]]:
 
 def until_shown(page: Any, selector: str, text: str | re.Pattern[str] = "") -> Any:
     """Wait until an element is visible with some text, and return it."""
-    found = page.locator(selector).filter(has_text=text).first
-    found.wait_for()
-    return found
+    element = page.locator(selector).filter(has_text=text).first
+    element.wait_for()
+    return element
 
 
 def until_drawn(page: Any) -> None:
@@ -268,8 +269,8 @@ def test_it_fits_every_width(open_page: Open) -> None:
     until_drawn(page)
     until_shown(page, ".alarm")
     read = "charts.views.get('cistern').marks"
-    marks = wait_for(lambda: len(found := page.evaluate(read)) == 3 and found, 60, "three marks")
-    assert [(one["text"], one["inside"]) for one in marks] == [
+    marks = wait_for(lambda: len(marks := page.evaluate(read)) == 3 and marks, 60, "three marks")
+    assert [(mark["text"], mark["inside"]) for mark in marks] == [
         ("suction level 750 mm", True), ("low outlet 1000 mm", True),
         ("outlet 3000 mm \u2191", False),
     ]
@@ -292,16 +293,16 @@ def test_it_fits_every_width(open_page: Open) -> None:
             ".filter((box) => box.height).map((box) => [box.top, box.bottom])"
         )
         assert len(lines) > 12
-        assert all(one[1] <= other[0] + 1 for one, other in pairwise(lines))
+        assert all(line[1] <= below[0] + 1 for line, below in pairwise(lines))
         words = page.evaluate(
             "[...document.querySelectorAll('.tile[data-key=cistern] .text')]"
             ".map((one) => one.getBoundingClientRect())"
         )
         assert len(words) == 3
-        for one, other in combinations(words, 2):
+        for word, other in combinations(words, 2):
             assert (
-                one["right"] <= other["left"] or other["right"] <= one["left"]
-                or one["bottom"] <= other["top"] + 1 or other["bottom"] <= one["top"] + 1
+                word["right"] <= other["left"] or other["right"] <= word["left"]
+                or word["bottom"] <= other["top"] + 1 or other["bottom"] <= word["top"] + 1
             )
 
 
@@ -310,11 +311,11 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     page = open_page(watched)
     until_shown(page, "#summary", "Alarms are not known")
     assert "ok" not in page.locator("#summary-shape").get_attribute("href")
-    over = Dated("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
+    over = incident("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
     watched.recorded_incidents = [over]
     row = until_shown(page, ".alarm.over", "pump: drive")
     assert not row.locator("button").is_visible()
-    watched.recorded_incidents = [replace(over, ended=None)]
+    watched.recorded_incidents = [replace(over, over=None)]
     until_shown(page, ".alarm:not(.over)", "pump: drive")
 
 
@@ -542,13 +543,16 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     page.wait_for_selector("#release", state="hidden")
 
 
-def test_the_token_is_sent_from_the_address_and_releases_after_a_question(browser: Any) -> None:
-    """Without the right one the page says what is missing, and shows nothing."""
+def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: Any) -> None:
+    """Without the right one the page says what is missing, and shows nothing.
+
+    The volume is the one that the question named; where no dose may be given it says why.
+    """
     watched = site_watched("loop")
     watched.allow_release = True
-    stopped = pump("held: stopped", stop="somebody stopped it on the page", stopped_by=["page"])
+    said = pump("held: stopped", stop="somebody stopped it on the page", stopped_by=["page"])
     with (
-        saying(watched, stopped), served(watched, "secret") as port,
+        saying(watched, said), served(watched, "secret") as port,
         opened(browser, port, hash_="#token=wrong") as page,
     ):
         until_shown(page, "#lost", "the address needs its token")
@@ -569,21 +573,10 @@ def test_the_token_is_sent_from_the_address_and_releases_after_a_question(browse
         until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release"]
         page.locator("#release-button").click()
-        stopped[:] = pump("held: stopped", stop="stopped", stopped_by=["page", "service"])
+        said[:] = pump("held: stopped", stop="stopped", stopped_by=["page", "service"])
         until_shown(page, "#answer.failed", "what was asked about has changed")
         assert not page.locator("#ask").is_visible()
-        assert page.said == []
-
-
-def test_a_dose_is_asked_for_with_its_volume_after_a_question(browser: Any) -> None:
-    """The volume is the one that the question named; where none may be given it says why."""
-    watched = site_watched("loop")
-    watched.allow_release = True
-    ready = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
-    with (
-        saying(watched, ready), served(watched, "secret") as port,
-        opened(browser, port, hash_="#token=secret") as page,
-    ):
+        said[:] = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
         page.wait_for_selector("#dose-button", state="visible")
         volume = page.locator("#dose-volume")
         for wrong in ("", "0.6", "-0.1", "0"):
@@ -600,10 +593,11 @@ def test_a_dose_is_asked_for_with_its_volume_after_a_question(browser: Any) -> N
         assert time.time() - 10 < body["asked_at"] < time.time()
         until_shown(page, "#answer.failed", "was not asked")
         page.locator("#dose-button").click()
-        ready[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
-        until_shown(page, "#answer.failed", "what was asked about has changed")
+        said[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
         until_shown(page, "#dose", "No dose now: the pump may not run: frost.")
+        until_shown(page, "#answer.failed", "what was asked about has changed")
         assert not page.locator("#dose-button").is_visible()
+        assert page.said == []
 
 
 def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:

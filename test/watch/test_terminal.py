@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
-import queue
 import re
 import select
 import signal
@@ -14,7 +13,6 @@ import subprocess
 import sys
 import termios
 import time
-from contextlib import suppress
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +37,7 @@ def run_of(
     hours: float, mode: str = "simulated", pump: str = "/pump", wall: float = 99.0
 ) -> Store:
     """Return a run in which the roof's level rises by 1 mm/h from 40 mm, and it rains now."""
-    one = store(mode)
+    graph = store(mode)
     times = START + 10 * SECOND * np.arange(int(hours * 360) + 1)
     passed = (times - START) / 3.6e12
     for topic, values in {
@@ -47,38 +45,38 @@ def run_of(
         "/pump/command": np.full(len(times), 0.4), "/pump/flow": np.full(len(times), 0.0033),
         "/weather/precipitation": np.where(passed > hours / 2, 1e-6, 0.0),
     }.items():
-        one.add(topic, times, values)
-    one.add_statuses(wall, [
+        graph.add(topic, times, values)
+    graph.add_statuses(wall, [
         *node("/mpc", "controller"), *node(pump, "pump", pump="running: as commanded"),
     ])
-    return one
+    return graph
 
 
 def with_storm() -> Store:
-    one = run_of(6.0)
+    graph = run_of(6.0)
     now, ends = START + 6 * 3600 * SECOND, growing_steps(12)[1:]
     rain = np.outer(np.arange(1.0, 12.0), [1e-7] * 32)
-    one.add_forecast("/forecast/precipitation", now, rain, np.array([now / 1e9, *ends]))
+    graph.add_forecast(now, rain, np.array([now / 1e9, *ends]))
     levels = np.linspace(0.046, 0.050, 32)
-    one.add_plan(now, np.column_stack([ends, np.full(32, 1e-4), levels]))
-    return one
+    graph.add_plan(now, np.column_stack([ends, np.full(32, 1e-4), levels]))
+    return graph
 
 
 def with_a_fault() -> Store:
     why = "fault: the drive reports: overcurrent (code 2310); the drive is not ready"
-    one = run_of(6.0, "loop")
-    one.add_statuses(99.5, node(
+    graph = run_of(6.0, "loop")
+    graph.add_statuses(99.5, node(
         "/pump", "pump", ("pump", ERROR, why, "drive_fault"),
         ("drive", ERROR, "the drive reports a fault: over", "drive_fault"),
         pump=why, fault="the drive reports: overcurrent (code 2310)",
     ))
-    return one
+    return graph
 
 
 def with_a_silent_sensor(others: int = 0, wall: float = 99.5) -> Store:
     silent = "/cistern/level is older than 5 s (level_limit)"
-    one = run_of(6.0, "live", wall=wall)
-    one.add_statuses(wall, [
+    graph = run_of(6.0, "live", wall=wall)
+    graph.add_statuses(wall, [
         *node("/mpc", "controller", ("inputs", ERROR, silent, "input_silent")),
         *node(
             "/pump", "pump",
@@ -93,7 +91,7 @@ def with_a_silent_sensor(others: int = 0, wall: float = 99.5) -> Store:
         )),
         *(Status(f"/camera{number}", ERROR, "no picture", "c", {}) for number in range(others)),
     ])
-    return one
+    return graph
 
 
 HELD = node(
@@ -104,10 +102,10 @@ HELD = node(
 
 def with_a_stop_of_the_page(wall: float = 99.5) -> Store:
     """Return a site whose pump may be released from here, and its fault be cleared."""
-    one = run_of(1.0, "live", wall=wall)
-    one.allow_release = True
-    one.add_statuses(wall, HELD)
-    return one
+    graph = run_of(1.0, "live", wall=wall)
+    graph.allow_release = True
+    graph.add_statuses(wall, HELD)
+    return graph
 
 
 STATES = {
@@ -118,27 +116,27 @@ STATES = {
 
 
 def all_drawn(
-    one: Store, width: int = 80, height: int | None = 24, *, color: bool = False,
+    graph: Store, width: int = 80, height: int | None = 24, *, color: bool = False,
     ascii_only: bool = False,
 ) -> list[list[str]]:
     """Return what stands on each page of the terminal, line by line."""
-    document, series = read_document(one, 100.0), read_series(one, 12.0)
+    document, series = read_document(graph, 100.0), read_series(graph, 12.0)
     console = Console(
         width=width, height=height, force_terminal=True, highlight=False,
         color_system="truecolor" if color else None,
         file=TextIOWrapper(BytesIO(), "ascii" if ascii_only else "utf-8"),
     )
-    found = []
+    texts = []
     for page in pages(document, series, console, height):
         with console.capture() as captured:
             console.print(page)
-        found.append(captured.get().splitlines())
-    return found
+        texts.append(captured.get().splitlines())
+    return texts
 
 
-def drawn(one: Store, width: int = 80, height: int | None = 24, **more: bool) -> list[str]:
+def drawn(graph: Store, width: int = 80, height: int | None = 24, **more: bool) -> list[str]:
     """Return the first page."""
-    return all_drawn(one, width, height, **more)[0]
+    return all_drawn(graph, width, height, **more)[0]
 
 
 @pytest.mark.parametrize("size", [(80, 24), (200, 12), (40, 10), (10, 3)])
@@ -158,18 +156,18 @@ def test_it_fits(state: str, size: tuple[int, int]) -> None:
     ("storm", ["expected in the next 12 h", "next 12 h, as expected", "will pump"]),
     ("fault", ["The drive has switched the pump off", "ros2 service call /pump/reset",
                "fault", "overcurrent (code 2310)", "Alarm  /pump: pump"]),
-    ("stale sensor", ["The sensor says nothing,", "Alarms: 5 now, 0 over",
+    ("stale sensor", ["The sensor sends nothing,", "Alarms: 5 now, 0 over",
                       "Alarm  /cistern_sensor: sensor", "no valid answer", "Live site", "held",
                       "follows from /cistern_sensor: sensor"]),
     ("stop of the page", ["r releases the pump; c clears its fault"]),
     ("nothing", ["Nothing is heard yet"]),
-    ("many alarms", ["/cistern_sensor: sensor", "The sensor says nothing,", " more"]),
+    ("many alarms", ["/cistern_sensor: sensor", "The sensor sends nothing,", " more"]),
 ])
 def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
     lines = drawn(STATES[state]())
     text = " ".join(" ".join(lines).split())
-    for one in words:
-        assert " ".join(one.split()) in text, "\n".join(lines)
+    for said in words:
+        assert " ".join(said.split()) in text, "\n".join(lines)
     for tile in ("Roof level", "Cistern level", "Pump ", "Rain ", "Controller"):
         assert any(line.startswith(tile) for line in lines), tile
 
@@ -177,10 +175,10 @@ def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
 @pytest.mark.parametrize("name", ["/pump", "/the_pump_of_the_cistern_below_the_house"])
 def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str) -> None:
     """The first part of that command releases the pump."""
-    one = run_of(1.0, pump=name)
+    graph = run_of(1.0, pump=name)
     call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
     for width in (40, len(call) - 1, len(call), 120):
-        lines = drawn(one, width, 24)
+        lines = drawn(graph, width, 24)
         assert any(call in line for line in lines) == (len(call) <= width)
         assert any("ros2 service" in line for line in lines) == (len(call) <= width)
         if len(call) > width:
@@ -190,32 +188,32 @@ def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str) -> None:
 
 def test_all_of_it_by_turning_pages() -> None:
     """A hundred alarms: each with its advice, the account and each event are on some page."""
-    one = with_a_silent_sensor(90)
+    graph = with_a_silent_sensor(90)
     for number in range(30):
-        one.add_event(99.5, f"event {number}")
-    document = read_document(one, 100.0)
-    told = all_drawn(one)
+        graph.add_event(99.5, f"event {number}")
+    document = read_document(graph, 100.0)
+    told = all_drawn(graph)
     assert all(len(page) == 24 for page in told)
     assert told[-1][-1].startswith(f"page {len(told)} of {len(told)};")
     text = " ".join(" ".join(line for page in told for line in page[:-1]).split())
     sentences = [
         *(text for row in document["alarms"] for text in (row["id"], row["what"])),
-        *(one["what"] for one in document["events"]),
+        *(event["what"] for event in document["events"]),
         *(f"{row['label'].lower()} {row['value']}" for row in document["account"]["rows"]
           if row["number"] is not None),
     ]
     assert len(sentences) > 200
     for sentence in sentences:
         assert " ".join(sentence.split()) in text, sentence
-    whole = " ".join(" ".join(drawn(one, height=None)).split())
+    whole = " ".join(" ".join(drawn(graph, height=None)).split())
     assert text.startswith(whole[:5000])
     assert "space turns it" not in whole
 
 
 def chart(lines: list[str], label: str) -> str:
     """Return the line of a chart: its label, range and bars."""
-    (found,) = (line for line in lines if line.startswith(f"{label:9}") and "|" in line)
-    return found
+    (bars,) = (line for line in lines if line.startswith(f"{label:9}") and "|" in line)
+    return bars
 
 
 def test_bars_by_hand() -> None:
@@ -224,27 +222,27 @@ def test_bars_by_hand() -> None:
     The range is from 40.0 mm, so that the bar of column c is round(7 (c + 1) / 26), in the
     middle rounded down. What is constant is half as high as it may be; of nothing the lowest.
     """
-    one = run_of(12.0)
-    lines = drawn(one, 80, 30)
+    graph = run_of(12.0)
+    lines = drawn(graph, 80, 30)
     roof = chart(lines, "Roof")
     assert roof[9:27].strip() == "40.0-52.0 mm"
     assert roof[27:53] == "▁▂▂▂▂▃▃▃▃▄▄▄▄▅▅▅▆▆▆▆▇▇▇▇██"
     assert chart(lines, "Rain")[27:53] == "▁" * 13 + "█" * 13
     assert chart(lines, "Pump")[27:53] == "▅" * 26
-    plain = chart(drawn(one, 80, 30, ascii_only=True), "Roof")
+    plain = chart(drawn(graph, 80, 30, ascii_only=True), "Roof")
     assert plain[27:53] == "_....::::----===++++****##"
-    one = store()
-    hear(one, 0, 43_210, {"/pump/flow": 0.0}, every=10)
-    assert chart(drawn(one, 80, 30), "Pump")[27:53] == "▁" * 26
+    graph = store()
+    hear(graph, 0, 43_210, {"/pump/flow": 0.0}, every=10)
+    assert chart(drawn(graph, 80, 30), "Pump")[27:53] == "▁" * 26
 
 
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
     """A gust of rain between two columns' last values is seen, and so is the least level."""
-    one = run_of(12.0)
+    graph = run_of(12.0)
     times = START + 12 * 3600 * SECOND + SECOND * np.arange(1, 41)
-    one.add("/weather/precipitation", times, np.where(np.arange(40) == 5, 1e-5, 0.0))
-    one.add("/cistern/level", times, np.where(np.arange(40) == 5, 1.0, 2.38))
-    lines = drawn(one, 80, 30)
+    graph.add("/weather/precipitation", times, np.where(np.arange(40) == 5, 1e-5, 0.0))
+    graph.add("/cistern/level", times, np.where(np.arange(40) == 5, 1.0, 2.38))
+    lines = drawn(graph, 80, 30)
     rain = chart(lines, "Rain")
     assert "0.0-36.0 mm/h" in rain
     assert rain[52] == "█"
@@ -253,22 +251,22 @@ def test_the_range_of_a_chart_is_that_of_all_values() -> None:
 
 def test_without_colour_nothing_but_text() -> None:
     """And with it the same words, so that none is said by colour alone."""
-    one = with_a_fault()
-    plain = "\n".join(drawn(one))
+    graph = with_a_fault()
+    plain = "\n".join(drawn(graph))
     assert "\x1b" not in plain
-    coloured = "\n".join(drawn(one, color=True))
+    coloured = "\n".join(drawn(graph, color=True))
     assert "\x1b[" in coloured
     bare = re.sub(r"\x1b\[[0-9;]*m", "", coloured)
     assert bare == plain
 
 
 def test_hostile_texts_do_nothing_to_the_terminal() -> None:
-    one = run_of(1.0)
+    graph = run_of(1.0)
     evil = "\x1b]0;title\x07\x1b[2J[red]x[/red]\u202e\ud800 日本" * 5
-    one.add_statuses(99.5, [Status("/x\x1b[31m", ERROR, evil, evil, {})])
-    one.add_event(99.5, evil)
+    graph.add_statuses(99.5, [Status("/x\x1b[31m", ERROR, evil, evil, {})])
+    graph.add_event(99.5, evil)
     for ascii_only in (False, True):
-        text = "\n".join(drawn(one, 120, 50, ascii_only=ascii_only))
+        text = "\n".join(drawn(graph, 120, 50, ascii_only=ascii_only))
         assert "\x1b" not in text
         assert "\u202e" not in text
         assert "[red]x[/red]" in text
@@ -296,8 +294,9 @@ def answer(store: Store, feed: Feed) -> None:
     while True:
         if store.allow_release:
             store.add_statuses(time.monotonic(), HELD)
-        with suppress(queue.Empty):
-            action, _, asked = feed._asked.get(timeout=0.25)
+        time.sleep(0.25)
+        while feed._asked:
+            action, _, asked = feed._asked.pop()
             count += 1
             asked.set_result(f"asked {count} times, now for: {action}")
 

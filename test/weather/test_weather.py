@@ -86,7 +86,8 @@ def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None
     """A second too early, an hour by another offset, a second too long."""
     weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
     assert refusal(WeatherSeries, weather, PAPER_SITE, parse_time(start), steps).startswith(
-        f"{tmp_path / 'weather.csv'}: holds 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but"
+        f"{tmp_path / 'weather.csv'}: has records from 2021-07-07T03:00-05:00 to "
+        "2021-07-07T06:00-05:00, but the run starts at "
     )
 
 
@@ -106,7 +107,7 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
     ("header", "reason"),
     [
         ("date" + HEADER[4:], "'date': the first column must be 'time'"),
-        (HEADER + ",humidity [%]", "'humidity [%]': is not a known column; they are prec"),
+        (HEADER + ",humidity [%]", "'humidity [%]': is not a known column; choose from prec"),
         (HEADER + ",temperature", "'temperature': a column must be named like"),
         (HEADER.replace("mm/h]", "mm]"), "'precipitation [mm]': the unit of precipitation must be"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),

@@ -78,5 +78,5 @@ def untagged(page: str) -> list[int]:
     """Return the lines of blocks that hold commands but do not say ``sh``."""
     return [
         line for line, language, body in fences(page)
-        if language == "" and any(_COMMAND.match(each) for each in body.splitlines())
+        if language == "" and any(map(_COMMAND.match, body.splitlines()))
     ]

@@ -62,7 +62,7 @@ def run_page(
             else:
                 last = block, _run(block, terminal)
     finally:
-        failures = terminal.close() + [f"left running: {each}" for each in _left(directory)]
+        failures = terminal.close() + [f"left running: {process}" for process in _left(directory)]
         if last is not None:
             block, outcome = last
             last = block, replace(outcome, failures=[*outcome.failures, *failures])
@@ -77,7 +77,7 @@ def _run(block: Block, terminal: Terminal) -> Outcome:
         return before
     outcome = terminal.run(block.commands, note.ready, note.then_s)
     after = terminal.run(note.after)
-    wrong = [f"printed {each!r}" for each in note.says_not if re.search(each, outcome.output)]
+    wrong = [f"printed {text!r}" for text in note.says_not if re.search(text, outcome.output)]
     return replace(outcome, failures=[*outcome.failures, *wrong, *after.failures])
 
 

@@ -88,27 +88,27 @@ class Terminal:
         self._type("source ./.block.sh")
         output, failures = "", []
         for pattern in ready:
-            text, found = self._until([re.compile(pattern), _PROMPT], _READY_TAKES_S)
-            if found == 0 and then_s:
+            text, came = self._until([re.compile(pattern), _PROMPT], _READY_TAKES_S)
+            if came == 0 and then_s:
                 more, ended = self._until([_PROMPT], then_s)
                 text += more
                 if ended == 0:
-                    found = 1
+                    came = 1
             output += text
-            if found != 0:
+            if came != 0:
                 failures.append(
-                    f"did not print {pattern!r} within {_READY_TAKES_S:g} s" if found is None
+                    f"did not print {pattern!r} within {_READY_TAKES_S:g} s" if came is None
                     else f"ended before its Ctrl-C, which was due after {pattern!r}"
                 )
                 break
             os.write(self._master, b"\x03")
         if not failures:
             limit_s = _CTRL_C_TAKES_S if ready else limit_s
-            text, found = self._until([_PROMPT], limit_s)
+            text, came = self._until([_PROMPT], limit_s)
             output += text
-            if found is None:
+            if came is None:
                 failures.append(f"did not end within {limit_s:g} s")
-        if found is None:
+        if came is None:
             os.killpg(os.tcgetpgrp(self._master), signal.SIGKILL)
             output += self._until([_PROMPT], _CTRL_C_TAKES_S)[0]
         expected = _INTERRUPTED if ready else {0}
@@ -132,7 +132,7 @@ class Terminal:
             self.shell.kill()
             self.shell.wait()
         os.close(self._master)
-        return [each for each in outcome.failures if not each.startswith("Exit 130")]
+        return [failure for failure in outcome.failures if not failure.startswith("Exit 130")]
 
     def _type(self, line: str) -> None:
         os.write(self._master, line.encode() + b"\n")
@@ -143,9 +143,9 @@ class Terminal:
         while True:
             self._unread = _COLOURS.sub("", self._unread).replace("\r", "\n")
             for number, pattern in enumerate(patterns):
-                if found := pattern.search(self._unread):
-                    text = self._unread[:found.end()]
-                    self._unread = self._unread[found.end():]
+                if match := pattern.search(self._unread):
+                    text = self._unread[:match.end()]
+                    self._unread = self._unread[match.end():]
                     return _PROMPT.sub("", text), number
             left = until - time.monotonic()
             if left <= 0 or not select.select([self._master], [], [], left)[0]:

@@ -11,7 +11,6 @@ import argparse
 import os
 import sys
 import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
@@ -20,14 +19,13 @@ import paths  # noqa: F401
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
-from endurance.live import LiveRun, Plan
+from endurance.live import LiveRun
 from endurance.loop import HEAD, in_the_loop
 from graphs import own_domain
 
-CONTROLLERS = ("mpc", "lookahead", "anticipating_onoff", "onoff")
 
-
-def _parser() -> argparse.ArgumentParser:
+def main() -> None:
+    """Do a long run and print what came of it."""
     parser = argparse.ArgumentParser(
         prog="python tools/endurance", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -44,37 +42,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--full-disk", action="store_true", help="live: needs root")
     parser.add_argument("--output", type=Path, metavar="DIR", help="what it leaves (a new one)")
-    return parser
-
-
-def main() -> int:
-    """Do a long run and print what came of it."""
-    arguments = _parser().parse_args()
-    directory = arguments.output or Path(tempfile.mkdtemp(prefix="endurance-"))
+    asked = parser.parse_args()
+    directory = (asked.output or Path(tempfile.mkdtemp(prefix="endurance-"))).resolve()
     directory.mkdir(parents=True, exist_ok=True)
     print(f"in {directory}", flush=True)
-    with own_domain() as domain, ExitStack() as stack:
-        if arguments.way == "loop":
+    with own_domain() as domain:
+        if asked.way == "loop":
             print(HEAD, flush=True)
-            for controller in arguments.controller or ("mpc", "lookahead"):
-                place = directory / controller
-                place.mkdir()
+            for controller in asked.controller or ("mpc", "lookahead"):
+                (directory / controller).mkdir()
                 print(in_the_loop(
-                    place, domain, controller, arguments.minutes / 60, arguments.speed,
-                    arguments.drive, arguments.line,
+                    directory / controller, domain, controller, asked.minutes / 60, asked.speed,
+                    asked.drive, asked.line,
                 ), flush=True)
-            return 0
-        plan = Plan(
-            arguments.minutes, tuple(arguments.controller or CONTROLLERS), arguments.kill_every,
-            arguments.full_disk, arguments.drive,
-        )
-        run = LiveRun(directory.resolve(), domain, plan, stack)
-        run.run()
-        report = run.report()
-        (directory / "report.md").write_text(report + "\n")
-        print(report)
-    return 0
+        else:
+            with LiveRun(directory, domain, asked.drive, full_disk=asked.full_disk) as run:
+                run.run(
+                    asked.minutes,
+                    asked.controller or ("mpc", "lookahead", "anticipating_onoff", "onoff"),
+                    asked.kill_every or float("inf"),
+                )
+                report = run.report()
+            (directory / "report.md").write_text(f"{report}\n")
+            print(report)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -3,56 +3,27 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
+import polars as pl
 from graphs import files_of
+from markdown_tables import head, row
 
 # Before it a process is still loading (s).
 _SETTLED_S = 60.0
 _KIB_PER_MIB = 1024.0
 
 
-@dataclass(frozen=True)
-class Sample:
-    """A process at one moment.
-
-    Attributes:
-        at: when (s, steady clock).
-        memory: resident (MiB).
-        threads: how many.
-        files: how many descriptors are open, sockets included.
-        sockets: how many of them are sockets.
-    """
-
-    at: float
-    memory: float
-    threads: int
-    files: int
-    sockets: int
-
-
-@dataclass
-class Life:
-    """A process from its start to its end."""
-
-    name: str
-    pid: int
-    began: float
-    samples: list[Sample] = field(default_factory=list)
-
-
 class Figures:
-    """Samples of processes, each by its name and process id."""
+    """Samples of processes: memory (resident, MiB), threads, open files and sockets among them."""
 
     def __init__(self) -> None:
-        self.lives: dict[int, Life] = {}
+        self._samples: list[dict[str, object]] = []
 
     def sample(self, pids: dict[str, int]) -> None:
-        """Look at processes; one that has just ended is left out."""
+        """Look at processes, by name; one that has just ended is left out."""
         now = time.monotonic()
         for name, pid in pids.items():
-            life = self.lives.setdefault(pid, Life(name, pid, now))
             try:
                 status = dict(
                     line.split(":", 1)
@@ -62,29 +33,28 @@ class Figures:
             except (OSError, KeyError):
                 continue
             files = files_of(pid)
-            life.samples.append(Sample(
-                now, memory / _KIB_PER_MIB, threads, len(files),
-                sum(file.startswith("socket:") for file in files),
-            ))
+            self._samples.append({
+                "process": name, "pid": pid, "at": now, "memory": memory / _KIB_PER_MIB,
+                "threads": threads, "files": len(files),
+                "sockets": sum(file.startswith("socket:") for file in files),
+            })
 
     def table(self) -> str:
         """Return a row for each name: its longest life, when it had settled and at its end."""
-        lines = [
-            "| process | lives | longest (min) | memory (MiB) | threads | files | sockets |",
-            "|---|---|---|---|---|---|---|",
-        ]
-        for name in sorted({life.name for life in self.lives.values()}):
-            lives = [life for life in self.lives.values() if life.name == name and life.samples]
-            if not lives:
-                continue
-            longest = max(lives, key=lambda life: life.samples[-1].at - life.began)
-            settled = [
-                one for one in longest.samples if one.at - longest.began >= _SETTLED_S
-            ] or longest.samples[-1:]
-            first, last = settled[0], settled[-1]
-            lines.append(
-                f"| {name} | {len(lives)} | {(last.at - longest.began) / 60:.0f} "
-                f"| {first.memory:.1f} → {last.memory:.1f} | {first.threads} → {last.threads} "
-                f"| {first.files} → {last.files} | {first.sockets} → {last.sockets} |"
-            )
+        samples = pl.DataFrame(self._samples).sort("process", "at").with_columns(
+            age=pl.col("at") - pl.col("at").min().over("pid")
+        )
+        lines = [head([
+            "process", "lives", "longest (min)", "memory (MiB)", "threads", "files", "sockets",
+        ])]
+        for (name,), of_name in samples.group_by("process", maintain_order=True):
+            longest = of_name.filter(pl.col("pid") == of_name.sort("age")["pid"][-1])
+            last = longest.row(-1, named=True)
+            settled = longest.filter(pl.col("age") >= _SETTLED_S)
+            first = settled.row(0, named=True) if len(settled) else last
+            lines.append(row([
+                str(name), str(of_name["pid"].n_unique()), f"{last['age'] / 60:.0f}",
+                f"{first['memory']:.1f} → {last['memory']:.1f}",
+                *(f"{first[key]} → {last[key]}" for key in ("threads", "files", "sockets")),
+            ]))
         return "\n".join(lines)

@@ -3,251 +3,218 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import signal
 import time
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from disks import disk_if_allowed
+import yaml
+from disks import disk_if_allowed, fill
 from endurance.figures import Figures
-from endurance.processes import (
-    EVAPOTRANSPIRATION,
-    RAIN,
-    START_S,
-    drive_address,
-    free_ports,
-    simulate,
-    simulator,
-    write_forecast,
-    write_sensors,
-    write_weather,
-)
-from graphs import Process, wait_for
+from endurance.loop import run_to_its_end
+from faults.rig import Simulator
+from faults.watcher import Watcher
+from graphs import Process, free_ports, summary_of, wait_for
+from markdown_tables import head, row
 from places import CONFIG
 from rich.progress import Progress
+from ros_rig import write_forecast
 
-from greenroof_ros.drives.sensor_file import QUANTITIES
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import read_site
 
-_SAMPLE_S = 15.0
+# Of the constant weather: mm/h, mm/day.
+_RAIN, _EVAPOTRANSPIRATION = 0.0, 3.0
+_START_S, _SAMPLE_S = 60.0, 15.0
 _NODES = ("cistern_sensor", "controller", "pump", "weather", "recorder", "roof_sensor")
 # The bag's disk (MB), and for which part of the run it is full.
 _DISK_MB, _FULL_FROM, _FULL_TO = 64, 0.45, 0.52
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is done to a live site.
-
-    Attributes:
-        minutes: how long it runs.
-        controllers: one after the other, each for an equal part.
-        kill_every: a node is killed so often (s); 0 for never.
-        full_disk: the disk of the bag is full for a while.
-        drive: a name of config/drives.
-    """
-
-    minutes: float
-    controllers: tuple[str, ...]
-    kill_every: float
-    full_disk: bool
-    drive: str
-
-
-class LiveRun:
+class LiveRun(ExitStack):
     """A live site with simulated sensors and drive, each a program of its own."""
 
-    def __init__(self, directory: Path, domain: int, plan: Plan, stack: ExitStack) -> None:
-        self.directory, self.domain, self.plan = directory, domain, plan
-        drive, bench, site_bench = free_ports(3)
-        write_sensors(directory / "sensors.yaml")
-        write_forecast(directory / "forecast.csv", _hour())
-        self._disk = directory / "state"
-        mounted = plan.full_disk and stack.enter_context(disk_if_allowed(
-            self._disk, f"{_DISK_MB}m"
-        ))
-        self.disk_note = "" if mounted or not plan.full_disk else "no small disk could be mounted"
-        self._mounted = bool(mounted)
-        self.programs = {
-            "drive_simulator": stack.enter_context(simulator(
-                domain, directory, "drive_simulator", "--drive", plan.drive, "--port", str(drive),
-                "--workbench", str(bench),
-            )),
-            "site_simulator": stack.enter_context(simulator(
-                domain, directory, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
-                f"tcp://127.0.0.1:{bench}", "--workbench", str(site_bench),
-                "--rain", str(RAIN), "--constant-evapotranspiration", str(EVAPOTRANSPIRATION),
-                "--output", "levels.csv",
-            )),
-        }
-        self._drive_at = drive_address(self.programs["drive_simulator"])
-        self.figures = Figures()
-        self.killed: list[str] = []
-        self.incidents: list[dict[str, Any]] = []
-        self.bad_ends: list[str] = []
-        # Controller, first tick, last tick.
-        self.parts: list[tuple[str, int, int]] = []
+    def __init__(self, directory: Path, domain: int, drive: str, *, full_disk: bool) -> None:
+        """Start the programs.
 
-    def run(self) -> None:
-        """Run each controller for its part."""
-        seconds = 60 * self.plan.minutes
-        began = time.monotonic()
+        Args:
+            directory: of what the run leaves.
+            domain: a ROS domain of its own.
+            drive: a name of config/drives.
+            full_disk: whether the bag's disk is full for a while.
+        """
+        super().__init__()
+        self._directory, self._domain, self._drive_file = directory, domain, drive
+        self._kept = directory / "state"
+        self._mounted = full_disk and self.enter_context(
+            disk_if_allowed(self._kept, f"{_DISK_MB}m"))
+        self._notes = ["no small disk could be mounted"] if full_disk > self._mounted else []
+        *sensor_ports, port, bench, site_bench = map(str, free_ports(5))
+        sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
+        for tank, sensor_port in zip(("cistern", "roof"), sensor_ports, strict=True):
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{sensor_port}"
+        (directory / "sensors.yaml").write_text(yaml.safe_dump(sensors))
+        self._drive = self._start(
+            "drive_simulator", "--drive", drive, "--port", port, "--workbench", bench
+        )
+        self._site = self._start(
+            "site_simulator", "--sensors", "sensors.yaml", "--drive-at", f"tcp://127.0.0.1:{bench}",
+            "--workbench", site_bench, "--rain", str(_RAIN), "--constant-evapotranspiration",
+            str(_EVAPOTRANSPIRATION), "--output", "levels.csv",
+        )
+        self._figures = Figures()
+        self._killed = 0
+        self._incidents: list[dict[str, Any]] = []
+        # Controller, first tick, last tick.
+        self._parts: list[tuple[str, int, int]] = []
+
+    def _start(self, module: str, *options: str) -> Simulator:
+        simulator = Simulator(self._domain, self._directory, module, *options)
+        self.callback(simulator.end)
+        return simulator
+
+    def run(self, minutes: float, controllers: Sequence[str], kill_every: float) -> None:
+        """Run one controller after the other, each for an equal part.
+
+        Args:
+            minutes: how long.
+            controllers: their names.
+            kill_every: a node is killed so often (s).
+        """
+        began = next_sample = time.monotonic()
+        next_kill = began + kill_every
         kills = cycle(_NODES)
-        next_kill = began + self.plan.kill_every if self.plan.kill_every else float("inf")
-        next_sample = began + _SAMPLE_S
-        full = False
         with Progress() as progress:
-            bar = progress.add_task("live", total=seconds)
-            for number, controller in enumerate(self.plan.controllers, 1):
-                ends = began + seconds * number / len(self.plan.controllers)
+            bar = progress.add_task("live", total=60 * minutes)
+            for number, controller in enumerate(controllers, 1):
+                ends = began + 60 * minutes * number / len(controllers)
                 bringup = self._bring_up(controller)
                 first = self._tick()
-                while time.monotonic() < ends:
-                    now = time.monotonic()
-                    passed = (now - began) / seconds
+                while (now := time.monotonic()) < ends:
                     progress.update(bar, completed=now - began)
-                    if bringup.process.poll() is not None:
-                        raise RuntimeError(f"bringup ended: {bringup.stderr()[-2000:]}")
+                    assert bringup.process.poll() is None, bringup.stderr()[-2000:]
                     if now >= next_sample:
                         next_sample += _SAMPLE_S
-                        write_forecast(self.directory / "forecast.csv", _hour())
-                        self.figures.sample(self._pids(bringup))
+                        self._forecast()
+                        self._figures.sample({
+                            "bringup": bringup.process.pid, **bringup.nodes(),
+                            "drive_simulator": self._drive.process.process.pid,
+                            "site_simulator": self._site.process.process.pid,
+                        })
                     if now >= next_kill and ends - now > 20:
-                        next_kill += self.plan.kill_every
-                        name = next(kills)
-                        pid = _nodes(bringup.process.pid).get(name)
-                        if pid is not None:
+                        next_kill += kill_every
+                        if pid := bringup.nodes().get(next(kills)):
                             os.kill(pid, signal.SIGKILL)
-                            self.killed.append(name)
-                    if self._mounted and not full and _FULL_FROM < passed < _FULL_TO:
-                        full = True
-                        self._fill()
-                    if full and passed >= _FULL_TO:
-                        full = False
-                        (self._disk / "filling").unlink()
+                            self._killed += 1
+                    self._fill((now - began) / (60 * minutes))
                     time.sleep(0.2)
                 self._end(bringup, controller)
-                self.parts.append((controller, first, self._tick()))
+                self._parts.append((controller, first, self._tick()))
+
+    def _forecast(self) -> None:
+        past_the_hour = timedelta(seconds=time.time() % 3600)
+        write_forecast(
+            self._directory / "forecast.csv", past_the_hour, _RAIN, hours=144,
+            evapotranspiration=_EVAPOTRANSPIRATION,
+        )
 
     def _bring_up(self, controller: str) -> Process:
+        self._forecast()
         bringup = Process(
-            self.domain, "bringup.live", "--controller", controller,
-            "--sensors", "sensors.yaml", "--forecast", "forecast.csv", "--drive", self.plan.drive,
-            "--drive-at", self._drive_at, "--state", "state", "--restarts", "1000",
-            cwd=self.directory,
+            self._domain, "bringup.live", "--controller", controller,
+            "--sensors", "sensors.yaml", "--forecast", "forecast.csv", "--drive", self._drive_file,
+            "--drive-at", self._drive.place, "--state", "state", "--restarts", "1000",
+            cwd=self._directory,
         )
-        wait_for(lambda: "all nodes are here" in bringup.stderr(), START_S, "all nodes")
+        watcher = Watcher(self._domain)
+        try:
+            wait_for(
+                lambda: watcher.codes.get("pump: supervisor") == "", _START_S, "the pump's permit"
+            )
+        finally:
+            watcher.close()
         return bringup
+
+    def _fill(self, passed: float) -> None:
+        """Have the disk full in its part of the run."""
+        filling = self._kept / "filling"
+        if not self._mounted or (_FULL_FROM < passed < _FULL_TO) == filling.exists():
+            return
+        if filling.exists():
+            filling.unlink()
+        else:
+            fill(filling)
 
     def _end(self, bringup: Process, controller: str) -> None:
         bringup.process.terminate()
         code = bringup.process.wait(60)
         if code not in (0, 1) or "Traceback" in bringup.stderr():  # 1: there were incidents
-            self.bad_ends.append(f"{controller}: exit code {code}: {bringup.stderr()[-500:]}")
-        summary = json.loads((self._disk / "summary.json").read_text())
-        self.incidents += summary["incidents"]
-
-    def _fill(self) -> None:
-        with (self._disk / "filling").open("wb", buffering=0) as file:
-            try:
-                while True:
-                    file.write(bytes(1 << 16))
-            except OSError:
-                pass
-            try:
-                while True:
-                    file.write(b"\0")
-            except OSError:
-                return
-
-    def _pids(self, bringup: Process) -> dict[str, int]:
-        pid = bringup.process.pid
-        programs = {name: one.process.pid for name, one in self.programs.items()}
-        return {"bringup": pid, **_nodes(pid), **programs}
+            self._notes.append(f"{controller}: exit code {code}: {bringup.stderr()[-500:]}")
+        self._incidents += summary_of(self._kept)["incidents"]
 
     def _tick(self) -> int:
-        return len((self.directory / "levels.csv").read_text().splitlines()) - 2
+        return len((self._directory / "levels.csv").read_text().splitlines()) - 2
 
     # --- what came of it ------------------------------------------------------------------------
 
     def report(self) -> str:
         """Return what came of it, in Markdown."""
+        with (self._directory / "levels.csv").open() as stream:
+            ticks = list(csv.DictReader(stream))
+        lines = [head([
+            "controller", "min", "pumped (m3)", "simulated (m3)", "deviation (m3)",
+            "simulated (m3)",
+        ])]
+        parts = [
+            (controller, *self._beside_simulation(controller, ticks[first : last + 1]))
+            for controller, first, last in self._parts
+        ]
+        _, *numbers = zip(*parts, strict=True)
+        for name, minutes, pumped, pure, deviation, pure_deviation in (
+            *parts, ("together", *map(sum, numbers)),
+        ):
+            lines.append(row([
+                name, f"{minutes:.1f}", f"{pumped:.4f}", f"{pure:.4f}", f"{deviation:.1f}",
+                f"{pure_deviation:.1f}",
+            ]))
+        causes = Counter(f"{incident['node']}: {incident['cause']}" for incident in self._incidents)
+        return "\n".join([
+            *lines, "", f"Killed: {self._killed}. Incidents: {causes.total()}.", "",
+            *(f"- {count} times {cause}" for cause, count in sorted(causes.items())),
+            "", *self._notes, "", self._figures.table(),
+        ])
+
+    def _beside_simulation(
+        self, controller: str, ticks: Sequence[dict[str, str]]
+    ) -> tuple[float, ...]:
+        """Return of a part minutes, volume (m3) and deviation (m3), each beside the simulation's.
+
+        The simulation begins in the live site's state, with the same weather.
+        """
         site = read_site(CONFIG / "site.yaml")
-        with (self.directory / "levels.csv").open() as stream:
-            rows = list(csv.DictReader(stream))
         start = datetime(2024, 6, 1, tzinfo=timezone.utc)
-        write_weather(self.directory / "weather.csv", start)
-        lines = [
-            "| controller | min | pumped (m3) | simulated (m3) | deviation (m3) "
-            "| simulated (m3) |", "|---|---|---|---|---|---|",
-        ]
-        totals = [0.0] * 4
-        for number, (controller, first, last) in enumerate(self.parts):
-            begin, end = rows[first], rows[last]
-            pure = simulate(
-                self.directory, f"pure-{number}", "--controller", controller, "--weather",
-                "weather.csv", "--start", start.isoformat(), "--hours",
-                str((last - first) * site.tau / 3600), "--cistern",
-                str(float(begin["cistern_level_m"]) * site.a1), "--roof", _roof(begin, site),
-            )
-            live = (
-                float(end["pumped_m3"]) - float(begin["pumped_m3"]), pure["pumped_m3"],
-                sum(
-                    abs(float(row["roof_level_m"]) * site.a2 - site.x2_star)
-                    for row in rows[first : last + 1]
-                ), pure["total_deviation_m3"],
-            )
-            totals = [total + one for total, one in zip(totals, live, strict=True)]
-            lines.append(_row(controller, (last - first) * site.tau / 60, live))
-        lines.append(_row("together", sum(b - a for _, a, b in self.parts) * site.tau / 60, totals))
-        causes = [f"{one['node']}: {one['cause']}" for one in self.incidents]
-        lines += [
-            "", f"Killed: {len(self.killed)}. Incidents: {len(causes)}.", "",
-            *(f"- {causes.count(cause)} times {cause}" for cause in sorted(set(causes))),
-            "", *filter(None, [self.disk_note]), *self.bad_ends, "", self.figures.table(),
-        ]
-        return "\n".join(lines)
-
-
-def _roof(row: dict[str, str], site: Site) -> str:
-    return str(float(row["roof_level_m"]) * site.a2)
-
-
-def _row(name: str, minutes: float, values: tuple[float, ...] | list[float]) -> str:
-    pumped, pure, deviation, pure_deviation = values
-    return (
-        f"| {name} | {minutes:.1f} | {pumped:.4f} | {pure:.4f} | {deviation:.1f} "
-        f"| {pure_deviation:.1f} |"
-    )
-
-
-def _hour() -> datetime:
-    return datetime.now(timezone.utc).replace(minute=0, second=0, microsecond=0)
-
-
-def _nodes(bringup: int) -> dict[str, int]:
-    """Return the process of each node, by what it is."""
-    found = {}
-    try:
-        children = Path(f"/proc/{bringup}/task/{bringup}/children").read_text().split()
-    except OSError:
-        return {}
-    for pid in children:
-        try:
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
-        except OSError:
-            continue
-        module = next((word for word in words if word.startswith("greenroof_ros.nodes.")), None)
-        if module is None:
-            continue
-        name = module.rpartition(".")[2].removeprefix("live_")
-        if name == "sensor":
-            name = QUANTITIES[words[words.index("--of") + 1]].node
-        found[name] = int(pid)
-    return found
+        weather = self._directory / "weather.csv"
+        weather.write_text("\n".join([
+            "time,precipitation [mm/h],constant evapotranspiration [mm/day]",
+            *(f"{(start + timedelta(hours=hour)).isoformat()},{_RAIN},{_EVAPOTRANSPIRATION}"
+              for hour in range(48)), "",
+        ]))
+        begin, end, seconds = ticks[0], ticks[-1], (len(ticks) - 1) * site.tau
+        pure = run_to_its_end(
+            0, self._directory, "simulate", f"pure-{begin['time_s']}", "--controller",
+            controller, "--weather", str(weather), "--start", start.isoformat(), "--hours",
+            str(seconds / 3600), "--cistern", str(float(begin["cistern_level_m"]) * site.a1),
+            "--roof", str(float(begin["roof_level_m"]) * site.a2),
+        )
+        deviation = sum(
+            abs(float(tick["roof_level_m"]) * site.a2 - site.x2_star) for tick in ticks
+        )
+        return (
+            seconds / 60, float(end["pumped_m3"]) - float(begin["pumped_m3"]), pure["pumped_m3"],
+            deviation, pure["total_deviation_m3"],
+        )

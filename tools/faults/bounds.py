@@ -38,14 +38,13 @@ def bounds(site: Site) -> dict[str, float]:
     Args:
         site: of the campaign.
     """
-    exchange = 2 * next(
-        float(one.default) for one in parameters_of_pump(site) if one.name == "exchange_period"
+    pump = {parameter.name: parameter.default for parameter in parameters_of_pump(site)}
+    exchange, follow, apart, ramp, averaging, tolerance, delivery = (
+        float(pump[name])
+        for name in ("exchange_period", "follow_time", "follow_tolerance", "drive_ramp",
+                     "averaging_time", "level_tolerance", "least_delivery")
     )
-    follow, apart, ramp, averaging, tolerance, delivery = (
-        next(float(one.default) for one in parameters_of_pump(site) if one.name == name)
-        for name in ("follow_time", "follow_tolerance", "drive_ramp", "averaging_time",
-                     "level_tolerance", "least_delivery")
-    )
+    exchange *= 2
     end = exchange + RAMP_S + SLACK_S
     # It is left in silence when its speed has not fallen for so long.
     runs_on = RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end

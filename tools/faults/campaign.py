@@ -16,15 +16,13 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 from faults import readers, service, simulated
 from faults.cases import Case, all_cases
-from faults.live import Outcome, run_case
-from faults.rig import RIGS, BrokenError, Rig
+from faults.live import Outcome, Rigs, run_case
 from faults.table import read_results
 from graphs import Process, environment, own_domain
 
@@ -52,13 +50,12 @@ def in_order(cases: list[Case]) -> list[Case]:
 
 
 class Bench:
-    """Does one case after the other; those of a rig follow each other."""
+    """Does one case after the other; the cases of a rig follow each other."""
 
     def __init__(self) -> None:
         RESULTS.mkdir(parents=True, exist_ok=True)
         self._place = Path(tempfile.mkdtemp(prefix="rigs-", dir=RESULTS))
-        self._stack = ExitStack()
-        self._rig: Rig | None = None
+        self._rigs = Rigs(self._place)
         self._of, self._served = "", 0
         self._read: dict[Case, Outcome] = {}
         self._last: dict[str, Any] = {}
@@ -69,7 +66,8 @@ class Bench:
         """Do a case, and write down what came of it."""
         if case.rig != self._of or self._served == _SHARE:
             self.end_rig()
-        self._of, self._served = case.rig, self._served + 1
+            self._of, self._served = case.rig, 0
+        self._served += 1
         began, rng = time.monotonic(), random.Random(f"{SEED} {case.id}")
         place = self._place / str(sum(1 for _ in self._place.iterdir()))
         outcome = Outcome()
@@ -78,48 +76,20 @@ class Bench:
                 outcome = simulated.run_case(case, place, domain, rng)
         elif case.rig == "readers":
             if case not in self._read:
-                block = [one for one in all_cases()
-                         if (one.rig, one.number) == (case.rig, case.number)]
+                block = [other for other in all_cases()
+                         if (other.rig, other.number) == (case.rig, case.number)]
                 self._read |= dict(readers.run_cases(block, place, SEED))
             outcome = self._read[case]
         elif case.rig == "service":
             service.run_case(case, place, outcome)
         else:
-            self._do_to_a_rig(case, place, rng, outcome)
+            self._rigs.do(case, outcome, lambda rig: run_case(rig, case, rng, outcome))
         self._last = {
             "id": case.id, "way": case.way, "fault": case.fault, "target": case.target,
             "seed": SEED, **vars(outcome), "wall_s": round(time.monotonic() - began, 1),
         }
         self._write()
         return outcome
-
-    def _do_to_a_rig(
-        self, case: Case, place: Path, rng: random.Random, outcome: Outcome
-    ) -> None:
-        try:
-            if self._rig is None:
-                domain = self._stack.enter_context(own_domain())
-                kind, _, drive = case.rig.partition(":")
-                self._rig = self._stack.enter_context(RIGS[kind](place, domain, drive))
-            run_case(self._rig, case, rng, outcome)
-        except BrokenError as error:
-            outcome.fail(f"rig: {error}")
-        except Exception as error:  # whatever it is, the next case needs a new rig
-            outcome.fail(f"{type(error).__name__}: {error}")
-        ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
-        if outcome.wrong or ends:
-            outcome.fail(self._close())
-
-    def _close(self) -> str:
-        """End the rig, and return what is wrong with how it ended."""
-        wrong = []
-        try:
-            self._stack.close()
-        except Exception as error:
-            wrong.append(f"{type(error).__name__}: {error}")
-        wrong += [] if self._rig is None else self._rig.ended_badly
-        self._rig, self._served = None, 0
-        return "; ".join(f"at the end of the rig: {one}" for one in wrong)
 
     def _write(self) -> None:
         self._failed |= bool(self._last["wrong"])
@@ -128,7 +98,7 @@ class Bench:
 
     def end_rig(self) -> None:
         """End the rig; what is wrong with that stands beside its last case."""
-        wrong = self._close()
+        wrong = self._rigs.end()
         if wrong:
             self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
             self._write()

@@ -9,16 +9,18 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta, timezone
+from datetime import timedelta
 from pathlib import Path
 
 from faults.cases import Case
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S, Players
-from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait, write_forecast
+from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
 from faults.truth import AT_REST
 from faults.watcher import Watcher
 from graphs import Process, own_domain
+from ros_rig import write_forecast
 
+from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
@@ -64,8 +66,8 @@ def intrude(watcher: Watcher, topic: str, fault: str, rng: random.Random) -> Non
 def refuse_second_graph(domain: int, place: Path) -> None:
     """See that a second bringup keeps off."""
     second = Process(domain, "bringup", "--hours", "1", cwd=place)
-    code, text = second.wait(30), second.stderr()
-    assert code == 3 and "already" in text, f"a second graph ended with exit code {code}: {text}"
+    code = second.wait(30)
+    assert code == EXIT_OCCUPIED, f"a second graph ended with exit code {code}: {second.stderr()}"
 
 
 def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
@@ -227,12 +229,12 @@ def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
 def _forecast(rig: Rig, case: Case, undo: ExitStack) -> None:
     assert isinstance(rig, SiteRig)
     if case.target == "broken":
-        write_forecast(rig.forecast, text="issued,time,precipitation [mm/h]\nnonsense,1,2\n")
+        rig.forecast.write_text("issued,time,precipitation [mm/h]\nnonsense,1,2\n")
     elif case.target == "missing":
         rig.forecast.unlink()
     else:
-        write_forecast(rig.forecast, issued=datetime.now(timezone.utc) - timedelta(days=30))
-    undo.callback(write_forecast, rig.forecast)
+        write_forecast(rig.forecast, timedelta(days=30), hours=48)
+    undo.callback(write_forecast, rig.forecast, hours=48)
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:
@@ -249,8 +251,10 @@ def _second(rig: Rig, case: Case, undo: ExitStack) -> None:
         node = pump_node(rig, domain=domain)
     undo.callback(node.process.wait, 15)
     undo.callback(node.process.terminate)
-    rig.others.append(node)
+    if elsewhere:
+        rig.watchers.append(Watcher(domain))
+        undo.callback(rig.watchers[1].close)
     wait(
         lambda: rig.watcher.publishers(topic) > 1 or node.process.poll() is not None
-        or (elsewhere and node.stderr()), 30, "no second node",
+        or (elsewhere and rig.watchers[1].last), 30, "no second node",
     )

@@ -93,12 +93,12 @@ class Cable:
                 for ends in ((near, far), (far, near)):
                     threading.Thread(target=self._hand_on, args=ends, daemon=True).start()
 
-    def _hand_on(self, one: socket.socket, other: socket.socket) -> None:
-        with contextlib.suppress(OSError), one, other:
-            one.settimeout(None)
-            while data := one.recv(4096):
+    def _hand_on(self, source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError), source, target:
+            source.settimeout(None)
+            while data := source.recv(4096):
                 self._wait_until_whole()
-                other.sendall(data)
+                target.sendall(data)
             self._wait_until_whole()
 
     def _wait_until_whole(self) -> None:

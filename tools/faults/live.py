@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import random
-import re
 import subprocess
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from faults.bounds import RAMP_S, bounds
-from faults.cases import Case
+from faults.cases import Case, Sign
 from faults.inject import begin
-from faults.rig import BrokenError, Rig, SiteRig, left, wait
+from faults.rig import RIGS, BrokenError, Rig, SiteRig, left, wait
+from graphs import own_domain
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -25,7 +26,7 @@ _LONGER_S = 10.0
 # What a node that was killed needs until the pump runs again: back-off, start, recovery (s).
 _RECOVERY_S = 75.0
 # Within which bringup ends once the pump stands (s).
-_END_S = 25.0
+_END_S = 50.0
 _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
 # Within which no alarm of what is over is shown any more; a gauge or a forecast file that is good
@@ -45,21 +46,67 @@ class Outcome:
         to_safe: time from the fault to a pump that stands, or to the alarm where it cannot be
             stopped (s); None where it had to run on.
         bound: of that (s).
-        alarm: what was said of the cause.
+        signs: what was shown of the cause: each status, and its code.
+        reason: of the end, for people.
         lost: seconds that a bag lacks, ticks in a simulation; None where nothing was to lose.
         recovery: how it went on.
+        recovered: after how long the pump ran again (s); None where it did not by itself.
         wrong: what was not as it should be; empty for nothing.
     """
 
     to_safe: float | None = None
     bound: float | None = None
-    alarm: str = ""
+    signs: list[Sign] = field(default_factory=list)
+    reason: str = ""
     lost: float | None = None
     recovery: str = ""
+    recovered: float | None = None
     wrong: str = ""
 
     def fail(self, what: str) -> None:
         self.wrong = "; ".join(filter(None, (self.wrong, what)))
+
+
+class Rigs:
+    """The rig of cases that follow each other: made for the first, and again where it broke.
+
+    Attributes:
+        stack: ends it, and what was started for it.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.stack = ExitStack()
+        self._directory, self._count = directory, 0
+        self._rig: Rig | None = None
+
+    def do(self, case: Case, outcome: Outcome, task: Callable[[Rig], None]) -> None:
+        """Do something to a case's rig; where that fails or ends it, the next case has another."""
+        try:
+            if self._rig is None:
+                self._count += 1
+                domain = self.stack.enter_context(own_domain())
+                kind, _, drive = case.rig.partition(":")
+                place = self._directory / f"rig-{self._count}"
+                self._rig = self.stack.enter_context(RIGS[kind](place, domain, drive))
+            task(self._rig)
+        except BrokenError as error:
+            outcome.fail(f"rig: {error}")
+        except Exception as error:  # whatever it is, the next case needs a new rig
+            outcome.fail(f"{type(error).__name__}: {error}")
+        ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
+        if outcome.wrong or ends:
+            outcome.fail(self.end())
+
+    def end(self) -> str:
+        """End the rig, and return what is wrong with how it ended."""
+        wrong = []
+        try:
+            self.stack.close()
+        except Exception as error:
+            wrong.append(f"{type(error).__name__}: {error}")
+        wrong += [] if self._rig is None else self._rig.ended_badly
+        self._rig = None
+        return "; ".join(f"at the end of the rig: {what}" for what in wrong)
 
 
 def run_case(
@@ -82,9 +129,9 @@ def run_case(
     if case.expected.stops is not False and case.fault != "stuck for ever":
         rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
-    rig.others.clear()
+    rig.watchers[1:] = []
     if case.target == "recorder" and isinstance(rig, SiteRig):
-        _until_it_records(rig.state / "bag", rng)
+        _until_it_records(rig.kept / "bag", rng)
     time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
     if not rig.runs():
         rig.until_running()
@@ -118,8 +165,8 @@ def last_message(file: Path) -> float:
     last = 0
     with suppress(McapError, EOFError), file.open("rb") as stream:  # where it was cut
         for record in StreamReader(stream, emit_chunks=True).records:
-            found = breakup_chunk(record) if isinstance(record, Chunk) else [record]
-            last = max([last, *(one.log_time for one in found if isinstance(one, Message))])
+            records = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+            last = max([last, *(part.log_time for part in records if isinstance(part, Message))])
     return last / 1e9
 
 
@@ -127,8 +174,8 @@ def _fault(
     rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float
 ) -> None:
     expected = case.expected
-    printed, began = len(rig.main.stderr()), time.monotonic()
-    recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
+    began, incidents = time.monotonic(), rig.incidents()
+    recorded = newest_file(rig.kept / "bag") if isinstance(rig, SiteRig) else None
     clock = time.time()
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
@@ -139,13 +186,17 @@ def _fault(
             _until_it_stands(rig, case, began, outcome)
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
-        _alarm(rig, case, began, printed, outcome)
+        _signs(rig, case, began, incidents, outcome)
         if case.fault == "unstoppable":
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
             outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
-    _recover(rig, case, outcome)
+        if expected.recovery == "ends":  # the fault stays until then
+            _ends(rig, case, outcome)
+    if expected.recovery != "ends":
+        _recover(rig, case, outcome)
+    outcome.signs = sorted(rig.signs(began, incidents))
     if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
         outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
         if outcome.lost > _LOST_S:
@@ -174,24 +225,26 @@ def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> No
         )
 
 
-def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -> None:
-    if not case.expected.alarm:
-        return
+def _signs(
+    rig: Rig, case: Case, began: float, incidents: int, outcome: Outcome
+) -> None:
+    """See that all that must be shown of a fault is, and that the page has advice about it."""
     assert outcome.bound is not None
     until = max(began + outcome.bound, time.monotonic() + 2.0)
     if case.expected.recovery == "ends":
-        until += _END_S  # bringup says why when the nodes have ended
-    while not outcome.alarm and time.monotonic() < until:
-        outcome.alarm = rig.said(case.expected.alarm, began, printed)[:300]
+        until += _END_S  # a node that waits in vain ends later than the pump stands
+    while missing := set(case.expected.signs) - rig.signs(began, incidents):
+        if time.monotonic() > until:
+            outcome.fail(
+                f"not shown: {missing}, but {sorted(rig.signs(began, incidents))}; said was "
+                f"{_said(rig, began)}, {rig.main.stderr()[-400:]!r}"
+            )
+            return
         time.sleep(0.05)
-    if not outcome.alarm:
-        outcome.fail(
-            f"nothing said /{case.expected.alarm}/; said was {_said(rig, began)}, "
-            f"{rig.main.stderr()[printed:][-400:]!r}"
-        )
-    not_shown = rig.watcher.not_shown(case.expected.alarm, began)
-    if not_shown:
-        outcome.fail(f"no alarm with advice came of: {not_shown}")
+    advised = {who for watcher in rig.watchers for at, (who, _) in watcher.advised if at >= began}
+    without = {who for who, code in case.expected.signs if code != "node_failed"} - advised
+    if without:
+        outcome.fail(f"no alarm with advice came of: {without}")
 
 
 def _said(rig: Rig, began: float) -> list[str]:
@@ -203,9 +256,6 @@ def _said(rig: Rig, began: float) -> list[str]:
 def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     """See that it goes on as specified."""
     expected = case.expected.recovery
-    if expected == "ends":
-        _ends(rig, case, outcome)
-        return
     if expected == "stays":
         since = time.monotonic()
         time.sleep(5.0)
@@ -217,26 +267,26 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     patience = _RECOVERY_S if expected == "heals" else 12.0
     while time.monotonic() < began + patience:
         if rig.runs():
-            outcome.recovery = f"ran again after {time.monotonic() - began:.1f} s"
+            outcome.recovery, outcome.recovered = "ran again", time.monotonic() - began
             _over(rig, case, outcome)
             if expected == "latches":
                 outcome.fail("the fault did not latch: the pump ran again by itself")
             return
-        if rig.watcher.state == "fault" and expected != "heals":
+        if rig.watcher.pump_state == "fault" and expected != "heals":
             time.sleep(RAMP_S + 1.0)  # it may have latched while the pump turned
             break
         time.sleep(0.05)
     if expected == "heals":
-        outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('/pump/state')}")
-    if rig.watcher.state != "fault" and expected == "latches":
-        outcome.fail(f"no latched fault: {rig.watcher.last.get('/pump/state')}")
+        outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('pump: pump')}")
+    if rig.watcher.pump_state != "fault" and expected == "latches":
+        outcome.fail(f"no latched fault: {rig.watcher.last.get('pump: pump')}")
     turned = rig.truth.turned(time.monotonic() - 0.5, time.monotonic())
     if turned > _LEAST_SPEED:
         outcome.fail(f"the pump turns at {turned:.2f} while its fault is latched")
     answer = rig.watcher.reset()
     try:
         rig.until_running(30)
-        outcome.recovery = f"ran again after ~/reset ({answer[:80]})"
+        outcome.recovery = "ran again after ~/reset"
     except BrokenError as error:
         outcome.fail(f"did not run after ~/reset ({answer}): {error}")
 
@@ -246,9 +296,9 @@ def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
     until = time.monotonic() + _OVER_S
     if case.fault == "full disk":
         until += RETRY_S + FLUSH_S  # so long the recorder waits before it tries again
-    while case.expected.alarm and (stands := rig.watcher.stands(case.expected.alarm)):
+    while stands := rig.watcher.standing.intersection(case.expected.signs):
         if time.monotonic() > until:
-            outcome.fail(f"an alarm stands although it is over: {stands}")
+            outcome.fail(f"stands although it is over: {stands}")
             return
         time.sleep(0.05)
 
@@ -261,9 +311,8 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     except subprocess.TimeoutExpired:
         outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
-    # A live site ends with 1 where it had incidents, which may be those of the cases before.
-    said = re.search(r"^incident \d", rig.main.stderr(), re.MULTILINE) is not None
-    asked = int(said) if isinstance(rig, SiteRig) else 130
+    # A live site ends with 1 where it had incidents, which may be of the cases before.
+    asked = int(rig.summary()["incident_count"] > 0) if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
         case.fault if case.target == "bringup" else "", 1)
     if case.fault in ("kill both", "power cycle, then kill"):
@@ -272,4 +321,7 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.fail(f"bringup ended with exit code {code}, not {expected}")
     if still := left(pids):
         outcome.fail(f"{len(still)} processes were left after 12 s")
-    outcome.recovery = f"ended with exit code {code}"
+    outcome.recovery = "ended"
+    outcome.reason = rig.reason()
+    if case.expected.names not in outcome.reason:
+        outcome.fail(f"the reason of the end does not name {case.expected.names}")

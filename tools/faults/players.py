@@ -22,7 +22,7 @@ ON_S, OFF_S = 2.0, 7.0
 # Where the nodes publish between which the campaign stands.
 TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
-# Too large, which a command may be: it is taken as 1.
+# Too large, which a command may be: it counts as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
 # What is wrong but looks right, by topic: how far off, or a value of its own.
 _WRONG: dict[str, Callable[[float], float]] = {
@@ -166,13 +166,13 @@ class Relay(_Played):
 
 def _wrong(topic: str, value: Value) -> Value:
     change = _WRONG[topic]
-    return change(value) if isinstance(value, float) else [change(one) for one in value]
+    return change(value) if isinstance(value, float) else [change(number) for number in value]
 
 
 def _garbage(topic: str, value: Value, rng: random.Random) -> Value:
     hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
     if topic == "/gauge/temperature":
-        hostile = tuple(one for one in hostile if not -90 <= one <= 60)
+        hostile = tuple(degrees for degrees in hostile if not -90 <= degrees <= 60)
     if isinstance(value, float):
         return rng.choice(hostile)
     # A controller that needs no forecast takes one of another length, but none that cannot be.

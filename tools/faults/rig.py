@@ -11,25 +11,27 @@ import subprocess
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
 from brokers import Mosquitto, Talker
-from disks import small_disk
+from disks import fill, small_disk
 from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
-from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED
+from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED, Sign
 from faults.line import Cable, Line
 from faults.players import TRUE, Players, Relay
 from faults.truth import AT_REST, Truth
 from faults.watcher import Watcher
-from graphs import Process, alive, free_ports
+from graphs import Process, alive, free_ports, summary_of
 from places import CONFIG, guarding
+from ros_rig import write_forecast
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.drives.modbus_line import parse_address
+from greenroof_ros.drives.modbus_line import Address, parse_address
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.limits import settings_for
@@ -90,18 +92,6 @@ def site_file(directory: Path, **changes: float) -> Path:
     return path
 
 
-def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
-    """Put a dry forecast of two days in place, as one should: whole, by renaming."""
-    issued = issued or datetime.now(timezone.utc).replace(minute=0, second=0, microsecond=0)
-    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"]
-    for hour in range(48):
-        at = issued + timedelta(hours=hour)
-        lines.append(f"{issued.isoformat()},{at.isoformat()},0.0,2.0,15.0")
-    draft = path.with_suffix(".new")
-    draft.write_text("\n".join(lines) + "\n" if text is None else text)
-    draft.replace(path)
-
-
 def _has_shared_memory(pid: int) -> bool:
     """Whether a process shares memory with others, which a stopped one of them could hold."""
     try:
@@ -130,6 +120,11 @@ class Simulator:
             raise BrokenError(f"{module}: {self.process.stderr()}")
         self.powered_at = time.monotonic()
 
+    @property
+    def place(self) -> str:
+        """The address of a drive."""
+        return self.ready.split()[2].rstrip(",")
+
     def end(self) -> None:
         popen = self.process.process
         if popen.poll() is None:
@@ -144,7 +139,8 @@ class Rig:
     Attributes:
         watcher: the campaign's node in the graph.
         truth: what the drive really does.
-        others: nodes of others that a case has started.
+        watchers: all that hear for the campaign: `watcher`, and a case's own in another domain.
+        kept: where bringup keeps its summary and incidents, if there is a bringup.
         lines: to the level sensors, where they can go bad; by tank.
     """
 
@@ -182,37 +178,42 @@ class Rig:
             "--boot", f"{BOOT_S:g}", *self._place(), "--workbench", str(bench),
             "--site", str(self.site_file),
         )
-        self.drive_at = self.drive.ready.split()[2].rstrip(",")
+        self.drive_at = self.drive.place
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
-        self.main: Process
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
-        self.others: list[Process] = []
+        self.kept = directory / "state"
         self.players: Players | Relay | None = None
+        site_bench = self.start_site()
+        self.truth = Truth(parse_address(self._bench), site_bench)
+        self.watcher = Watcher(self.domain)
+        self.watchers = [self.watcher]
+        self.main = self.bring_up()
 
     def _place(self) -> tuple[str, ...]:
         """Return the options that say where the drive is."""
         return ("--serial", "pty") if self.serial else ("--port", str(*free_ports(1)))
 
-    def _watch(self, site_bench: str | None = None) -> None:
-        site = None if site_bench is None else parse_address(site_bench)
-        self.truth = Truth(parse_address(self._bench), site)
-        self.watcher = Watcher(self.domain)
+    def start_site(self) -> Address | None:
+        """Start what the drive's pump waters, and return its workbench; None without either."""
+        return None
+
+    def bring_up(self) -> Process:
+        """Start what is under test, and return its main process."""
+        raise NotImplementedError
 
     def pids(self) -> dict[str, int]:
         """Return the process of each node, by the node's name, and of ``bringup``."""
-        found = {"bringup": self.main.process.pid}
+        pids = {"bringup": self.main.process.pid}
         with suppress(OSError):  # it has ended
-            found |= {
-                name.removeprefix("live_"): pid for name, pid in self.main.nodes().items()
-            }
-        self.started.update(found.values())
-        return found
+            pids |= self.main.nodes()
+        self.started.update(pids.values())
+        return pids
 
     def runs(self) -> bool:
         """Whether the pump runs, truly and by its node."""
-        return self.truth.runs() and self.watcher.state in ("running", "starting")
+        return self.truth.runs() and self.watcher.pump_state in ("running", "starting")
 
     def until_guarded(self) -> None:
         """Wait until the drive's own timeout counts, which it may not at once after power-up.
@@ -243,17 +244,26 @@ class Rig:
                 )
             time.sleep(0.02)
 
-    def said(self, pattern: str, since: float, printed: int) -> str:
-        """Return what was said of a cause, on a topic, or by bringup beyond what it had printed."""
-        found = self.watcher.find(pattern, since)
-        if not found:
-            text = self.main.stderr()[printed:]
-            line = next((one for one in text.splitlines() if re.search(pattern, one)), "")
-            found = f"bringup: {line}" if line else ""
-        for other in self.others[-1:] if not found else ():
-            line = next((o for o in other.stderr().splitlines() if re.search(pattern, o)), "")
-            found = f"the other node: {line}" if line else ""
-        return found
+    def signs(self, since: float, incidents: int = 0) -> set[Sign]:
+        """Return what was shown since a time, on /diagnostics and in incidents after so many."""
+        heard = {
+            sign for watcher in self.watchers for at, sign in list(watcher.signs) if at >= since
+        }
+        return heard | {
+            (incident.subject, incident.code) for incident in read_incidents(self.kept)[incidents:]
+        }
+
+    def incidents(self) -> int:
+        """Return how many incidents there were so far."""
+        return len(read_incidents(self.kept))
+
+    def summary(self) -> dict[str, Any]:
+        """Return what bringup has written about itself; nothing where there is no bringup."""
+        return summary_of(self.kept) if (self.kept / summary.SUMMARY).exists() else {}
+
+    def reason(self) -> str:
+        """Return why bringup ended, for people; empty where it was killed."""
+        return self.summary().get("reason") or ""
 
     def __enter__(self) -> Rig:
         return self
@@ -282,8 +292,8 @@ class Rig:
             main.terminate()
             try:
                 code = main.wait(25)
-                # A run with incidents that it got over ends with 1, and says so last.
-                over = code == 1 and "\ndone, with " in self.main.stderr()
+                # A site with incidents that it got over ends with 1.
+                over = code == 1 and self.summary().get("status") == summary.DONE
                 if code not in (0, 130) and not over:
                     wrong.append(f"exit code {code} after SIGTERM")
             except subprocess.TimeoutExpired:
@@ -308,31 +318,28 @@ class SiteRig(Rig):
 
     cistern_m3 = _CISTERN_M3
 
-    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
-        super().__init__(directory, domain, drive, **special)
-        file, read = directory / "sensors.yaml", directory / "sensors-read.yaml"
+    def start_site(self) -> Address:
+        file, read = (self.directory / f"{name}.yaml" for name in ("sensors", "sensors-read"))
         for path, sensors in zip((file, read), self._sensors(), strict=True):
             path.write_text(yaml.safe_dump(sensors))
         (bench,) = free_ports(1)
-        self.csv = directory / "levels.csv"
+        self.csv = self.directory / "levels.csv"
         self.site_simulator = Simulator(
-            domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
-            "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
+            self.domain, self.directory, "site_simulator", "--sensors", str(file), "--drive-at",
+            self._bench, "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
             "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
             "--roof", str(_ROOF_M3), "--output", str(self.csv),
         )
-        self.forecast = directory / "forecast.csv"
-        write_forecast(self.forecast)
-        self.state = directory / "state"
+        self.forecast = self.directory / "forecast.csv"
+        write_forecast(self.forecast, hours=48)
         self._options = (
             "--controller", CONTROLLER, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--state", str(self.state), "--restarts", "1000",
+            "--state", str(self.kept), "--restarts", "1000",
             "--node-parameters", str(self.parameters),
         )
-        self._watch(f"tcp://127.0.0.1:{bench}")
-        self.bring_up()
+        return Address("127.0.0.1", bench)
 
     def _sensors(self) -> tuple[Any, Any]:
         """Return the file of the simulated sensors, and that by which the nodes read them."""
@@ -346,10 +353,9 @@ class SiteRig(Rig):
             by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
         return sensors, by_line
 
-    def bring_up(self) -> None:
-        """Start bringup, at first or again."""
-        self.main = Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
+    def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
+        return Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -377,12 +383,12 @@ class RelayRig(SiteRig):
         self.cable = Cable(self.broker.port)
         return ("--at", f"{self.broker.address}/roof", "--timeout", f"{DRIVE_TIMEOUT_S:g}")
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self._options = tuple(
             option.replace(f":{self.broker.port}/", f":{self.cable.port}/")
             for option in self._options
         )
-        super().bring_up()
+        return super().bring_up()
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -393,9 +399,9 @@ class RelayRig(SiteRig):
 class GaugedRig(SiteRig):
     """The same with a weather station, which the campaign plays."""
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, GAUGES)
-        super().bring_up()
+        return super().bring_up()
 
 
 class MqttRig(SiteRig):
@@ -438,23 +444,21 @@ class MqttRig(SiteRig):
 class FullDiskRig(SiteRig):
     """The same, its bag on a small disk that can be filled."""
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> Process:
         self._disk = ExitStack()
-        self._disk.enter_context(small_disk(self.state / "bag", "2m"))
-        super().bring_up()
+        self._disk.enter_context(small_disk(self.kept / "bag", "2m"))
+        return super().bring_up()
 
     def fill(self) -> None:
         """Fill the disk to its last byte."""
-        with self._other().open("wb", buffering=0) as stream, suppress(OSError):
-            while True:
-                stream.write(bytes(4096))
+        fill(self._other())
 
     def free(self) -> None:
         """Make room again."""
         self._other().unlink()
 
     def _other(self) -> Path:
-        return self.state / "bag" / "other"
+        return self.kept / "bag" / "other"
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -467,15 +471,13 @@ class PlayedRig(Rig):
     topics = PLAYED
     nodes = ("pump", CONTROLLER)
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
-        self.main = Process(
-            domain, "bringup.live", "--controller", CONTROLLER,
+        return Process(
+            self.domain, "bringup.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
-            *self._pump(), "--state", str(directory / "state"),
-            "--restarts", "1000", "--node-parameters", str(self.parameters), cwd=directory,
+            *self._pump(), "--state", str(self.kept), "--restarts", "1000",
+            "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 
     def _pump(self) -> tuple[str, ...]:
@@ -520,40 +522,35 @@ class PumpRig(Rig):
 
     topics: tuple[str, ...] = ("/pump/command", *LEVELS)
 
-    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
-        super().__init__(directory, domain, drive, **special)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
-        self.main = pump_node(self)
+        return pump_node(self)
 
 
 class LoopRig(Rig):
     """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self._watch()
-        self.main = Process(
-            domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
+    def bring_up(self) -> Process:
+        self.kept = self.directory / "run"
+        return Process(
+            self.domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--output", str(directory / "run"), "--state", str(directory / "state"),
-            "--node-parameters", str(self.parameters), cwd=directory,
+            "--output", str(self.kept), "--state", str(self.directory / "state"),
+            "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 
 
 class RelayedRig(Rig):
     """The same with each node started by itself, and the campaign between them."""
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
-        self._watch()
+    def bring_up(self) -> Process:
         self.players = Relay(self.watcher, RELAYED)
         self.started.add(pump_node(self, live=False).process.pid)
         site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
         self._node("weather", site, ticks)
-        self._controller = self._node("controller", site, arguments=("--controller", CONTROLLER))
-        self.main = self._node(
+        self._node("controller", site, arguments=("--controller", CONTROLLER))
+        return self._node(
             "plant", site, ticks, "speed:=1.0", "pump:=external",
             f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
         )
@@ -564,18 +561,15 @@ class RelayedRig(Rig):
         ours = [topic for topic in RELAYED if name in interface[topic].publishers]
         node = Process(
             self.domain, f"nodes.{name}", *arguments, "--ros-args",
-            *(word for one in parameters for word in ("-p", one)),
+            *(word for parameter in parameters for word in ("-p", parameter)),
             *(word for topic in ours for word in ("-r", f"{topic}:={TRUE}{topic}")),
             cwd=self.directory,
         )
         self.started.add(node.process.pid)
         return node
 
-    def said(self, pattern: str, since: float, printed: int) -> str:
-        """Return the same, or what the controller printed: the first refusal on each topic."""
-        lines = self._controller.stderr().splitlines()
-        line = next((one for one in lines if re.search(pattern, one)), "")
-        return super().said(pattern, since, printed) or line
+    def reason(self) -> str:
+        return self.watcher.failures["plant"]
 
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
 from faults.cases import MODES, SIMULATED, WAYS
+from markdown_tables import head, row
 
 # How the tables begin, each of some rigs, and end: of relays, of what else comes over the network,
 # and of the rest.
@@ -74,54 +73,49 @@ def _kind(result: dict[str, Any]) -> str:
     )
 
 
-def table(results: Iterable[dict[str, Any]]) -> str:
+def table(results: list[dict[str, Any]]) -> str:
     """Return the results in Markdown: a row for each kind of fault in each way."""
-    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for result in results:
-        groups.setdefault((result["way"], _kind(result)), []).append(result)
     kinds = list(_KINDS)
-    lines = [
-        "| way | fault | cases | worst (s) | nearest to its bound | lost, worst | outcome |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for way, kind in sorted(groups, key=lambda one: (WAYS.index(one[0]), kinds.index(one[1]))):
-        lines.append(f"| {way} | {_KINDS[kind]} | {_row(way, groups[way, kind])} |")
-    every = [one for those in groups.values() for one in those]
-    failed = sum(bool(one["wrong"]) for one in every)
-    minutes = sum(one["wall_s"] for one in every) / 60
+    groups: dict[tuple[int, int], list[dict[str, Any]]] = {}
+    for result in results:
+        place = WAYS.index(result["way"]), kinds.index(_kind(result))
+        groups.setdefault(place, []).append(result)
+    failed = sum(bool(result["wrong"]) for result in results)
+    minutes = sum(result["wall_s"] for result in results) / 60
     return "\n".join([
-        *lines, "", f"{len(every)} cases, {failed} failed; together "
-        f"{minutes:.0f} minutes, side by side.",
+        head(["way", "fault", "cases", "worst (s)", "nearest to its bound", "lost, worst",
+              "outcome"]),
+        *(row([WAYS[way], _KINDS[kinds[kind]], *_cells(WAYS[way], group)])
+          for (way, kind), group in sorted(groups.items(), key=lambda item: item[0])),
+        "", f"{len(results)} cases, {failed} failed; together {minutes:.0f} minutes, side by side.",
     ])
 
 
-def _row(way: str, those: list[dict[str, Any]]) -> str:
-    safe = [one for one in those if one["to_safe"] is not None]
-    times = [one["to_safe"] for one in safe]
-    near = [f"{one['to_safe']:.1f} of {one['bound']:.1f} s" for one in sorted(
-        (one for one in safe if one["bound"]), key=lambda one: one["to_safe"] / one["bound"]
-    )]
-    lost = [one["lost"] for one in those if one["lost"] is not None]
-    failed = sum(bool(one["wrong"]) for one in those)
-    unit = "ticks" if way == SIMULATED else "s"
-    return " | ".join([
-        str(len(those)),
-        f"{max(times):.1f}" if times else "",
-        near[-1] if near else "",
-        f"{max(lost):.3g} {unit}" if lost else "",
-        f"**{failed} failed**" if failed else _outcome(those),
-    ])
+def _cells(way: str, results: list[dict[str, Any]]) -> list[str]:
+    times = [(result["to_safe"], result["bound"]) for result in results
+             if result["to_safe"] is not None]
+    bounded = [time for time in times if time[1]]
+    near = max(bounded, key=lambda time: time[0] / time[1], default=None)
+    lost = [result["lost"] for result in results if result["lost"] is not None]
+    failed = sum(bool(result["wrong"]) for result in results)
+    return [
+        str(len(results)),
+        f"{max(times)[0]:.1f}" if times else "",
+        f"{near[0]:.1f} of {near[1]:.1f} s" if near else "",
+        f"{max(lost):.3g} {'ticks' if way == SIMULATED else 's'}" if lost else "",
+        f"**{failed} failed**" if failed else _outcome(results),
+    ]
 
 
-# What a recovery has beside its kind: a number, or what a service answered.
-_OF_ONE = re.compile(r" after [\d.]+ s| \(.*\)| with exit code -?\d+|^\d+ times, ")
+# A pump that runs so soon after the fault (s) has run on.
+_AT_ONCE_S = 1.0
 
 
-def _outcome(those: list[dict[str, Any]]) -> str:
+def _outcome(results: list[dict[str, Any]]) -> str:
     """Return how most went on, then the others."""
     counts = Counter(
-        "ran on" if one["to_safe"] is None and one["recovery"].startswith("ran again after 0.")
-        else _OF_ONE.sub("", one["recovery"]) for one in those
+        "ran on" if result["to_safe"] is None and result["recovered"] is not None
+        and result["recovered"] < _AT_ONCE_S else result["recovery"] for result in results
     )
     return ", ".join(said for said, _ in counts.most_common() if said) or "as specified"
 
@@ -139,4 +133,6 @@ if __name__ == "__main__":
     read, written = map(Path, sys.argv[1:])
     every = read_results(read).values()
     for mark in (_RELAYS, _NETWORK, _REST):
-        put(written, mark, [one for one in every if _TABLES.get(_rig(one), _REST) == mark])
+        put(written, mark, [
+            result for result in every if _TABLES.get(_rig(result), _REST) == mark
+        ])

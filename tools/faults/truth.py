@@ -111,5 +111,5 @@ class Truth:
 
     def _from(self, since: float) -> list[tuple[float, float]]:
         """Return the samples after a time, in order."""
-        found = list(itertools.takewhile(lambda one: one[0] >= since, self._newest_first()))
-        return found[::-1]
+        newest = itertools.takewhile(lambda sample: sample[0] >= since, self._newest_first())
+        return list(newest)[::-1]

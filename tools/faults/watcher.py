@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import os
-import re
 import threading
 import time
 from array import array
@@ -13,17 +13,17 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from faults.cases import Sign
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.messages import message_class, qos_profile
-from greenroof_ros.watch.alarms import OTHER, Alarms
+from greenroof_ros.watch.alarms import Alarms
 from greenroof_ros.watch.wire import Status
 
 
@@ -43,18 +43,26 @@ class Watcher:
     """A node in a thread of its own.
 
     Attributes:
-        said: all that was said, as (time, who, text): states of the pump, and diagnoses that
-            changed, with their level in front.
-        shown: the sentences of all alarms that an operator would have seen, as (time, sentence,
-            advice).
-        standing: the sentences of the alarms of now.
+        said: what was said of states that changed, for people: when, by which status, its level
+            and sentence.
+        codes: of each status as it was heard last; empty where all is well.
+        signs: the conditions that came up, as a program reads them: when, at which status, and
+            their codes; the codes on the page, too.
+        advised: those on the page with advice, likewise.
+        standing: the conditions that stand on the page now.
+        pump_state: what the pump node says of the pump, in a word.
+        failures: why nodes ended, by their names.
     """
 
     def __init__(self, domain: int, name: str = "watcher") -> None:
         self.said: list[tuple[float, str, str]] = []
         self.last: dict[str, str] = {}
-        self.shown: list[tuple[float, str, str]] = []
-        self.standing: set[str] = set()
+        self.signs: list[tuple[float, Sign]] = []
+        self.advised: list[tuple[float, Sign]] = []
+        self.standing: set[Sign] = set()
+        self.pump_state = ""
+        self.failures: dict[str, str] = {}
+        self.codes: dict[str, str] = {}
         self._alarms = Alarms()
         self._context = rclpy.Context()
         with _transport():
@@ -68,11 +76,10 @@ class Watcher:
         self._topics = read_topics()
         self._publishers: dict[str, Any] = {}
         self._lock = threading.Lock()
-        for topic, kind, heard in (
-            ("/pump/state", String, self._on_state),
-            ("/diagnostics", DiagnosticArray, self._on_diagnostics),
-        ):
-            self.node.create_subscription(kind, topic, heard, qos_profile(self._topics[topic].qos))
+        topic = self._topics["/diagnostics"]
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos_profile(topic.qos)
+        )
         self._reset = self.node.create_client(Trigger, "/pump/reset")
         self._stop = self.node.create_client(SetBool, "/pump/stop")
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -93,57 +100,38 @@ class Watcher:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def _say(self, who: str, text: str) -> None:
-        if self.last.get(who) != text:
-            self.last[who] = text
-            self.said.append((time.monotonic(), who, text))
-
-    def _on_state(self, message: Any) -> None:
-        self._say("/pump/state", message.data)
-
     def _on_diagnostics(self, message: Any) -> None:
         now = time.monotonic()
-        self._alarms.hear(now, time.time(), [
-            Status(one.name, one.level[0], one.message, one.hardware_id,
-                   {entry.key: entry.value for entry in one.values})
-            for one in message.status
-        ])
-        alarms = {row["what"]: row["do"] for row in self._alarms.rows() if row["over"] is None}
-        self.shown += [(now, what, alarms[what]) for what in alarms.keys() - self.standing]
-        self.standing = set(alarms)
         for status in message.status:
-            if ": " in status.name:  # a part of a node; the nodes' own states are no news
-                level = ("OK", "WARN", "ERROR", "STALE")[status.level[0]]
-                self._say(status.name, f"{level} {status.message}")
+            self._hear(now, status)
+        self._alarms.hear(now, time.time(), [
+            Status(status.name, status.level[0], status.message, status.hardware_id,
+                   {entry.key: entry.value for entry in status.values})
+            for status in message.status
+        ])
+        rows = [row for row in self._alarms.rows() if row["over"] is None]
+        advised = {(row["id"].lstrip("/"), row["code"]) for row in rows if row["plain"]}
+        came = [(now, sign) for sign in advised - self.standing]
+        self.signs += came
+        self.advised += came
+        self.standing = advised
 
-    @property
-    def state(self) -> str:
-        """What the pump node says of the pump, its first word."""
-        return self.last.get("/pump/state", "").partition(":")[0]
-
-    def find(self, pattern: str, since: float) -> str:
-        """Return what was said since a time that matches; empty where nothing does."""
-        expression = re.compile(pattern)
-        for at, who, text in list(self.said):
-            if at >= since and not text.startswith("OK ") and expression.search(text):
-                return f"{who}: {text}"
-        return ""
-
-    def not_shown(self, pattern: str, since: float) -> str:
-        """Return what was said, matches, and was no alarm with advice; empty where it was one."""
-        advice = {
-            do for at, what, do in list(self.shown) if at >= since and re.search(pattern, what)
-        }
-        parts = [one for one in list(self.said) if ": " in one[1]]
-        said = next(
-            (text for at, _, text in parts
-             if at >= since and not text.startswith("OK ") and re.search(pattern, text)), "",
-        )
-        return "" if not said or advice - {OTHER} else said
-
-    def stands(self, pattern: str) -> str:
-        """Return the sentence of an alarm of now that matches; empty where there is none."""
-        return next((what for what in sorted(self.standing) if re.search(pattern, what)), "")
+    def _hear(self, now: float, status: Any) -> None:
+        who, values = status.name.lstrip("/"), {entry.key: entry.value for entry in status.values}
+        if ": " in who:  # a part of a node; the values of the nodes themselves are JSON texts
+            code = values.get("code", "")
+            text = f"{('OK', 'WARN', 'ERROR', 'STALE')[status.level[0]]} {status.message}"
+            if self.last.get(who) != text:
+                self.last[who] = text
+                self.said.append((now, who, text))
+        else:
+            code = json.loads(values.get("code", '""'))
+            self.failures[who] = json.loads(values.get("failure", '""'))
+            if who == "pump":
+                self.pump_state = json.loads(values.get("pump_state", '""'))
+        if code and self.codes.get(who) != code:
+            self.signs.append((now, (who, code)))
+        self.codes[who] = code
 
     def publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are known."""
@@ -153,16 +141,10 @@ class Watcher:
 
     def publish(self, topic: str, value: float | Sequence[float] | str) -> None:
         """Publish on a topic of the interface, with its profile."""
-        kind = message_class(self._topics[topic].type)
+        self.open(topic)
+        message = message_class(self._topics[topic].type)()
+        message.data = value if isinstance(value, (float, str)) else array("d", value)
         with self._lock:
-            if topic not in self._publishers:
-                profile = qos_profile(self._topics[topic].qos)
-                self._publishers[topic] = self.node.create_publisher(kind, topic, profile)
-            message = kind()
-            if isinstance(value, (float, str)):
-                message.data = value
-            else:
-                message.data = array("d", value)
             self._publishers[topic].publish(message)
 
     def publish_any(self, topic: str, value: Any) -> None:
@@ -181,7 +163,7 @@ class Watcher:
     def relay(self, source: str, topic: str, changed: Callable[[Any], Any]) -> None:
         """Publish on a topic what comes on another one, as a function makes it; None: nothing."""
         self.open(topic)
-        one = self._topics[topic]
+        described = self._topics[topic]
 
         def pass_on(message: Any) -> None:
             data = message.data
@@ -192,16 +174,16 @@ class Watcher:
                 self.publish(topic, value)
 
         self.node.create_subscription(
-            message_class(one.type), source, pass_on, qos_profile(one.qos)
+            message_class(described.type), source, pass_on, qos_profile(described.qos)
         )
 
     def open(self, topic: str) -> None:
         """Be a publisher of a topic, and say nothing on it."""
         with self._lock:
             if topic not in self._publishers:
-                one = self._topics[topic]
+                described = self._topics[topic]
                 self._publishers[topic] = self.node.create_publisher(
-                    message_class(one.type), topic, qos_profile(one.qos)
+                    message_class(described.type), topic, qos_profile(described.qos)
                 )
 
     def withdraw(self, topic: str) -> None:

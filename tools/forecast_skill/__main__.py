@@ -50,25 +50,25 @@ def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) 
         24 * day + 2.5: np.stack([spread[day, hours][:, :3] for hours in SUMS], axis=1)
         for day in DAYS
     }
-    sample = Sample(climate, list(rain.values()), [Sum(*one) for one in SUMS.items()])
+    sample = Sample(climate, list(rain.values()), [Sum(*sums) for sums in SUMS.items()])
     errors = fit_errors(sample, of_leads, read_skill(REAL).errors, lambda _: None)
-    for name, found in (("climate", climate), ("errors", errors)):
-        print(f"{name}:", {key: round(value, 4) for key, value in asdict(found).items()})
+    for name, fitted in (("climate", climate), ("errors", errors)):
+        print(f"{name}:", {key: round(value, 4) for key, value in asdict(fitted).items()})
 
 
 def forecasts(
     rain: dict[int, np.ndarray], name: str, seeds: int, members: int
 ) -> list[dict[int, np.ndarray]]:
     """Return a skill's forecasts of all hours (mm) by days ahead, for each seed."""
-    skill, found = read_skill(name), []
+    skill, of_seeds = read_skill(name), []
     for seed in range(1, seeds + 1):
         ahead = [
             days_ahead(year, season, skill, seed, DAYS, members) for year, season in rain.items()
         ]
-        found.append({
+        of_seeds.append({
             day: np.concatenate([season[day] for season in ahead], axis=1) for day in DAYS
         })
-    return found
+    return of_seeds
 
 
 def table(
@@ -76,11 +76,11 @@ def table(
 ) -> None:
     """Print a skill's figures, the mean over seeds, beside the services'."""
     observed = np.concatenate(list(rain.values()))
-    found = forecasts(rain, name, seeds, 1)
+    of_seeds = forecasts(rain, name, seeds, 1)
     print(f"\n{name}, mean of {seeds} seeds\n\n{head(['days ahead', 'sums over', *NAMES])}")
     near = 0
     for day in DAYS:
-        of_day = np.mean([figures(each[day][0], observed) for each in found], axis=0)
+        of_day = np.mean([figures(ahead[day][0], observed) for ahead in of_seeds], axis=0)
         for hours, values in zip(SUMS, of_day, strict=True):
             cells = [f"{day}", f"{hours} h"]
             low, high = spread[day, hours].min(axis=0), spread[day, hours].max(axis=0)
@@ -111,10 +111,10 @@ def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
     for day in DAYS:
         for hours in ENSEMBLE_SUMS:
             theirs = of_services(day, hours)
-            ours = [of_members(each[day], observed, hours, len(theirs.alone)) for each in issued]
+            ours = [of_members(ahead[day], observed, hours, len(theirs.alone)) for ahead in issued]
             print(row([f"{day}", f"{hours} h", *(
                 f"{np.mean(getattr(theirs, key)):.2f} / "
-                f"{np.mean([getattr(each, key) for each in ours]):.2f}"
+                f"{np.mean([getattr(seed, key) for seed in ours]):.2f}"
                 for key in ("alone", "pairs", "mean", "gain")
             )]), flush=True)
 

@@ -12,7 +12,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from forecast_skill.figures import rows
+import polars as pl
+from forecast_skill.figures import table
 
 
 class Agreement(NamedTuple):
@@ -59,20 +60,18 @@ def of_services(day: int, hours: int) -> Agreement:
     Their r is over the hours that the gauge has, their covariances are over all. Of sums over 72
     and 120 h there are covariances only, and what needs r is NaN.
     """
-    found = {
-        (row["model"], row["other_model"]): float(row["covariance"])
-        for row in rows("services_covariance.csv")
-        if (int(row["day"]), int(row["sum_hours"])) == (day, hours)
-    }
-    names = sorted({name for name, _ in found})
-    covariance = np.array([
-        [found[min(one, other), max(one, other)] for other in names] for one in names
-    ])
-    alone = {
-        row["model"]: float(row["r"]) for row in rows("skill.csv")
-        if (int(row["days_ahead"]), int(row["sum_hours"])) == (day, hours)
-    }
-    return agreement(np.array([alone.get(name, math.nan) for name in names]), covariance)
+    pairs = table("services_covariance.csv").filter(day=day, sum_hours=hours)
+    both_ways = pl.concat([pairs, pairs.rename({"model": "other_model", "other_model": "model"})
+                           .select(pairs.columns)]).unique()
+    square = both_ways.sort("model", "other_model")["covariance"].to_numpy()
+    names = both_ways["model"].unique().sort().to_list()
+    alone = dict(
+        table("skill.csv").filter(days_ahead=day, sum_hours=hours).select("model", "r").iter_rows()
+    )
+    return agreement(
+        np.array([alone.get(name, math.nan) for name in names]),
+        square.reshape(len(names), len(names)),
+    )
 
 
 def of_members(forecasts: np.ndarray, observed: np.ndarray, hours: int, count: int) -> Agreement:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 from places import DATA
 
 from greenroof_ros.forecast.models import ErrorModel
@@ -26,20 +26,18 @@ TIP = 0.25
 NAMES = ("r", "POD", "FAR", "bias")
 
 
-def rows(name: str) -> list[dict[str, str]]:
-    """Return the rows of a file of data."""
-    with (DATA / name).open() as stream:
-        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+def table(name: str) -> pl.DataFrame:
+    """Return a table of the tests' data."""
+    return pl.read_csv(DATA / name, comment_prefix="#")
 
 
 def seasons() -> dict[int, np.ndarray]:
     """Return the rain (mm) of each hour of May to October, local standard time, by year."""
-    found = {year: np.zeros(SEASON_HOURS) for year in YEARS}
-    for row in rows("toronto_rain.csv"):
-        time = datetime.fromisoformat(f"{row['time']}:00-05:00")
-        hour = (time - begin(time.year)) // timedelta(hours=1)
-        found[time.year][hour] = float(row["precipitation [mm]"])
-    return found
+    rain = {year: np.zeros(SEASON_HOURS) for year in YEARS}
+    for text, amount in table("toronto_rain.csv").iter_rows():
+        time = datetime.fromisoformat(f"{text}:00-05:00")
+        rain[time.year][(time - begin(time.year)) // timedelta(hours=1)] = amount
+    return rain
 
 
 def begin(year: int) -> datetime:
@@ -59,13 +57,13 @@ def services() -> dict[tuple[int, int], np.ndarray]:
     Shape (services, 4). GFS's fifth day is left out: it lacks half of its water, an error of the
     archive.
     """
-    found: dict[tuple[int, int], list[list[float]]] = {}
-    for row in rows("skill.csv"):
-        day, hours = int(row["days_ahead"]), int(row["sum_hours"])
-        if (day, row["model"]) != (5, "gfs_seamless"):
-            values = [float(row[name.lower()]) for name in NAMES]
-            found.setdefault((day, hours), []).append(values)
-    return {key: np.array(values) for key, values in found.items()}
+    skill = table("skill.csv").filter(
+        ~((pl.col("days_ahead") == 5) & (pl.col("model") == "gfs_seamless"))
+    )
+    return {
+        key: scores.select(name.lower() for name in NAMES).to_numpy()
+        for key, scores in skill.group_by("days_ahead", "sum_hours", maintain_order=True)
+    }
 
 
 def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
@@ -73,17 +71,17 @@ def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
 
     Hours without a forecast are NaN, and their sums are left out.
     """
-    found = []
+    scores = []
     for hours, event in SUMS.items():
-        sums, seen = (each.reshape(-1, hours).sum(axis=1) for each in (forecast, observed))
+        sums, seen = (rain.reshape(-1, hours).sum(axis=1) for rain in (forecast, observed))
         given = ~np.isnan(sums)
         sums, seen = sums[given], seen[given]
         hits = ((sums >= event) & (seen >= event)).sum()
-        found.append((
+        scores.append((
             np.corrcoef(sums, seen)[0, 1], hits / (seen >= event).sum(),
             1 - hits / (sums >= event).sum(), sums.sum() / seen.sum(),
         ))
-    return np.array(found)
+    return np.array(scores)
 
 
 def days_ahead(
@@ -99,12 +97,12 @@ def days_ahead(
     """
     weather = season_weather(year, rain)
     model = ErrorModel(weather, seed, skill, members)
-    found = {day: np.full((members, len(rain)), np.nan) for day in days}
+    ahead = {day: np.full((members, len(rain)), np.nan) for day in days}
     furthest = 24 * max(days) + 6
     # The first issue is at 01:00 local standard time, 06:00 UTC.
     for issue in range(1, len(rain) - furthest, 6):
         forecast = model.known(issue, furthest)[0]
         for day in days:
             lead = 24 * day
-            found[day][:, issue + lead : issue + lead + 6] = forecast[:, lead : lead + 6]
-    return found
+            ahead[day][:, issue + lead : issue + lead + 6] = forecast[:, lead : lead + 6]
+    return ahead

@@ -5,6 +5,12 @@ as its authors calibrated it and a bucket of one parameter. Needs the extras [st
 With ``--parts`` each roof is fitted again without one part of the model after the other instead, on
 its earlier half, to see what the part buys on the later one; and config/site_neubrandenburg.yaml is
 judged there.
+
+DIRECTORY holds of each roof NAME, neubrandenburg and berlin, what KWB-R/keys.lid has of it, as
+NAME.inp, its model for SWMM 5; NAME_temperature_daily.txt, a line for each day: station, year,
+month, day, greatest and least temperature (degC); and CSV compressed by xz, with columns
+"time" (ISO 8601, local), "rain [mm/5min]" and "runoff [mm/5min]": neubrandenburg_5min.csv.xz has
+both, berlin_rain_5min.csv.xz and berlin_runoff_5min.csv.xz have theirs.
 """
 
 from __future__ import annotations
@@ -15,7 +21,6 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
-from unittest.mock import patch
 
 import altair as alt
 import numpy as np
@@ -23,6 +28,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from markdown_tables import head, row
 from measured_roofs.others import bucket, swmm
 from measured_roofs.roofs import ROOFS, STEP_S, read_roof, warm
 
@@ -101,10 +107,10 @@ def judge(roof, directory, scratch):
             BUCKET: np.where(simple < least, 0.0, simple),
         }
         notes += [
-            f"{roof.name}, fitted on the {half} half: {one.name} = {one.value:.4g}"
-            + (f" ({one.low:.4g} to {one.high:.4g})" if one.told else "")
-            + (f"; {one.words}" if one.words else "")
-            for one in fitted.parameters
+            f"{roof.name}, fitted on the {half} half: {fit_of.name} = {fit_of.value:.4g}"
+            + (f" ({fit_of.low:.4g} to {fit_of.high:.4g})" if fit_of.told else "")
+            + (f"; {fit_of.words}" if fit_of.words else "")
+            for fit_of in fitted.parameters
         ]
         steps = halves[judged_on]
         rows += [(roof.name, model, scored(record, runoff, steps))
@@ -153,9 +159,10 @@ def parts(roof, directory, scratch):
     record = read_roof(roof, directory, site, scratch)
     earlier, later = halve(record, comparable(record) & warm(record)).values()
     for part, soil in PARTS.items():
-        with patch.object(simulation, "MeasuredSoil", soil):
-            runoff = fit(site, record, earlier).simulated.runoff
+        simulation.MeasuredSoil = soil  # by which a simulation makes its soil
+        runoff = fit(site, record, earlier).simulated.runoff
         yield part_row(roof, part, record, runoff, later)
+    simulation.MeasuredSoil = MeasuredSoil
     shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
     if shipped.exists():
         site = read_site(shipped)
@@ -171,14 +178,14 @@ def part_row(roof, model, record, runoff, steps):
 
 def _row(roof, model, scores):
     """Return a row of means of scores, as Markdown."""
-    nse = " | ".join(f"{np.mean([one.nse[time] for one in scores]):.2f}" for time in scores[0].nse)
-    volume = 1 + np.mean([one.volume_error for one in scores])
-    return f"| {roof} | {model} | {nse} | {volume:.2f} |"
+    nse = [f"{np.mean([of_half.nse[time] for of_half in scores]):.2f}" for time in scores[0].nse]
+    volume = 1 + np.mean([of_half.volume_error for of_half in scores])
+    return row([roof, model, *nse, f"{volume:.2f}"])
 
 
 def table(rows, notes):
     """Return the means of both halves as a table of Markdown, and the notes below it."""
-    lines = ["| roof | model | NSE 5 min | NSE 1 h | NSE 1 day | volume |", "|---" * 6 + "|"]
+    lines = [head(["roof", "model", "NSE 5 min", "NSE 1 h", "NSE 1 day", "volume"])]
     for roof in ROOFS:
         for model in MODELS:
             lines.append(_row(roof.name, model, [
@@ -217,7 +224,9 @@ def figure(answers):
 
 def main():
     """Compare, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("directory", type=Path, help="with the files of both roofs")
     parser.add_argument("--output", type=Path, help="directory for tables and figure")
     parser.add_argument(
@@ -227,15 +236,15 @@ def main():
     if arguments.parts:
         with tempfile.TemporaryDirectory() as scratch:
             for roof in ROOFS:
-                for row in parts(roof, arguments.directory, Path(scratch)):
-                    print(row, flush=True)
+                for line in parts(roof, arguments.directory, Path(scratch)):
+                    print(line, flush=True)
         return
     rows, answers, notes = [], [], []
     with tempfile.TemporaryDirectory() as scratch:
         for roof in ROOFS:
             of_roof = judge(roof, arguments.directory, Path(scratch))
-            for every, one in zip((rows, answers, notes), of_roof, strict=True):
-                every.extend(one)
+            for every, more in zip((rows, answers, notes), of_roof, strict=True):
+                every.extend(more)
     text = table(rows, notes)
     print(text)
     if arguments.output:

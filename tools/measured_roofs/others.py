@@ -82,5 +82,4 @@ def bucket(record: Record, steps: NDArray[np.bool_]) -> Values:
 
     depths = np.arange(5.0, 120.0, 5.0)
     best = float(depths[np.argmin([misfit(depth) for depth in depths])])
-    found = minimize_scalar(misfit, bounds=(best - 5, best + 5), method="bounded")
-    return run(found.x)
+    return run(minimize_scalar(misfit, bounds=(best - 5, best + 5), method="bounded").x)

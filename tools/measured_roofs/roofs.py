@@ -82,11 +82,11 @@ def _series(file: Path, column: str) -> dict[int, float]:
 
 def temperatures(file: Path) -> dict[str, tuple[float, float]]:
     """Return greatest and least temperature (degC) by date."""
-    found = {}
+    extremes = {}
     for line in file.read_text(encoding="utf-8").splitlines():
         _, year, month, day, greatest, least = line.split()
-        found[f"{int(year)}-{int(month):02}-{int(day):02}"] = (float(greatest), float(least))
-    return found
+        extremes[f"{int(year)}-{int(month):02}-{int(day):02}"] = (float(greatest), float(least))
+    return extremes
 
 
 def warm(record: Record) -> np.ndarray:

@@ -61,7 +61,7 @@ def mutants_of(modules: list[Path], session: Path) -> list[WorkItem]:
         items = list(database.work_items)
     annotations = {module: list(_annotations(module)) for module in modules}
 
-    def is_one(mutation: MutationSpec) -> bool:
+    def could_matter(mutation: MutationSpec) -> bool:
         # Of an annotation that nothing evaluates, `int | None` may as well be `int - None`.
         return not _POINTLESS.match(mutation.operator_name) and not (
             "_BitOr_" in mutation.operator_name
@@ -72,14 +72,14 @@ def mutants_of(modules: list[Path], session: Path) -> list[WorkItem]:
         (mutation,) = item.mutations
         return str(mutation.module_path), mutation.operator_name, mutation.occurrence
 
-    return sorted((item for item in items if is_one(item.mutations[0])), key=place)
+    return sorted((item for item in items if could_matter(item.mutations[0])), key=place)
 
 
 def _annotations(module: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
-        for each in (getattr(node, "annotation", None), getattr(node, "returns", None)):
-            if each is not None:
-                yield (each.lineno, each.col_offset), (each.end_lineno, each.end_col_offset)
+        for kind in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+            if kind is not None:
+                yield (kind.lineno, kind.col_offset), (kind.end_lineno, kind.end_col_offset)
 
 
 def command_of(judges: list[str], without: list[str], reruns: int) -> str:

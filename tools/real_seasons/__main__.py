@@ -4,8 +4,8 @@ ARCHIVES is a directory with the previous runs of three services and the gauge's
 2024-02-20 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs
 on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
 of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a
-file in DIR; the same command goes on where it was. Prints tables in Markdown, and draws trust over
-time.
+file in DIR; the same command goes on where it was. Prints tables in Markdown, draws trust over
+time, and writes ``worth.csv``, from which the README's figure is drawn.
 
 - **dressed**: by the same record, without the days around each issue.
 - **by the other half**: the period's blocks of four weeks are parted by their rain into a wetter
@@ -51,6 +51,8 @@ from real_seasons.tables import (
     resolution,
 )
 from real_seasons.trust_figure import draw
+from real_seasons.worth import Row, rows
+from real_seasons.worth import write as write_worth
 
 PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
@@ -91,6 +93,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         inputs = Inputs(arguments.archives, Path(scratch))
+        worth: list[Row] = []
         for roof, name in itertools.product(arguments.roofs, arguments.periods):
             period = PERIODS[name]
             found: Results = {}
@@ -111,6 +114,10 @@ def main() -> None:
             if period is not AUTUMN:
                 print("", *resolution(inputs, roof, period), sep="\n", flush=True)
             draw(found, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
+            if period is SEASON and "," not in roof:
+                worth += rows(roof, found, inputs, arguments.output)
+        if worth:
+            write_worth(worth, arguments.output / "worth.csv")
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def write(case: Case, inputs: Inputs, file: Path) -> None:
     That is the metrics, at the end and as they were as each week ended, the deviation of each week
     (m3), and what /controller/trust was as each day began.
     """
-    run = _built(case, inputs)
+    run = build(case, inputs)
     controller, metrics = run.make_controller(), Metrics()
     trust, day = [], round(86_400 / run.site.tau)
     until = []
@@ -104,7 +104,8 @@ def write(case: Case, inputs: Inputs, file: Path) -> None:
     unfinished.rename(file)
 
 
-def _built(case: Case, inputs: Inputs) -> Run:
+def build(case: Case, inputs: Inputs) -> Run:
+    """Return the run of a case, with its controller and forecasts."""
     site_file = inputs.site_file(case.roof)
     site, weather = read_site(site_file), inputs.weather[case.roof]
     onoff = case.source == ONOFF_NAME

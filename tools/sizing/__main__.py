@@ -7,17 +7,16 @@ means of a season, and the 95 % interval of a mean of as many years, by Student'
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
-from collections import defaultdict
 from pathlib import Path
 
-import numpy as np
+import polars as pl
 from scipy.special import stdtrit
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from markdown_tables import head, row
 
 from greenroof_ros.model.site import read_site
 
@@ -32,11 +31,10 @@ METRICS = {
 }
 
 
-def mean(values: list[float], form: str) -> str:
+def mean(values: pl.Series, form: str) -> str:
     """Return a mean over years, with its 95 % interval."""
-    count = len(values)
-    wide = stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count)
-    middle = np.mean(values)
+    middle, count = values.mean(), values.count()
+    wide = stdtrit(count - 1, 0.975) * values.std() / count**0.5
     return f"{middle:{form}} ({middle - wide:{form}} to {middle + wide:{form}})"
 
 
@@ -47,21 +45,24 @@ def main() -> None:
     )
     parser.add_argument("study", type=Path, metavar="STUDY")
     study = parser.parse_args().study
-    years: dict[tuple[str, float, float], list[dict[str, str]]] = defaultdict(list)
-    with (study / "results.csv").open(encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            site = read_site(study / "configuration" / row["site"])
-            years[row["initial"], site.a2, site.a1 * site.z_o].append(row)
-    heads = ["begins", "green roof (m²)", "cistern (m³)", *(head for head, _ in METRICS.values())]
-    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
-    for case in sorted(years):
-        initial, *size = case
-        cells = [initial, *(f"{each:g}" for each in size)]
-        cells += [
-            mean([float(row[name]) for row in years[case]], form)
-            for name, (_, form) in METRICS.items()
-        ]
-        print(f"| {' | '.join(cells)} |")
+    seasons = pl.read_csv(study / "results.csv")
+    names = seasons["site"].unique().to_list()
+    sites = [read_site(study / "configuration" / name) for name in names]
+    sizes = pl.DataFrame({
+        "site": names, "roof": [site.a2 for site in sites],
+        "cistern": [site.a1 * site.z_o for site in sites],
+    })
+    print(head([
+        "begins", "green roof (m²)", "cistern (m³)", *(title for title, _ in METRICS.values()),
+    ]))
+    cases = seasons.join(sizes, on="site").sort("initial", "roof", "cistern")
+    for (initial, *size), years in cases.group_by(
+        "initial", "roof", "cistern", maintain_order=True
+    ):
+        print(row([
+            initial, *(f"{value:g}" for value in size),
+            *(mean(years[name], form) for name, (_, form) in METRICS.items()),
+        ]))
 
 
 if __name__ == "__main__":

@@ -1,39 +1,31 @@
 """Every kind of alarm of the fault campaign, on the page in Chromium.
 
-``python tools/watch/alarms.py`` does each case to a real live site as ``make faults`` does, and
+``pytest tools/watch/alarms.py -s`` does each case to a real live site as ``make faults`` does, and
 holds each fault for longer than the limit once it was said. What a node says is wrong on
 ``/diagnostics`` must stand on the page within the limit, with the condition's code, and go within
 it when it is over. What lasts less than the limit may be missed, but of each kind its own alarm
-must be seen: what the campaign wants said of it, or what follows from it for the node that it is
+must be seen: what the campaign wants shown of it, or what follows from it for the node that it is
 done to.
 """
 
 from __future__ import annotations
 
-import argparse
-import contextlib
 import itertools
 import math
 import random
-import re
-import sys
-import tempfile
 import threading
 import time
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
-
-import paths  # noqa: F401
+import pytest
 from browsers import started_browser
-from diagnosed import Diagnosed
-from faults.cases import LIVE, Case, all_cases
-from faults.live import Outcome, run_case
-from faults.rig import RIGS, BrokenError, Rig, wait
-from graphs import Process, free_ports, own_domain
+from faults.cases import LIVE, Case, Sign, all_cases
+from faults.live import Outcome, Rigs, run_case
+from faults.rig import BrokenError, Rig, wait
+from graphs import Process, environment, free_ports
+from watch.diagnosed import Diagnosed
 
 # Within which a change must be on the page (s), where the machine does nothing else.
 LIMIT_S = 2.0
@@ -47,8 +39,8 @@ _AHEAD_S = 3.0
 # events, the newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
-    (one) => [one.dataset.alarm, `${one.dataset.level} ${one.dataset.code}`])),
-  [...document.querySelectorAll("#events li")].map((one) => one.textContent)]"""
+    (alarm) => [alarm.dataset.alarm, `${alarm.dataset.level} ${alarm.dataset.code}`])),
+  [...document.querySelectorAll("#events li")].map((event) => event.textContent)]"""
 # Kinds that say nothing on this page, by fault and target, and why.
 NOT_SAID = {
     ("second pump node", "in another domain"):
@@ -57,19 +49,19 @@ NOT_SAID = {
 
 
 def kinds() -> list[Case]:
-    """Return one case for each fault and alarm that must be said of a live site.
+    """Return one case for each fault and its conditions that must be shown of a live site.
 
     Neither those that end the site, and with it all that is said, nor bursts of hostile values: the
     same is said of those that keep coming.
     """
-    found: dict[tuple[str, str], Case] = {}
+    kinds: dict[tuple[str, tuple[Sign, ...]], Case] = {}
     for case in all_cases():
         if (
-            case.way == LIVE and case.expected.alarm and case.expected.recovery != "ends"
+            case.way == LIVE and case.expected.signs and case.expected.recovery != "ends"
             and case.fault != "10000 hostile"
         ):
-            found.setdefault((case.fault, case.expected.alarm), case)
-    return list(found.values())
+            kinds.setdefault((case.fault, case.expected.signs), case)
+    return sorted(kinds.values(), key=lambda case: (case.rig, case.expected.recovery == "stays"))
 
 
 @dataclass(frozen=True)
@@ -88,7 +80,7 @@ class Look:
 
     def restart(self, name: str) -> str:
         """Return the newest event that a node was started again; empty for none."""
-        return next((each for each in self.events if f"{name} was started again" in each), "")
+        return next((event for event in self.events if f"{name} was started again" in event), "")
 
 
 class Page:
@@ -143,7 +135,6 @@ class Comparison:
     """What was said in a time, and what the page showed of it.
 
     Attributes:
-        said: what was said.
         followed: what it showed within the limit.
         missed: what it did not, in words.
     """
@@ -160,7 +151,6 @@ class Comparison:
             until: the page was looked at until then.
             limit: within which it must follow (s).
         """
-        self.said = said
         self.followed: list[Change] = []
         self.missed: list[str] = []
         self._page, self._limit, self._until = page, limit + _LOOK_S, until
@@ -183,8 +173,8 @@ class Comparison:
                 again = next((when for when, it in changes[number + 1:-1] if it == what), math.inf)
                 looks = self._page.since(max(at - _AHEAD_S, shown_at))
                 seen = next((
-                    each.at for each in looks
-                    if each.at < again and each.alarms.get(name, "") == what
+                    look.at for look in looks
+                    if look.at < again and look.alarms.get(name, "") == what
                 ), None)
                 may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
                 if self._note(name, what, at, seen, must=then - at > may_miss):
@@ -193,7 +183,7 @@ class Comparison:
     def _compare_restart(self, name: str, at: float) -> None:
         looks = self._page.since(at - _AHEAD_S)
         before = looks[0].restart(name) if looks else ""
-        seen = next((each.at for each in looks if each.restart(name) != before), None)
+        seen = next((look.at for look in looks if look.restart(name) != before), None)
         must = self._until - at > self._limit
         self._note(name, "was started again", at, seen, must=must)
 
@@ -209,117 +199,79 @@ class Comparison:
         return True
 
 
-def _until_it_answers(watch: Process) -> None:
-    wait(lambda: "http" in watch.stdout() or watch.process.poll() is not None, 30, "no address")
+class Pages:
+    """The page of each rig, and all that was compared."""
+
+    def __init__(self, rigs: Rigs) -> None:
+        self.rigs = rigs
+        self.followed: list[Change] = []
+        self._rig: Rig | None = None
+
+    def compare(self, rig: Rig, case: Case, outcome: Outcome) -> Comparison:
+        """Do a case to a rig, and compare its page with what was said."""
+        if rig is not self._rig:
+            self._open(rig)
+        began = time.monotonic()
+        run_case(rig, case, random.Random(case.id), outcome, LIMIT_S + _LONGER_S)
+        time.sleep(LIMIT_S + _LONGER_S)
+        if self._page.problem:
+            raise BrokenError(self._page.problem)
+        comparison = Comparison(self._said, self._page, began, time.monotonic(), LIMIT_S)
+        self.followed += comparison.followed
+        return comparison
+
+    def _open(self, rig: Rig) -> None:
+        said = self._said = Diagnosed(rig.watcher.node)
+        port = free_ports(1)[0]
+        watch = Process(rig.domain, "watch", "--port", str(port), cwd=rig.directory)
+        self.rigs.stack.callback(watch.process.terminate)
+        wait(watch.stdout, 30, "no address")
+        page = self._page = Page(f"http://127.0.0.1:{port}/")
+        self.rigs.stack.callback(page.close)
+        rig.until_running()
+        wait(lambda: page.looks[-1].alarms == said.stands, 30, "no page of all")
+        self._rig = rig
 
 
-def do(
-    cases: list[Case], directory: Path, limit: float
-) -> Iterator[tuple[Case, Comparison | None, str]]:
-    """Do the cases of one rig, and yield of each what came of it, and what was wrong with it."""
-    kind, _, drive = cases[0].rig.partition(":")
-    rig: Rig | None = None
-    stack = contextlib.ExitStack()
-    for number, case in enumerate(cases):
-        outcome, comparison = Outcome(), None
-        try:
-            if rig is None:
-                domain = stack.enter_context(own_domain())
-                rig = stack.enter_context(RIGS[kind](directory / str(number), domain, drive))
-                said = Diagnosed(rig.watcher.node)
-                port = free_ports(1)[0]
-                watch = Process(domain, "watch", "--port", str(port), cwd=rig.directory)
-                stack.callback(watch.process.terminate)
-                _until_it_answers(watch)
-                page = Page(f"http://127.0.0.1:{port}/")
-                stack.callback(page.close)
-                rig.until_running()
-                wait(lambda p=page, s=said: p.looks[-1].alarms == s.stands, 30, "no page of all")
-            began = time.monotonic()
-            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)
-            time.sleep(limit + _LONGER_S)
-            comparison = Comparison(said, page, began, time.monotonic(), limit)
-            if page.problem:
-                raise BrokenError(page.problem)
-        except Exception as error:  # whatever it is, the next kind gets a new rig
-            outcome.fail(f"{type(error).__name__}: {error}")
-        last = case.expected.recovery == "stays" or case.fault == "full disk"
-        if outcome.wrong or last or number == len(cases) - 1:
-            try:
-                stack.close()
-            except Exception as error:
-                outcome.fail(f"at the end of the rig: {type(error).__name__}: {error}")
-            rig = None
-        yield case, comparison, outcome.wrong
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
+    """Look at the page of each rig, and print at the end how late it was."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment(0).items():
+            patch.setenv(name, value)
+        pages = Pages(Rigs(tmp_path_factory.mktemp("alarms")))
+        yield pages
+        pages.rigs.end()
+    print(_table(pages.followed))
 
 
-def _verdict(case: Case, comparison: Comparison | None) -> list[str]:
-    """Return what the page did not show of a kind, in words; empty where it showed all."""
-    if comparison is None:
-        return ["not compared"]
+@pytest.mark.parametrize("case", kinds(), ids=lambda case: case.id)
+def test_alarm(pages: Pages, case: Case) -> None:
+    """The page follows each change in time, and shows the alarm of the kind."""
+    comparisons: list[Comparison] = []
+    outcome = Outcome()
+    pages.rigs.do(
+        case, outcome, lambda rig: comparisons.append(pages.compare(rig, case, outcome))
+    )
+    assert comparisons, outcome.wrong
+    (comparison,) = comparisons
+    print(f"{case.id}: {_table(comparison.followed)}; the case: {outcome.wrong or 'as it should'}")
+    assert comparison.missed == []
     own = any(
-        each.name == f"/{case.target}" or any(
-            re.search(case.expected.alarm, sentence)
-            for sentence in comparison.said.sentences[each.name, each.what]
-        )
-        for each in comparison.followed if each.what
+        change.name == f"/{case.target}"
+        or (change.name.lstrip("/"), change.what.partition(" ")[2]) in case.expected.signs
+        for change in comparison.followed if change.what
     )
-    if own or (case.fault, case.target) in NOT_SAID:
-        return comparison.missed
-    return [*comparison.missed, "its alarm was not shown"]
-
-
-def main() -> int:
-    """Do one case of each kind, or those asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="+", default=[], metavar="ID", help="beginnings of ids")
-    parser.add_argument(
-        "--limit", type=float, default=LIMIT_S,
-        help="within which a change must be on the page (default: %(default)s s)",
-    )
-    parser.add_argument("--list", action="store_true", help="list the cases, and do none")
-    arguments = parser.parse_args()
-    cases = [c for c in kinds() if not arguments.only or c.id.startswith(tuple(arguments.only))]
-    if arguments.list:
-        print(*(case.id for case in cases), sep="\n")
-        return 0
-    rigs: dict[str, list[Case]] = {}
-    for case in cases:
-        rigs.setdefault(case.rig, []).append(case)
-    followed: list[Change] = []
-    failed: list[str] = []
-    with tempfile.TemporaryDirectory() as directory:
-        for number, those in enumerate(rigs.values()):
-            those.sort(key=lambda case: case.expected.recovery == "stays")
-            for case, comparison, wrong in do(
-                those, Path(directory) / str(number), arguments.limit
-            ):
-                missed = _verdict(case, comparison)
-                changes = comparison.followed if comparison else []
-                followed += changes
-                failed += [case.id] if missed else []
-                notes = {
-                    "the case": wrong, "need not be shown": NOT_SAID.get((case.fault, case.target)),
-                }
-                print(f"{'FAILED' if missed else 'held':6} {case.id}: {_table(changes)}",
-                      *missed, *(f"{what}: {why}" for what, why in notes.items() if why),
-                      sep="\n       ", flush=True)
-    print(f"{len(cases) - len(failed)} of {len(cases)} kinds held; {_table(followed)}")
-    print(*(f"FAILED {case}" for case in failed), sep="\n", end="\n" if failed else "")
-    return 1 if failed else 0
+    assert own or (case.fault, case.target) in NOT_SAID
 
 
 def _table(changes: list[Change]) -> str:
     """Return how many changes were followed, and the latest of those shown and gone (s)."""
     text = f"{len(changes)} changes compared"
     for what, times in (
-        ("shown", [each.after for each in changes if each.what]),
-        ("gone", [each.after for each in changes if not each.what]),
+        ("shown", [change.after for change in changes if change.what]),
+        ("gone", [change.after for change in changes if not change.what]),
     ):
         text += f", {len(times)} {what}"
         text += f" (latest {max(times):.1f} s)" if times else ""
     return text
-
-
-if __name__ == "__main__":
-    sys.exit(main())

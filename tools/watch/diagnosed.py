@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,7 +26,7 @@ SILENT_S = 2.0
 _WAITS_S = 5.0
 _LOOK_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
-_LATCHED = {code for code, each in INTERLOCKS.items() if each.kind == LATCHED}
+_LATCHED = {code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED}
 
 
 @dataclass
@@ -49,13 +48,11 @@ class Diagnosed:
     Attributes:
         said: by the name of a status its changes: when, and what is wrong since, as its level and
             its code; empty for nothing.
-        sentences: by the name of a status, its level and code, what was said then.
         restarts: when another process came under the name of a node, and the name.
     """
 
     def __init__(self, node: Node) -> None:
         self.said: dict[str, list[tuple[float, str]]] = {}
-        self.sentences: defaultdict[tuple[str, str], set[str]] = defaultdict(set)
         self.restarts: list[tuple[float, str]] = []
         self._nodes: dict[str, _Node] = {}
         profile = qos_profile(read_topics()["/diagnostics"].qos)
@@ -74,18 +71,16 @@ class Diagnosed:
             name, _, part = status.name.partition(": ")
             level = _LEVELS[status.level[0]]
             if part and name in self._nodes:
-                code = next((each.value for each in status.values if each.key == "code"), "")
+                code = next((entry.value for entry in status.values if entry.key == "code"), "")
                 values = self._nodes[name].values
                 if part == "pump" and level and not values["stands"]:
                     if values["speed"] is None:  # nobody knows whether it turns
                         level, code = "error", code if code in _LATCHED else "stands_unknown"
                     elif values["stop"] and code not in _LATCHED:
                         code = "stop_not_followed"
-                wrong = f"{level} {code}" if level else ""
-                self.sentences[status.name, wrong].add(status.message)
-                self._nodes[name].parts[part] = at, wrong
+                self._nodes[name].parts[part] = at, f"{level} {code}" if level else ""
             elif not part and status.message in STATES:
-                values = {each.key: json.loads(each.value) for each in status.values}
+                values = {entry.key: json.loads(entry.value) for entry in status.values}
                 self._hear_node(at, name, status.message, values)
         self._look()
 
@@ -141,4 +136,4 @@ def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
         wrong[name] = "warn waits"
     if at - node.refuses <= SILENT_S:
         wrong[f"{name}: refused"] = "warn values_refused"
-    return {each: what for each, what in wrong.items() if what}
+    return {status: what for status, what in wrong.items() if what}

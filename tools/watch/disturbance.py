@@ -44,7 +44,7 @@ def watched(domain: int, cwd: Path) -> Iterator[None]:
                 count[0] += len(stream.readline())
 
     threading.Thread(target=read, daemon=True).start()
-    wait_for(lambda: count[0], 30, "what the page is told")
+    wait_for(lambda: count[0], 30, "what the page is sent")
     time.sleep(10)  # it has read what was recorded before
     yield
     ended.set()
@@ -66,8 +66,8 @@ class Ticks:
             looker.look(0.1)
 
     def _on_message(self, topic: str, message: bytes, number: int | None, came_ns: int) -> None:
-        told = wire.statuses(message)
-        for status in () if told is None else told[1]:
+        _, statuses = wire.statuses(message) or (0, [])
+        for status in statuses:
             if status.name == "/plant" and "tick" in status.values:
                 self.newest = (came_ns / 1e9, int(status.values["tick"]))
 
@@ -102,16 +102,16 @@ def main() -> None:
         )
         stack.callback(run.process.terminate)
         ticks = Ticks(domain)
-        found: dict[bool, list[float]] = {False: [], True: []}
+        ticks_s: dict[bool, list[float]] = {False: [], True: []}
         for turn in range(2 * turns):
             with ExitStack() as watching:
                 if turn % 2:
                     watching.enter_context(watched(domain, place))
                 took = ticks.measure()
-            found[bool(turn % 2)].append(took)
+            ticks_s[bool(turn % 2)].append(took)
             print(f"{'with' if turn % 2 else 'without':8} {took * 1e6:.0f} us a tick", flush=True)
             time.sleep(2)
-        ratio = statistics.median(found[True]) / statistics.median(found[False])
+        ratio = statistics.median(ticks_s[True]) / statistics.median(ticks_s[False])
         print(f"with a watcher {ratio:.3f} of without, medians of {turns} turns of {TURN_S:g} s")
 
 

@@ -2,14 +2,14 @@
 
 Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
 coming, a live site whose drive has a fault, one whose roof sensor is silent, and a run that has
-ended. The page is taken in Chromium, at three widths, light and dark; the terminal as text.
+ended. Pictures of the page are made in Chromium, at three widths, light and dark; the terminal is
+kept as text.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 import tempfile
 import time
@@ -22,10 +22,10 @@ from typing import Any
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from browsers import started_browser
 from faults.rig import SiteRig
 from graphs import Process, bring_up, free_ports, own_domain, wait_for
 from places import DATA
-from playwright.sync_api import sync_playwright
 from rich.console import Console
 
 from greenroof_ros.watch.terminal import pages
@@ -122,17 +122,17 @@ def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
 
 
 STATES: dict[str, Callable[[int, Path], Any]] = {
-    each.__name__: each for each in (full_speed, storm, fault, stale, ended)
+    state.__name__: state for state in (full_speed, storm, fault, stale, ended)
 }
 
 
-def _told(address: str, name: str) -> dict[str, Any]:
-    """Return what the page is told, from its stream."""
+def _sent(address: str, name: str) -> dict[str, Any]:
+    """Return what the page is sent under a name, from its stream."""
     with urllib.request.urlopen(f"{address}events?hours=12", timeout=30) as stream:
         for line in stream:
             if line.strip() == f"event: {name}".encode():
-                told: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
-                return told
+                sent: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
+                return sent
     raise AssertionError(f"no {name}")
 
 
@@ -140,10 +140,8 @@ def take(state: str, address: str, directory: Path) -> None:
     """Take the pictures of a state."""
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
-        console.print(pages(_told(address, "state"), _told(address, "series"), console, 24)[0])
-    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        console.print(pages(_sent(address, "state"), _sent(address, "series"), console, 24)[0])
+    with started_browser() as browser:
         for scheme in SCHEMES:
             for width in WIDTHS:
                 page = browser.new_page(
@@ -154,7 +152,6 @@ def take(state: str, address: str, directory: Path) -> None:
                 time.sleep(1)
                 page.screenshot(path=directory / f"{state}-{width}-{scheme}.png", full_page=True)
                 page.close()
-        browser.close()
 
 
 def main() -> None:

@@ -206,7 +206,7 @@ export class Charts {
       scale, side: scale === "right" ? 1 : 3, size: AXIS - 14, labelSize: 14, gap: 3, label: this.units(name).title,
       labelFont: "12px Arial, Helvetica, sans-serif", font: "12px Arial, Helvetica, sans-serif", stroke: colour(ink), space: 36,
       grid: { show: scale === "left", stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--edge"), width: 1 },
-      values: (_, splits) => splits.map((one) => String(Number(one.toPrecision(6)))),
+      values: (_, splits) => splits.map((split) => String(Number(split.toPrecision(6)))),
     });
     const range = (name) => () => view.ranges[name] ?? [0, 1];
     return {
@@ -249,7 +249,7 @@ export class Charts {
     ctx.fillStyle = colour("--ahead");
     ctx.fillRect(x, bbox.top, bbox.left + bbox.width - x, bbox.height);
     if (!band.length) return;
-    const [top, bottom] = [band[1], band[0]].map((one) => Math.min(bbox.top + bbox.height, Math.max(bbox.top, plot.valToPos(one, "left", true))));
+    const [top, bottom] = [band[1], band[0]].map((level) => Math.min(bbox.top + bbox.height, Math.max(bbox.top, plot.valToPos(level, "left", true))));
     ctx.fillStyle = `color-mix(in srgb, ${colour("--band")} 18%, transparent)`;
     ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
   }
@@ -299,7 +299,7 @@ export class Charts {
     }
     const [level, flow, rain] = ["roof", "flow", "rain"].map(factor);
     const plan = series.plan.filter(([, end]) => end > series.now);
-    rows.plan = steps(plan.map(([t0, t1, one]) => [this.ms(Math.max(t0, series.now)), this.ms(t1), { v: one * flow }]));
+    rows.plan = steps(plan.map(([t0, t1, planned]) => [this.ms(Math.max(t0, series.now)), this.ms(t1), { v: planned * flow }]));
     const ahead = plan.map(([, t1, , value]) => ({ t: this.ms(t1), v: value * level }));
     if (ahead.length) {
       const newest = rows.roof.at(-1);
@@ -334,7 +334,7 @@ export class Charts {
       low = Math.min(low, value);
       high = Math.max(high, value);
     };
-    for (const line of chart.lines.filter((one) => Boolean(one.right) === right)) {
+    for (const line of chart.lines.filter((other) => Boolean(other.right) === right)) {
       const rows = this.rows[line.name];
       for (const [i, row] of rows.entries()) {
         const next = rows[i + 1]?.t ?? row.t;
@@ -365,7 +365,7 @@ export class Charts {
         const value = known[name] * factor;
         return { value, text: `${MARKS[name]} ${value.toFixed(decimals)}` };
       });
-      view.band = chart.band && known.band ? known.band.map((one) => one * factor) : [];
+      view.band = chart.band && known.band ? known.band.map((level) => level * factor) : [];
       const left = this.range(chart, false, seen, [...named.map(({ value }) => value), ...view.band]);
       view.ranges = { x: seen, left, right: chart.right && this.range(chart, true, seen, []) };
       view.marks = placed(named, unit, ...left, chart.height - 30);

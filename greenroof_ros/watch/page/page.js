@@ -20,9 +20,9 @@ const STATES = {
 const OTHERWISE = { rain: { good: ["", null, "none"] }, controller: { good: ["works", "ok", "ok"] } };
 
 const byId = (id) => document.getElementById(id);
-const setText = (one, text) => {
+const setText = (node, text) => {
   const wanted = text ?? "";
-  if (one.textContent !== wanted) one.textContent = wanted;
+  if (node.textContent !== wanted) node.textContent = wanted;
 };
 const shape = (name) => {
   const space = "http://www.w3.org/2000/svg";
@@ -39,23 +39,23 @@ const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href"
 // Make the children of a list those of the rows: each keeps its element, and so the focus. Rows of
 // one key, such as two equal events of a moment, are numbered.
 const keep = (list, rows, keyOf, make, fill) => {
-  const known = new Map([...list.children].map((one) => [one.dataset.key, one]));
+  const known = new Map([...list.children].map((node) => [node.dataset.key, node]));
   const times = new Map();
   const wanted = rows.map((row) => {
     const plain = keyOf(row);
     const time = times.get(plain) ?? 0;
     times.set(plain, time + 1);
     const key = time ? `${plain} ${time}` : plain;
-    const one = known.get(key) ?? make(row);
+    const node = known.get(key) ?? make(row);
     known.delete(key);
-    one.dataset.key = key;
-    fill(one, row);
-    return one;
+    node.dataset.key = key;
+    fill(node, row);
+    return node;
   });
-  known.forEach((one) => one.remove());
+  known.forEach((node) => node.remove());
   const focused = document.activeElement;
-  wanted.forEach((one, i) => {
-    if (list.children[i] !== one) list.insertBefore(one, list.children[i] ?? null);
+  wanted.forEach((node, i) => {
+    if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null);
   });
   // What is moved loses it.
   if (list.contains(focused)) focused.focus({ preventScroll: true });
@@ -79,47 +79,47 @@ const makeTile = (key) => {
   return tile;
 };
 
-const fillTile = (tile, one) => {
-  const [word, form, tone] = OTHERWISE[tile.dataset.key]?.[one.state] ?? STATES[one.state] ?? ["", null, "none"];
-  tile.dataset.tone = one.alarm ? "error" : tone;
-  tile.dataset.state = one.state ?? "";
-  tile.classList.toggle("stale", Boolean(one.stale));
-  setText(tile.querySelector("h2 > span"), one.label);
+const fillTile = (tile, data) => {
+  const [word, form, tone] = OTHERWISE[tile.dataset.key]?.[data.state] ?? STATES[data.state] ?? ["", null, "none"];
+  tile.dataset.tone = data.alarm ? "error" : tone;
+  tile.dataset.state = data.state ?? "";
+  tile.classList.toggle("stale", Boolean(data.stale));
+  setText(tile.querySelector("h2 > span"), data.label);
   const state = tile.querySelector(".state");
   state.hidden = form === null;
   if (form !== null) setShape(state.firstChild, form);
   setText(state.lastChild, word);
   const value = tile.querySelector(".value");
-  setText(value, one.value ?? "");
+  setText(value, data.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
   value.classList.toggle("word", !/\d/.test(value.textContent));
-  setText(tile.querySelector(".sentence"), one.sentence);
+  setText(tile.querySelector(".sentence"), data.sentence);
   const why = tile.querySelector(".why");
-  setText(why, one.why);
-  why.hidden = !one.why || one.sentence.includes(one.why);
+  setText(why, data.why);
+  why.hidden = !data.why || data.sentence.includes(data.why);
   const gauge = tile.querySelector(".gauge");
-  if (gauge) fillGauge(gauge, one);
+  if (gauge) fillGauge(gauge, data);
 };
 
-const fillGauge = (gauge, one) => {
-  const known = Number.isFinite(one.low) && Number.isFinite(one.high) && one.high > one.low;
+const fillGauge = (gauge, data) => {
+  const known = Number.isFinite(data.low) && Number.isFinite(data.high) && data.high > data.low;
   gauge.hidden = !known;
   if (!known) return;
-  const share = (value) => Math.min(1, Math.max(0, (value - one.low) / (one.high - one.low)));
+  const share = (value) => Math.min(1, Math.max(0, (value - data.low) / (data.high - data.low)));
   const percent = (value) => `${100 * share(value)}%`;
-  const shown = JSON.stringify([one.low, one.high, one.band, one.marks]);
+  const shown = JSON.stringify([data.low, data.high, data.band, data.marks]);
   if (gauge.dataset.shown !== shown) {
     gauge.dataset.shown = shown;
     const track = element("div", "track");
     track.append(element("div", "fill"));
-    if (one.band) {
+    if (data.band) {
       const band = element("div", "band");
-      band.style.left = percent(one.band[0]);
-      band.style.width = `${100 * (share(one.band[1]) - share(one.band[0]))}%`;
+      band.style.left = percent(data.band[0]);
+      band.style.width = `${100 * (share(data.band[1]) - share(data.band[0]))}%`;
       track.append(band);
     }
     gauge.replaceChildren(track);
-    const marks = (one.marks ?? []).filter(({ at }) => Number.isFinite(at));
+    const marks = (data.marks ?? []).filter(({ at }) => Number.isFinite(at));
     // The lowest of three stands in a second line, where its mark crosses no other words.
     const sides = marks.length > 2 ? ["below second", "below", "above"] : ["below", "above"];
     if (marks.length > 2) marks.sort((a, b) => a.at - b.at);
@@ -135,7 +135,7 @@ const fillGauge = (gauge, one) => {
     });
   }
   const fill = gauge.querySelector(".fill");
-  fill.style.width = Number.isFinite(one.number) ? percent(one.number) : "0";
+  fill.style.width = Number.isFinite(data.number) ? percent(data.number) : "0";
 };
 
 // Lists
@@ -160,7 +160,7 @@ const fillAlarm = (row, alarm) => {
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
   // First what an operator understands, then the node's own words.
-  const [what, todo] = [".what", ".do"].map((one) => row.querySelector(one));
+  const [what, todo] = [".what", ".do"].map((name) => row.querySelector(name));
   row.classList.toggle("plain", alarm.plain);
   row.classList.toggle("follows", Boolean(alarm.follows));
   const order = alarm.plain ? [todo, what] : [what, todo];
@@ -383,7 +383,7 @@ byId("pause").addEventListener("click", () => {
 });
 for (const button of document.querySelectorAll("[data-hours]")) {
   button.addEventListener("click", () => {
-    for (const one of document.querySelectorAll("[data-hours]")) one.setAttribute("aria-pressed", String(one === button));
+    for (const button of document.querySelectorAll("[data-hours]")) button.setAttribute("aria-pressed", String(button === button));
     charts.setHours(Number(button.dataset.hours));
     stream.close();
     stream.open();

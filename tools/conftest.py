@@ -1,4 +1,4 @@
-"""The campaign's processes inherit what those of the tests do."""
+"""The campaigns' processes inherit what the tests' processes do."""
 
 from __future__ import annotations
 

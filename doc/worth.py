@@ -1,0 +1,104 @@
+"""The README's figure of what forecasts are worth, made from ``reference/worth.csv``.
+
+``python tools/real_seasons ARCHIVES -o DIR`` writes that file as ``DIR/worth.csv``. The figure has
+its own background, light or dark as the reader's system is.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from html import escape
+from pathlib import Path
+
+FILE = Path(__file__).parent / "reference" / "worth.csv"
+
+_TITLES = {
+    "measured": "Measured roof: drains in most storms",
+    "paper": "The paper's roof: drains only when full",
+}
+_WIDTH, _LEFT, _RIGHT, _ROW, _HEAD, _FOOT = 600, 215, 90, 27, 64, 48
+_FROM, _TO = 68, 102
+"""ends of the axis (%)"""
+
+_STYLE = """
+  .back { fill: #fff } text { fill: #222 } .quiet { fill: #555 } .grid { stroke: #ddd }
+  .mark { fill: #0072b2; stroke: #0072b2 } .onoff { fill: #d55e00; stroke: #d55e00 }
+  .least { fill: #009e73; stroke: #009e73 }
+  @media (prefers-color-scheme: dark) {
+    .back { fill: #1a1c1e } text { fill: #eee } .quiet { fill: #bbb } .grid { stroke: #444 }
+    .mark { fill: #56b4e9; stroke: #56b4e9 } .onoff { fill: #e69f00; stroke: #e69f00 }
+    .least { fill: #3fcf9f; stroke: #3fcf9f }
+  }
+"""
+
+
+def _at(percent: float) -> float:
+    """Return where a share is along the axis (px)."""
+    share = (percent - _FROM) / (_TO - _FROM)
+    return _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
+
+
+def drawing() -> str:
+    """Return the figure, as SVG."""
+    with FILE.open(encoding="utf-8", newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    panels = []
+    top = 0
+    for roof, rows in itertools.groupby(lines, key=lambda line: line["roof"]):
+        panel, height = _panel(_TITLES[roof], list(rows), top)
+        panels += panel
+        top += height
+    return "\n".join([
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {top}" '
+        'font-family="Helvetica, Arial, sans-serif" font-size="16" role="img" '
+        'aria-label="Deviation from the target level in percent of on/off\'s, on two roofs">',
+        f"<style>{_STYLE}</style>",
+        f'<rect class="back" width="{_WIDTH}" height="{top}" rx="8"/>',
+        *panels,
+        "</svg>",
+    ]) + "\n"
+
+
+def _panel(title: str, rows: list[dict[str, str]], top: int) -> tuple[list[str], int]:
+    """Return the marks of a roof, and how high they are together (px)."""
+    bottom = top + _HEAD + _ROW * len(rows)
+    parts = [
+        f'<text x="16" y="{top + 28}" font-weight="bold">{escape(title)}</text>',
+        f'<text class="quiet" x="{_WIDTH - 16}" y="{top + 28}" text-anchor="end" '
+        'font-size="14">mean deviation</text>',
+    ]
+    for percent in range(70, 101, 10):
+        x = _at(percent)
+        parts += [
+            f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{top + 42}" y2="{bottom - 10}"/>',
+            f'<text class="quiet" x="{x:.1f}" y="{bottom + 8}" text-anchor="middle" '
+            f'font-size="14">{percent} %</text>',
+        ]
+    for number, row in enumerate(rows):
+        parts += _row(row, top + _HEAD + _ROW * number)
+    parts.append(
+        f'<text class="quiet" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{bottom + 26}" '
+        'text-anchor="middle" font-size="14">deviation from the target, in % of on/off\'s</text>'
+    )
+    return parts, _HEAD + _ROW * len(rows) + _FOOT
+
+
+def _row(row: dict[str, str], y: int) -> list[str]:
+    share, low, high = (
+        _at(100 * float(row[name])) for name in ("share of on/off's", "its low end", "its high end")
+    )
+    words = row["decided by"]
+    kind = {"on/off": "onoff", "least possible": "least"}.get(words, "mark")
+    mark = (
+        f'<circle class="{kind}" cx="{share:.1f}" cy="{y}" r="5.5"/>' if kind != "least" else
+        f'<path class="{kind}" d="M{low:.1f} {y - 6}V{y + 6}" stroke-width="3"/>'
+    )
+    return [
+        f'<text x="{_LEFT - 14}" y="{y + 5}" text-anchor="end">{escape(words)}</text>',
+        f'<line class="{kind}" x1="{low:.1f}" x2="{high:.1f}" y1="{y}" y2="{y}" '
+        'stroke-width="3"/>',
+        mark,
+        f'<text x="{_WIDTH - 16}" y="{y + 5}" text-anchor="end">'
+        f'{float(row["mean deviation [mm]"]):#.3g} mm</text>',
+    ]
