@@ -19,6 +19,7 @@ import re
 import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 from unittest import mock
@@ -28,6 +29,8 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 
 from layouts import LAYOUTS
 from layouts import rows as displays
+from result_figures import draw
+from result_tables import RESULTS
 from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
@@ -437,6 +440,13 @@ def mutation() -> str:
     )
 
 
+def result(name: str) -> str:
+    """Return a table of results, with its figure."""
+    made = RESULTS[name]()
+    picture = f"![{made.figure.about}](_static/results/{name}.svg)\n"
+    return f"{markdown(made.header, made.rows)}\n{picture}"
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -616,6 +626,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive faults": drive_faults,
     "relay faults": relay_faults,
     "site faults": site_faults,
+    **{f"results {name}": partial(result, name) for name in RESULTS},
 }
 
 
@@ -631,7 +642,7 @@ def renew(page: str) -> str:
 
 
 def main() -> None:
-    """Write all pages' tables, and the layouts."""
+    """Write all pages' tables, the layouts and the drawings."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for path in sorted(DOC.rglob("*.md")):
         before = path.read_text(encoding="utf-8")
@@ -644,6 +655,9 @@ def main() -> None:
         path.write_text(layout(), encoding="utf-8")
     for name, way in WAYS.items():
         (DOC / "_static" / f"{name}.svg").write_text(drawing(way), encoding="utf-8")
+    for name, made in RESULTS.items():
+        path = DOC / "_static" / "results" / f"{name}.svg"
+        path.write_text(draw(made().figure), encoding="utf-8")
     (DOC / "_static" / "worth.svg").write_text(drawing_of_worth(), encoding="utf-8")
 
 

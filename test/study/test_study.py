@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from commands import run_command
 from graphs import environment, wait_for
-from places import CHECKOUT, DATA, Once
+from places import DATA, Once
 from studies import (
     CONFIG,
     GRID,
@@ -62,49 +62,6 @@ def test_bound_beside_each_run(papers: Path) -> None:
         ratio = float(row["total_deviation_m3"]) / bounds[row["initial"]]
         assert float(row["ratio_to_bound"]) == ratio
         assert ratio > 1 - 1e-9
-
-
-def test_results_show_both_methods_of_evapotranspiration(papers: Path, tmp_path: Path) -> None:
-    """The documentation's table is what the paper's grid gives with both, to the digit shown.
-
-    Of the half with fao56 the page shows two initial states, of which the runs that take longest
-    are looked at in part: all of on/off, and one weight.
-    """
-    text = (CONFIG / "studies" / "paper.yaml").read_text()
-    for whole, part in (
-        ("evapotranspiration: published", "evapotranspiration: fao56"), (", high-high]", "]"),
-        ("[1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1]", "1.0e-2"),
-    ):
-        assert text.count(whole) == 1
-        text = text.replace(whole, part)
-    name = grid(tmp_path, text + "bound_block: 0\n")
-    result = study(tmp_path, name, "--output", "out", "--no-trajectories")
-    assert result.returncode == 0, result.stderr
-    totals = {
-        (
-            row["controller"], float(row["parameter:weight"] or row["parameter:fraction"]),
-            row["initial"], row["evapotranspiration"],
-        ): float(row["total_deviation_m3"])
-        for table in (papers, tmp_path / "out") for row in rows_of(table / "results.csv")
-    }
-    page = (CHECKOUT / "doc" / "results.md").read_text()
-    shown = re.findall(
-        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE
-    )
-    assert len(shown) == 10
-    columns = [
-        (initial, method) for initial in ("low-low", "high-low")
-        for method in ("published", "fao56")
-    ]
-    seen = 0
-    for controller, parameter, *figures in shown:
-        name = {"MPC": "mpc", "on/off": "onoff"}[controller]
-        for figure, (initial, method) in zip(figures, columns, strict=True):
-            key = (name, float(parameter), initial, method)
-            if key in totals:
-                assert figure == f"{totals[key]:.0f}", key
-                seen += 1
-    assert seen == 20 + 2 * (1 + 5)
 
 
 def test_windows_of_july(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

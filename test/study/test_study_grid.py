@@ -149,9 +149,9 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # Of each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof mpc and 4 on/off that look at none, 2 that do at 10 + 1 seeds, and one of them at
-    # 3 more; on the measured one these are 3 + 1, 10 + 1 and 1.
-    "seasons.yaml": (2, {10}, (5 + 2 * 11 + 3) + (5 + 4 + 11 + 1)),
+    # On each roof two on/off, mpc and a perfect forecast; ten seeds on the paper's, three on the
+    # measured one.
+    "seasons.yaml": (2, {10}, (2 + 1 + 1 + 10) + (2 + 1 + 1 + 3)),
     "lookahead.yaml": (2, {60}, 2 * 2),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
