@@ -24,7 +24,8 @@ controller plans, and alarms by code. Home Assistant discovers it by itself. It 
 graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
 and stop: nothing waits for it.
 
-Whoever may write to the broker can stop the pump. Nothing can be released or started over MQTT.
+Whoever may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
+started over MQTT.
 """
 _EPILOG = """\
 examples:

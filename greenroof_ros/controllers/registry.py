@@ -238,7 +238,7 @@ def find_controller(reference: str) -> ControllerChoice:
         if path is None:
             expected = f"must be one of {', '.join(controller_names())}, or package.module:Class"
             if reference in _REPLACED_BY_LOOKAHEAD:
-                expected = "was replaced by lookahead; CHANGELOG.rst says how"
+                expected = "was replaced by lookahead"
             raise ConfigurationError(expected, key="controller", value=reference)
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
@@ -192,6 +193,13 @@ def read_results(file: Path) -> pl.DataFrame:
             "ends within a line, as a copy that was cut short; copy it again",
             file=file, line=text.count("\n") + 1,
         )
+    rows = csv.reader(io.StringIO(text))
+    for cells in rows:  # polars takes what a short row lacks as empty
+        if len(cells) != len(table.columns):
+            raise ConfigurationError(
+                f"must have {len(table.columns)} cells, not {len(cells)}", file=file,
+                line=rows.line_num,
+            )
     if table.is_empty():
         raise ConfigurationError("has a header but no runs", file=file)
     names = [column for column in _NUMBERS if column in table.columns]

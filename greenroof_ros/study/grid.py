@@ -314,8 +314,10 @@ class _Grid:
         forecasts = [
             usual if setting.forecasts is None else setting.forecasts for setting in controllers
         ]
+        own = itertools.chain(*forecasts)
         for choice, (initial, volumes) in itertools.product(
-            dict.fromkeys(itertools.chain(usual, *forecasts)),
+            # One that `usual` has twice is run twice, and so refused.
+            [*usual, *(choice for choice in dict.fromkeys(own) if choice not in usual)],
             list(self._initial_states(site_file, site)),
         ):
             theirs = [

@@ -84,6 +84,9 @@ WRONG: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         study(lambda text: text[: text.index("\n") + 60]),
         ("results.csv, line 2", "ends within a line", "copy it again"),
     ),
+    "row-too-short": (
+        study(lambda text: text[: text.index("\n") + 60] + "\n"), ("line 2", "must have", "cells")
+    ),
     "row-too-long": (study(lambda text: text[:-1] + ",1\n"), ("results.csv", "more fields")),
     "after-an-error-of-two-lines": (
         study(

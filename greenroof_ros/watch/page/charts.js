@@ -199,7 +199,9 @@ export class Charts {
       }
       series.push({
         scale, paths: line.steps ? stepped({ align: 1 }) : linear(), stroke: colour(line.colour), width: 2.2,
-        dash: line.dash, fill: line.fill && faint(line.fill), points: { show: false },
+        dash: line.dash, fill: line.fill && faint(line.fill),
+        // A single value makes no line: it is a dot.
+        points: { show: (plot, index) => plot.data[index].filter((value) => value != null).length === 1 },
       });
     }
     const axis = (scale, name, ink) => ({
