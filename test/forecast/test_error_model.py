@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from forecast_skill.agreement import agreement, of_members, of_services
 from forecast_skill.figures import (
@@ -15,10 +16,10 @@ from forecast_skill.figures import (
     begin,
     days_ahead,
     figures,
-    rows,
     season_weather,
     seasons,
     services,
+    table,
 )
 from numpy.typing import NDArray
 from refusals import refusal
@@ -260,9 +261,9 @@ def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
     Sums over 12 h, of test/data/previous_runs_agreement.csv.
     """
     real: dict[tuple[int, int], list[float]] = {}
-    for row in rows("previous_runs_agreement.csv"):
-        if row["sum_hours"] == "12":
-            real.setdefault((int(row["day"]), int(row["other_day"])), []).append(float(row["r"]))
+    agreements = table("previous_runs_agreement.csv").filter(pl.col("sum_hours") == 12)
+    for day, other_day, r in agreements.select("day", "other_day", "r").iter_rows():
+        real.setdefault((day, other_day), []).append(r)
     sums = {day: members[0].reshape(-1, 12).sum(axis=1) for day, members in ahead.items()}
     for (day, other), services_r in real.items():
         both = ~np.isnan(sums[day]) & ~np.isnan(sums[other])

@@ -239,7 +239,7 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
-        assert "the port is taken" in refused("--port", port, "--workbench", "0")
+        assert "another program has the port" in refused("--port", port, "--workbench", "0")
 
 
 # --- with the driver, which is made from the drive files ------------------------------------------
