@@ -81,7 +81,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--host", metavar="ADDRESS",
         help="address of this machine for the page, for other machines, which may then look and "
         "stop the pump; 0.0.0.0 is all of its addresses. Any but this machine's own 127.0.0.1 "
-        f"needs a token, which is printed with the address; nothing is encrypted (default: {LOOPBACK})",
+        "needs a token, which is printed with the address; nothing is encrypted "
+        f"(default: {LOOPBACK})",
     )
     parser.add_argument(
         "--port", type=within(1, 65535, int), metavar="N",
