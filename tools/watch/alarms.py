@@ -228,8 +228,8 @@ class Pages:
         wait(watch.stdout, 30, "no address")
         page = self._page = Page(f"http://127.0.0.1:{port}/")
         self.rigs.stack.callback(page.close)
-        rig.until_running()
         wait(lambda: page.looks[-1].alarms == said.stands, 30, "no page of all")
+        rig.until_running()  # last: some rigs' pumps may run for 20 s only
         self._rig = rig
 
 
