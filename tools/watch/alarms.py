@@ -245,7 +245,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
     print(_table(pages.followed))
 
 
-@pytest.mark.parametrize("case", kinds(), ids=lambda case: case.id)
+@pytest.mark.parametrize("case", [
+    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(case.rig)) for case in kinds()
+])
 def test_alarm(pages: Pages, case: Case) -> None:
     """The page follows each change in time, and shows the alarm of the kind."""
     comparisons: list[Comparison] = []
