@@ -266,12 +266,16 @@ def seasons() -> Result:
         name += f", perfect {float(horizon):g} h" if horizon == "240.0" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)
-        # On/off is in both tables: here in mm, there with the least possible.
+        # On/off is in both tables: in one in mm, in the other beside the least possible.
         texts = [
             cells.get(case, ""), f"{_mm(row):.2f} mm" if row["mean_deviation_mm"] else "",
             "" if row["over_onoff"] == "1.0" else _interval(marks[case]),
         ]
         cells[case] = ", ".join(text for text in texts if text)
+        if row["over_onoff"] == "1.0" and row.get("over_least"):
+            least = 1.0 / float(row["over_least"])
+            marks[case[0], LEAST] = Mark(case[0], LEAST, LEAST, least)
+            cells[case[0], LEAST] = f"{least:.3f}"
     figure = Figure(
         "By controller", _RATIO,
         tuple(sorted(marks.values(), key=lambda mark: roofs.index(mark.panel))), 2, ratio=True,
