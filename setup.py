@@ -110,8 +110,8 @@ setup(
         ],
         # The page that shows what the roof does.
         "watch": [
-            # Server, pushing and files in one library, and no framework on top of it; 3.9 is that
-            # of ROS 2 Jazzy's Ubuntu
+            # Server, pushing and files in one library, and no framework on top of it; ROS 2
+            # Jazzy's Ubuntu has 3.9
             "aiohttp>=3.9.1,<4",
         ],
         # The forecast of the internet; the same library as the page's.

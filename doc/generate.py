@@ -390,12 +390,12 @@ def interlocks() -> str | None:
     from greenroof_ros.nodes import pump, weather
 
     meanings, site = read_conditions(), default_site()
-    limits = {one.name: one for node in (weather, pump) for one in node.parameters(site)}
+    limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
 
     def limit(name: str) -> str:
-        one = limits[name]
-        unit = "" if one.unit in ("", "1") else f" {one.unit}"
-        return f"`{name}` {number(one.default).strip('`')}{unit}"
+        entry = limits[name]
+        unit = "" if entry.unit in ("", "1") else f" {entry.unit}"
+        return f"`{name}` {number(entry.default).strip('`')}{unit}"
 
     return markdown(
         ("code", "active when", "evaluated in", "limit (parameter, default)", "kind", "cleared by"),

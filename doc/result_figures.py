@@ -46,9 +46,9 @@ def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.L
     )
     colour = alt.Color("colour:N", scale=None)
     if figure.ratio:
-        one = alt.Chart(alt.Data(values=[{"value": 1}])).mark_rule(color="#888888")
+        onoff = alt.Chart(alt.Data(values=[{"value": 1}])).mark_rule(color="#888888")
         layers = [
-            one.encode(x=alt.X("value:Q", **x)),
+            onoff.encode(x=alt.X("value:Q", **x)),
             base.mark_rule(strokeWidth=2).encode(x=alt.X("low:Q", **x), x2="high:Q", color=colour),
             base.mark_point(filled=True, size=60, opacity=1).encode(
                 x=alt.X("value:Q", **x), color=colour

@@ -41,7 +41,6 @@ _OF_BRINGUP = {
         "address": "--drive-at",
         "broker_login": "--broker-login",
         "broker_authority": "--broker-authority",
-        "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
         "state_file": "--state",
     },
     "plant": {"speed": "--speed", "pump": "--pump"},

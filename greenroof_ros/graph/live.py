@@ -222,7 +222,7 @@ class Live:
         if passed > PAUSE_S:
             self._deaf_until = now + PAUSE_S
             for entry in self._inputs:
-                entry.rules.paused(now, passed)
+                entry.rules.paused(passed)
                 entry.judge()
 
     def _say(self) -> None:

@@ -333,10 +333,11 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
         paused_until = values[PAUSE_UNTIL.name]
-        # A pause that is over by now, or shorter than the one that is kept, changes nothing.
-        least = max(time.time(), self._ledger.record.pause_until)
-        if paused_until and read_start(paused_until, key=PAUSE_UNTIL.name).timestamp() > least:
-            self._pause(paused_until)
+        ends = read_start(paused_until, key=PAUSE_UNTIL.name).timestamp() if paused_until else 0.0
+        # A pause that is over by now, or shorter than the one that is kept, changes nothing. Where
+        # it cannot be kept yet, the pump stays off for that, too.
+        if ends > max(time.time(), self._ledger.record.pause_until):
+            self._control.pause(ends)
         self._show_pause()
         self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())

@@ -258,7 +258,7 @@ class InputRules:
         self._newest = Verdict("input_refused", why)
         return self.judge(now)
 
-    def paused(self, now: float, seconds: float) -> None:
+    def paused(self, seconds: float) -> None:
         """Forget what came: the process itself stood still for so long (s)."""
         if self._came is not None:
             self._came = None

@@ -85,11 +85,11 @@ def test_commands_are_introduced_as_their_help_does() -> None:
 
 def anchors(path: Path) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and MyST make them."""
-    found = set()
+    anchors = set()
     for heading in re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE):
         text = re.sub(r"[`*]|\[|\]\(.*?\)", "", heading).lower()
-        found.add(re.sub(r"[^\w\- ]", "", text).replace(" ", "-"))
-    return found
+        anchors.add(re.sub(r"[^\w\- ]", "", text).replace(" ", "-"))
+    return anchors
 
 
 def links(text: str) -> Iterator[str]:

@@ -35,11 +35,11 @@ def test_layouts_are_made_from_the_interface(name: str) -> None:
 
 def check_scale(topic: str, label: str, factor: float) -> None:
     """Hold what is shown against the interface: a number, its label, its unit and its factor."""
-    found = read_topics()[topic]
-    assert found.type == "std_msgs/msg/Float64"
-    assert found.display is not None
-    assert label == f"{found.display.label} ({found.display.unit})"
-    assert factor == found.display.factor
+    entry = read_topics()[topic]
+    assert entry.type == "std_msgs/msg/Float64"
+    assert entry.display is not None
+    assert label == f"{entry.display.label} ({entry.display.unit})"
+    assert factor == entry.display.factor
 
 
 def target() -> float:

@@ -446,6 +446,26 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     assert datetime.now().astimezone() >= soon - timedelta(seconds=1)
 
 
+def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) -> None:
+    """While another program has it the node runs on, with the pump off, and then the pause counts.
+
+    Where it ended the node, the whole site would end with it.
+    """
+    file = rig.cwd / "pump.json"
+    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
+    with closing(Ledger(file, time.time)) as holder:
+        assert holder.why_not_kept(20.0) == ""
+        node = rig.start(state_file=file, pause_until=until.isoformat())
+        rig.join()
+        rig.tick_until(0.5, lambda: "not activated" in rig.state, 60, "the refusal")
+        rig.until_said("state file", ERROR, "has it already")
+    rig.tick_until(
+        0.5, lambda: rig.state == f"held: an operator paused it until {to_people(until)}", 60,
+        "the pause",
+    )
+    assert node.poll() is None and rig.drive.speed() == 0.0
+
+
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
     """Delivered in full with the controller at 0; refused, and ended by a stop, by exit code 1."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))

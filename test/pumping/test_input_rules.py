@@ -84,7 +84,7 @@ def test_courses_of_an_input(name: str) -> None:
     rules = InputRules(0.0, limit=5.0, recovery=3.0, limit_name="level_limit")
     for now, event, broken in COURSES[name]:
         if event == "pause":
-            rules.paused(now, 7.0)
+            rules.paused(7.0)
         if event in ("a value", "nan"):
             verdict = rules.came(now, 1.0, "was refused: nan" if event == "nan" else "")
         else:
@@ -98,7 +98,7 @@ def test_what_is_said() -> None:
     rules = InputRules(0.0, limit=5.0, recovery=10.0, limit_name="level_limit")
     rules.came(1.0, 2.0)
     assert rules.judge(6.1).why == "is older than 5 s (level_limit)"
-    rules.paused(8.0, 7.0)
+    rules.paused(7.0)
     assert rules.judge(8.0).why == "is unknown: this node itself stood still for 7 s"
     rules.came(9.0, 0.0, "was refused: nan")
     assert rules.came(10.0, 1.0).why == (

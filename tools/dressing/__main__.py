@@ -42,7 +42,7 @@ def halves(weather: Weather, archives: list[Archive]) -> tuple[Weather, Weather]
     times = [weather.rain_from + hour * HOUR for hour in range(len(rain))]
     begin = max(archive.issues[0].issued for archive in archives)
     month = np.array([time.year * 12 + time.month if time >= begin else 0 for time in times])
-    months = sorted(set(month[month > 0]), key=lambda one: np.nansum(rain[month == one]))
+    months = sorted(set(month[month > 0]), key=lambda number: np.nansum(rain[month == number]))
     drier = np.isin(month, months[: (len(months) + 1) // 2])
     return (
         replace(weather, values={"precipitation": np.where(drier, rain, np.nan)}),
@@ -57,18 +57,19 @@ def together(archives: list[Archive]) -> Archive:
     for issue in archives[0].issues:
         alike = [times[issue.issued] for times in by_time if issue.issued in times]
         if len(alike) == len(archives):
-            hours = min(one.hours for one in alike)
-            issues.append(replace(issue, rain=np.vstack([one.rain[:, :hours] for one in alike])))
+            hours = min(past.hours for past in alike)
+            rain_of_all = np.vstack([past.rain[:, :hours] for past in alike])
+            issues.append(replace(issue, rain=rain_of_all))
     return replace(archives[0], source=Path("all as one ensemble"), issues=tuple(issues))
 
 
 def archive(text: str) -> Archive:
     """Read an archive, to so many hours where the text says so."""
     path, _, hours = text.partition("@")
-    found = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
+    past = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
     length = int(hours or 10_000)
-    cut = tuple(replace(issue, rain=issue.rain[:, :length]) for issue in found.issues)
-    return replace(found, source=Path(Path(path).stem), issues=cut)
+    cut = tuple(replace(issue, rain=issue.rain[:, :length]) for issue in past.issues)
+    return replace(past, source=Path(Path(path).stem), issues=cut)
 
 
 def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
@@ -81,10 +82,12 @@ def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
     for fit, judge, words in (
         (drier, wetter, "dry, wet"), (wetter, drier, "wet, dry"), (both, both, "all, all"),
     ):
-        for one in archives:
-            for row in worth(one, learn(one, fit, 120), judge, lambda _: None):
-                values = [*(f"{each:.2f}" for each in row.bias), *(f"{x:.2f}" for x in row.crps)]
-                cells = [words, str(one.source), f"{row.hours} h", str(row.n), f"{row.fell:.1f}"]
+        for service in archives:
+            for row in worth(service, learn(service, fit, 120), judge, lambda _: None):
+                values = [*(f"{x:.2f}" for x in row.bias), *(f"{x:.2f}" for x in row.crps)]
+                cells = [
+                    words, str(service.source), f"{row.hours} h", str(row.n), f"{row.fell:.1f}"
+                ]
                 yield f"| {' | '.join([*cells, *values])} |"
 
 

@@ -96,7 +96,7 @@ def main() -> None:
         worth: list[Row] = []
         for roof, name in itertools.product(arguments.roofs, arguments.periods):
             period = PERIODS[name]
-            found: Results = {}
+            results: Results = {}
             for case in cases(roof, period):
                 file = case.file(arguments.output)
                 if not file.exists():
@@ -104,18 +104,18 @@ def main() -> None:
                         continue
                     write(case, inputs, file)
                     print(file, file=sys.stderr, flush=True)
-                found[case] = json.loads(file.read_text(encoding="utf-8"))
+                results[case] = json.loads(file.read_text(encoding="utf-8"))
             print(f"\n## {roof}, {period.words}")
             for lines in (
-                of_period(found), by_halves(found, inputs.wet_weeks(period)),
-                present_hour(found), of_owner(found),
+                of_period(results), by_halves(results, inputs.wet_weeks(period)),
+                present_hour(results), of_owner(results),
             ):
                 print("", *lines, sep="\n", flush=True)
             if period is not AUTUMN:
                 print("", *resolution(inputs, roof, period), sep="\n", flush=True)
-            draw(found, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
+            draw(results, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
             if period is SEASON and "," not in roof:
-                worth += rows(roof, found, inputs, arguments.output)
+                worth += rows(roof, results, inputs, arguments.output)
         if worth:
             write_worth(worth, arguments.output / "worth.csv")
 

@@ -154,7 +154,7 @@ class Inputs:
             wet: learn(
                 self.issued[source],
                 replace(self.record, values={
-                    "precipitation": np.where([one is wet for one in half], rain, np.nan),
+                    "precipitation": np.where([of_half is wet for of_half in half], rain, np.nan),
                 }),
                 ROOFS[roof].hours,
             )
@@ -178,7 +178,7 @@ class Inputs:
             begin = (period.start - self.record.rain_from) // HOUR
             rain = self.record.precipitation[begin : begin + round(period.hours)]
             block = np.repeat(period.blocks(), WEEK_H)[: len(rain)]
-            totals = [np.nansum(rain[block == one]) for one in range(block[-1] + 1)]
+            totals = [np.nansum(rain[block == number]) for number in range(block[-1] + 1)]
             wettest = np.argsort(totals)[-(len(totals) // 2) :]
             self._wet[period] = np.isin(period.blocks(), wettest)
         return self._wet[period]

@@ -44,13 +44,13 @@ STORMS = {"rain_kept_share_day": "rain kept of 10 mm in 24 h and more"}
 
 
 def _weeks(results: Results) -> dict[Case, Array]:
-    return {case: np.array(found["weeks"]) for case, found in results.items()}
+    return {case: np.array(result["weeks"]) for case, result in results.items()}
 
 
 def _named(weeks: Mapping[Case, Array], source: str) -> Array:
     """Return the weeks of a run that is not of a service; NaN where it has not been made."""
     missing = np.full_like(next(iter(weeks.values())), np.nan)
-    return next((found for case, found in weeks.items() if case.source == source), missing)
+    return next((result for case, result in weeks.items() if case.source == source), missing)
 
 
 def drawn_weeks(weeks: int) -> NDArray[np.intp]:
@@ -112,7 +112,7 @@ def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> I
         cells = [source if trusts else f"{source}, trusted in full"]
         for form in columns:
             own = next((
-                found[chosen] for case, found in weeks.items()
+                result[chosen] for case, result in weeks.items()
                 if (case.source, case.form, case.trusts, case.hour) == (source, form, trusts, True)
             ), None)
             cells += [""] * 3 if own is None else [
@@ -160,7 +160,7 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
             cells = [f"{source}, {form}"]
             for chosen in halves.values():
                 said, fell = np.array([
-                    one[1:] for one in sums if one[0] in chosen and not np.isnan(one[2])
+                    row[1:] for row in sums if row[0] in chosen and not np.isnan(row[2])
                 ]).T
                 cells += [
                     f"{np.corrcoef(said, fell)[0, 1] ** 2:.2f}", f"{said.sum() / fell.sum():.2f}"
@@ -174,7 +174,7 @@ def present_hour(results: Results) -> Iterator[str]:
     for case, own in weeks.items():
         if not case.hour:
             known = next(
-                found for other, found in weeks.items()
+                result for other, result in weeks.items()
                 if other.hour and (other.source, other.form) == (case.source, case.form)
             )
             yield f"- {case.name}: {ratio(own, known)} of the run that knows it"
@@ -183,20 +183,20 @@ def present_hour(results: Results) -> Iterator[str]:
 def of_owner(results: Results) -> Iterator[str]:
     """Yield the table of what an owner sees, with intervals from blocks of weeks."""
     yield from _head(["forecast", *OWNERS, *STORMS.values()])
-    for case, found in results.items():
-        sums = _weekly_sums(found)
+    for case, result in results.items():
+        sums = _weekly_sums(result)
         cells = []
         for form, above, below in OWNERS.values():
             weeks = len(sums[above])
             other = sums[below] if below else np.full(weeks, 1 / weeks)
             cells.append("{} ({} to {})".format(*map(form.format, interval(sums[above], other))))
-        cells += [f"{found['metrics'][name]:.2f}" for name in STORMS]
+        cells += [f"{result['metrics'][name]:.2f}" for name in STORMS]
         yield f"| {case.name} | {' | '.join(cells)} |"
 
 
-def _weekly_sums(found: dict[str, Any]) -> dict[str, Array]:
+def _weekly_sums(result: dict[str, Any]) -> dict[str, Array]:
     """Return what each week added to metrics that are sums, and to those that ratios are of."""
-    until: list[dict[str, float]] = found["until"]
+    until: list[dict[str, float]] = result["until"]
 
     def added(metric: Callable[[dict[str, float]], float]) -> Array:
         return np.diff([0.0, *map(metric, until)])
@@ -209,10 +209,10 @@ def _weekly_sums(found: dict[str, Any]) -> dict[str, Array]:
                 "mains_m3", "rain_roof_m3",
             )
         },
-        "deviated": added(lambda one: one["total_deviation_m3"] / one["mean_deviation_mm"]),
-        "asked": added(lambda one: one["evapotranspiration_m3"] / one["evapotranspiration_ratio"]),
-        "lost": added(lambda one: (
-            one["drainage_m3"] - (1 - one["rain_kept_share"]) * one["rain_roof_m3"]
+        "deviated": added(lambda row: row["total_deviation_m3"] / row["mean_deviation_mm"]),
+        "asked": added(lambda row: row["evapotranspiration_m3"] / row["evapotranspiration_ratio"]),
+        "lost": added(lambda row: (
+            row["drainage_m3"] - (1 - row["rain_kept_share"]) * row["rain_roof_m3"]
         )),
-        "kept": added(lambda one: one["rain_kept_share"] * one["rain_roof_m3"]),
+        "kept": added(lambda row: row["rain_kept_share"] * row["rain_roof_m3"]),
     }

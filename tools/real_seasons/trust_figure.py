@@ -20,9 +20,9 @@ def draw(results: Results, file: Path) -> None:
             "day": (case.period.start + timedelta(days=day)).isoformat(),
             "trust (%)": 100 * trust, "forecast": case.source,
         }
-        for case, found in results.items()
-        if case.form == ISSUED and case.trusts and case.hour and found["trust"][0] is not None
-        for day, trust in enumerate(found["trust"])
+        for case, result in results.items()
+        if case.form == ISSUED and case.trusts and case.hour and result["trust"][0] is not None
+        for day, trust in enumerate(result["trust"])
     ]
     if not values:
         return

@@ -8,7 +8,7 @@ A table of runs has a row for each run, in all digits: what differs between the 
 deviation. A table of seeds or seasons has a row for each controller, over all of them. The studies
 of seasons take hours, and need the records of ``doc/running/seasons.md`` in ``--weather DIR``.
 Until they are run again, the files of forecasts, seasons, horizons, skills and sizes have the few
-digits that earlier tables had, and the files of seasons have no mm.
+digits that earlier tables had, and but for ``lookahead`` no mm.
 """
 
 from __future__ import annotations
