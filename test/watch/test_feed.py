@@ -204,7 +204,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
         assert len(samples[LEVEL]) > 3
         assert watched.runs == 0
         # The same again, which is recorded, is another run.
-        summary = bring_up(domain, tmp_path, *options, output="second")
+        summary = bring_up(domain, tmp_path, *options, "--speed", "100", output="second")
         ended(watched, tmp_path / "second")
         assert watched.runs >= 1
         bag, heard = recorded(tmp_path / "second"), watched.of(HEARD)
