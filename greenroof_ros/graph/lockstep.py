@@ -141,6 +141,10 @@ class Lockstep:
             raise LockstepError(
                 "the plant was started again, or there are two; a run ends with its plant"
             )
+        if before is None and self.is_over:  # heard behind the last tick
+            for name in sorted(self._of_tick - self.awaited):
+                raise LockstepError(f"{name} came twice in tick {self.tick} (after the last)")
+            self.awaited.clear()
 
     @property
     def is_over(self) -> bool:
