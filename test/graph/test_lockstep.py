@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="a node's inputs are subscriptions of ROS 2")
 
-from greenroof_ros.graph.lockstep import Lockstep  # noqa: E402
-from greenroof_ros.graph.messages import LockstepError  # noqa: E402
+from greenroof_ros.graph.lockstep import Lockstep
+from greenroof_ros.graph.messages import LockstepError
 
 
 @pytest.mark.parametrize("second", [False, True])
