@@ -77,7 +77,7 @@ class Figure:
 
 
 class Result(NamedTuple):
-    """A table, and its figure; None where another program draws it."""
+    """A table, and its figure."""
 
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
@@ -125,9 +125,7 @@ def methods() -> Result:
             mark = mark._replace(beside=mark.value * theirs / total)
         cells[name].append(f"{mark.value:.2f}")
         marks.append(mark)
-    figure = Figure(
-        "By setting", _DEVIATION, tuple(marks), 2
-    )
+    figure = Figure("By setting", _DEVIATION, tuple(marks), 2)
     heads = ("setting", "total (m³)", "the authors' (m³)", "mean (mm)", "mean, `fao56` (mm)")
     return Result(heads, [(name, *row) for name, row in cells.items()], figure)
 

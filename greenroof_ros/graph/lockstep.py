@@ -142,8 +142,10 @@ class Lockstep:
                 "the plant was started again, or there are two; a run ends with its plant"
             )
         if before is None and self.is_over:  # heard behind the last tick
-            for name in sorted(self._of_tick - self.awaited):
-                raise LockstepError(f"{name} came twice in tick {self.tick} (after the last)")
+            over = round(self.run.last_tick) + 1
+            early = self._of_tick if self.tick > over else self._of_tick - self.awaited
+            if early:
+                raise LockstepError(f"{min(early)} came twice in tick {over} (after the last)")
             self.awaited.clear()
 
     @property

@@ -14,8 +14,8 @@ from greenroof_ros.graph.lockstep import Lockstep
 from greenroof_ros.graph.messages import LockstepError
 
 
-@pytest.mark.parametrize("second", [False, True])
-def test_a_run_that_is_heard_behind_its_last_tick(second: bool) -> None:
+@pytest.mark.parametrize("second", [0, 1, 2])
+def test_a_run_that_is_heard_behind_its_last_tick(second: int) -> None:
     """Topics come in any order: a message after the last tick fails the run all the same."""
     lockstep = Lockstep("onoff", lambda: None, lambda: None)
     publishers = SimpleNamespace(names=list)
@@ -32,7 +32,8 @@ def test_a_run_that_is_heard_behind_its_last_tick(second: bool) -> None:
     frost(b"")
     run = array("d", [7.0, 0.0, 0.0])  # its last tick is 0
     if second:
-        level(b"")
+        for receive in (level, frost)[:second]:  # of both the node acts once too often
+            receive(b"")
         with pytest.raises(LockstepError, match="/roof/level came twice in tick 1"):
             lockstep.hear_run(run)
         return
