@@ -114,6 +114,18 @@ class Observer:
         )
         return values
 
+    def times(self, topic: str) -> list[float]:
+        """Return the list of when each message of a topic was sent (s), from now on."""
+        times: list[float] = []
+
+        def note(_: Any, info: Any) -> None:
+            times.append(info["source_timestamp"] / 1e9)
+
+        self.node.create_subscription(
+            message_class(_TOPICS[topic].type), topic, note, qos(topic)
+        )
+        return times
+
     def publisher(self, topic: str, node: Node | None = None) -> Any:
         """Open a topic, for the observer or another node."""
         kind = message_class(_TOPICS[topic].type)
