@@ -27,6 +27,10 @@ def _level(tank: str, why: str = "") -> tuple[Sign, ...]:
     return _pump(f"{tank}_level_unknown") + ((("pump: levels", why),) if why else ())
 
 
+# The pump's own state may have another reason in front of it, such as a level that jumped.
+_NO_PERMIT: Sign = ("pump: supervisor", "no_permit")
+
+
 @dataclass(frozen=True)
 class Expected:
     """What must come of a fault.
@@ -93,13 +97,13 @@ def _process(node: str, fault: str) -> Expected:
         return Expected(stops=False, signs=(failed,), watch=12.0)
     if node == "bringup":
         if fault == "stop long":
-            return Expected(bound="permit", signs=_pump("no_permit"))
+            return Expected(bound="permit", signs=(_NO_PERMIT,))
         return Expected(bound="permit", recovery="ends")
     if node == "pump":
         return Expected(bound="permit" if fault == "term" else "drive", signs=(failed,))
     if fault == "stop long":
-        return Expected(bound="silent", signs=(*_pump("no_permit"), (node, "not_heard")))
-    return Expected(bound="permit", signs=(*_pump("no_permit"), failed))
+        return Expected(bound="silent", signs=(_NO_PERMIT, (node, "not_heard")))
+    return Expected(bound="permit", signs=(_NO_PERMIT, failed))
 
 
 def _processes(repeats: int) -> Iterator[Case]:
@@ -454,7 +458,7 @@ def _loop(repeats: int) -> Iterator[Case]:
             for node in _LOOP_NODES:
                 where = f"loop:{DRIVES[number % 4]}"
                 if (node, fault) == ("bringup", "stop long"):
-                    expected = Expected(bound="permit", signs=_pump("no_permit"))
+                    expected = Expected(bound="permit", signs=(_NO_PERMIT,))
                 elif node == "bringup":
                     expected = Expected(bound="permit", recovery="ends")
                 else:
