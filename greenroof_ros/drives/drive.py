@@ -235,7 +235,7 @@ class Drive:
         self._perform(self.file.sequences.reset)
 
     def intruder(self) -> str:
-        """Return that somebody else has changed the control word; empty if not, or if unknown.
+        """Return that the control word is not the one last written; empty if it is, or if unknown.
 
         Only the bits that the drive file uses are compared, and only on a connection on which the
         drive has returned a word that was written: the control word of some drives cannot be read,
@@ -478,8 +478,8 @@ class PlacedDrive:
 def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
     """Return the error that refuses a speed other than real time.
 
-    A drive other than the simulator may turn a real motor by made-up levels, and the faster
-    simulated time passes, the more often it would start it.
+    A drive other than the simulator may turn a real motor by made-up levels, and start it more
+    often by the factor by which time is faster.
 
     Args:
         why: it may not be the simulator; see `Drive.why_no_simulator`.

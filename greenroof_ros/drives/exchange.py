@@ -17,15 +17,15 @@ from greenroof_ros.drives.placed import Connection, Placed
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# The speed must fall within this time after *stop*, or the drive counts as one that does not stop
-# (s); and the smallest decrease that counts as falling (share of rated speed).
+# While a drive is stopped, its speed must not stay the same for longer than this (s), or it counts
+# as one that does not stop; and the least decrease that counts (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
 # than a drive needs to begin its ramp. It is left in silence once the fault was visible for SEEN_S
 # (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they are not
 # longer than pump control by default waits for a speed to follow beyond the ramp (follow_time).
 RUNS_ON_S, SEEN_S = 10.0, 2.0
-# The same after a silence that did not help (s): the fault may need a person.
+# Least time from a silence that did not help to the next (s): the fault may need a person.
 RUNS_ON_AGAIN_S = 60.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
 # silence in which its own timeout can pass.
@@ -210,13 +210,13 @@ class Obedience:
 class DriveExchange(DeviceThread[Snapshot]):
     """Keeps a drive at the speed asked for last, or off, from its own thread.
 
-    In every period it writes the control word and reads the status, so the drive's own
-    communication timeout is kept alive exactly as long as this thread lives::
+    Every period it writes the control word and reads the status, which keeps the drive's own
+    communication timeout from passing; if this thread dies, that timeout stops the drive::
 
-        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or stands
+        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is at rest
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is asked for, and its timeout guards
+          |    |         RUNNING <---------+        a speed is asked for; its timeout guards
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed

@@ -53,7 +53,7 @@ _EXCEPTIONS = {
 }
 
 
-# --- where a device is ----------------------------------------------------------------------------
+# --- addresses of devices -------------------------------------------------------------------------
 
 _TCP_ADDRESS = re.compile(
     r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
@@ -123,7 +123,7 @@ class Address:
         return False
 
     def shares_line(self, other: Address) -> bool:
-        """Whether both are on one serial line, which only one program can open, under any name."""
+        """Whether both are on one serial line, under any name; only one program can open it."""
         return bool(self.line and other.line) and (
             Path(self.line).resolve() == Path(other.line).resolve()
         )
@@ -199,7 +199,7 @@ def parse_drive_address(text: str, key: str) -> Address:
     return replace(address, device_id=int(device_id))
 
 
-# --- what is asked of it --------------------------------------------------------------------------
+# --- requests and answers -------------------------------------------------------------------------
 
 
 class DriveError(Exception):
