@@ -80,7 +80,7 @@ def restore(bag: Path, target: Path) -> str:
     for file in files:
         copy = next_file(list(restored), target)
         index = read_index(file)
-        # The newest file is read in full: it can be damaged although it has an end with an index.
+        # Read the newest file in full: its middle can be damaged although its end is intact.
         if index is not None and (
             file != files[-1]
             or sum(1 for _ in _messages(file)) == index.statistics.message_count

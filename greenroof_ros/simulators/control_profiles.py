@@ -35,7 +35,7 @@ class AbbDrives(SimulatedDrive):
     """
 
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
-    TRIPS = (1, 4)  # others warn at most; the motor runs on
+    TRIPS = (1, 4)  # with others it warns at most, and the motor runs on
     LOSS: ClassVar = {"serial": 0x6681}
     UNGUARDED_S = 30.0
     RESET = 0x0080

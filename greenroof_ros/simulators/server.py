@@ -104,12 +104,12 @@ class _Connection(ServerRequestHandler):
         )
         lasts_s = fault.parameter if fault.name == "runs_on" else 0
         lasted = 0 < lasts_s < time.monotonic() - self._began
-        # Never break the connection at an order: *stop* must be known to have arrived.
+        # 'runs_on' never ends a connection at an order: *stop* must be known to have arrived.
         if fault.name == "dropped" or (lasted and request.function_code not in _WRITES):
             if not self._serial:
                 self.transport.abort()  # type: ignore[attr-defined]
         elif device is None:
-            if not self._serial:  # like a gateway; a line has others
+            if not self._serial:  # as a gateway does; a line may have other devices
                 self._refuse(request, ExcCodes.GATEWAY_NO_RESPONSE)
         elif device.hears(request.address):
             if refused:
