@@ -208,9 +208,10 @@ class _Drive:
         raise OSError(f"{problem}; {ending}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
-        """Return why a drive must not run in lockstep before /run gives the speed; empty if it may.
+        """Return why, in lockstep, the drive must not run before /run gives the speed; or empty.
 
-        Levels without a plant are invented, at any speed; only the drive simulator may run then.
+        Levels without a plant are invented and may change at any speed. Only the drive simulator,
+        once it is known to be that, may run on them.
         """
         why = self.snapshot.no_simulator
         if run is not None or why == "":
@@ -444,7 +445,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     @transition
     def on_shutdown(self) -> None:
-        """Do the same as *cleanup*, finally."""
+        """Do the same as *cleanup*, for good."""
         self._let_go(_WAIT_S)
 
     def on_asked(self) -> None:
@@ -557,7 +558,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.publish("/pump/flow", self._decision.flow)
 
     def on_idle(self) -> None:
-        """Stop if a reason against running appears, even without commands; keep up the drive."""
+        """Decide again if the reasons against running change, even if no commands arrive."""
         now = boot_time()
         if not self.live:
             self._drive.keep_to_speed_of(self.lockstep.run)
@@ -666,7 +667,7 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         time_now = now if self.live else self._simulated
         dt, self._stepped = time_now - self._stepped, time_now
-        # The drive is watched only while the machine is awake, the time that this clock counts.
+        # The drive is watched only while the machine is awake; this clock counts only that time.
         awake = time.monotonic()
         drive_dt, self._watched = awake - self._watched, awake
         if self.live and dt > self._site.tau + PAUSE_S:

@@ -314,7 +314,7 @@ class WeatherNode(LinkedNode):
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
         """Begin to fetch forecasts on a separate thread."""
-        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC, and used up to issue_limit
+        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(self._site, ServiceRequest(
             values["fetch"] == ENSEMBLE, values["fetch_model"], min(days, MOST_DAYS),
             values["fetch_url"],

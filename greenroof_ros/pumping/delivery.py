@@ -28,7 +28,7 @@ count, except that the third balance treats a downward jump of the cistern as a 
 that ends with a jump back does not become a fault later.
 
 For a measured roof only the share of the pumped volume counts that its soil retains at the target,
-the smallest share at which anything is pumped; the rest percolates. To infer rain, the third
+the smallest share while anything is pumped; the rest percolates. To infer rain, the third
 balance instead uses the share that the soil retains at its present wetness: a drier roof retains
 more of the pumped water, and that is not rain.
 

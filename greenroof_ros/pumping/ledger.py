@@ -10,7 +10,7 @@ The disk's thread writes, so a slow disk does not delay the control of the pump.
 beside it lets only one ledger write: the record of a second one would erase a stop or a fault.
 
 A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
-(steady clock, or simulated). Downtime of the node is added by the system clock, unless set back.
+(steady clock, or simulated). Downtime is added by the system clock, unless that was set back.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Ledger:
     A missing file means a fresh record, and is made at once. A broken file stops the pump until
     somebody releases it, because it may have held a fault; it is kept as ``.broken``. The first
     ledger of a file owns it until the ledger is closed or its process ends. A second ledger
-    reads the file when it is made, and writes nothing.
+    reads the file at its own start, and writes nothing until it can take over (:meth:`take`).
 
     Attributes:
         record: the present record.

@@ -30,7 +30,7 @@ _MARGIN = 1.5
 def _volume_per_day(site: Site) -> float:
     """Return the volume (m3) of filling an empty roof and of a day's loss, with the margin.
 
-    The loss is the greatest evapotranspiration. A measured roof needs more: its soil keeps a share.
+    The loss is the greatest evapotranspiration. A measured roof needs more: it keeps only a share.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).kept_share(site.x2_star)
@@ -167,8 +167,7 @@ def settings_for(site: Site, **changes: float) -> PumpSettings:
 class Limits:
     """Least time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
-    After a start of the node the pump first waits for the least time off, since it is unknown how
-    long it was off.
+    After a start the pump first waits for the least time off: how long it was off is unknown.
     """
 
     def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
@@ -288,9 +287,10 @@ class Pulses:
     The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
     - an interlock, unwatched time and the end of a dose set it to 0;
-    - if the demand is 0 (command 0, or a full roof) or at least the least share: one least pulse;
-    - in between: what the least share delivers from one permitted start to the next (with 20 starts
-      an hour, in 180 s), or a least pulse if that is more.
+    - if the demand is 0 (command 0, or a full roof) or at least the least share, it is at most one
+      least pulse;
+    - in between, at most the volume that the least share delivers from one permitted start to the
+      next (with 20 starts an hour, in 180 s), or a least pulse if that is more.
 
     Attributes:
         outstanding: commanded minus delivered (m3), within its limits; negative if the least time

@@ -33,8 +33,8 @@ DAMAGED = (
     zstandard.ZstdError,
 )
 
-# Ticks handed to the operating system together. A kill -9 loses at most the ticks that the plant is
-# ahead of these: 32.
+# Ticks handed to the operating system together. A kill -9 loses at most the ticks by which the
+# plant is ahead of them: 32.
 _TICKS_PER_CHUNK = 16
 
 # How often a live bag is flushed to disk (s): the most that a kill -9 or a power failure loses.
@@ -94,7 +94,7 @@ class LiveBag:
         # All files, the oldest first, with their indices; None if a file was not closed.
         self._files = {path: read_index(path) for path in bag_files(directory)}
         self._file: BagFile | None = None  # being written: the last of these files
-        self._day = 0  # of its begin (days since 1970)
+        self._day = 0  # on which it was begun (days since 1970)
         self._before = 0  # messages recorded before it
         self._flushed = -math.inf
         self._again = -math.inf  # time of the next try (steady clock, s)
@@ -420,7 +420,7 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
 
     Args:
         bag: its directory.
-        indices: of its files, the oldest first; None for files that were not closed, which are not
+        indices: of its files, the oldest first; None for a file that was not closed, which is not
             listed. If no file was closed, ``metadata.yaml`` is removed.
 
     Raises:
