@@ -81,9 +81,9 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
         assert not drive.written and len(wire.seen) == 1
     assert done.returncode == 2
     assert done.stderr.startswith(
-        "error: --speed = '60': is for the drive simulator alone, at loopback or on a pseudo-"
+        "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "
     )
-    assert "what is there does not identify itself as that" in done.stderr
+    assert "the device there does not identify itself as the simulator" in done.stderr
     # Of a network for documentation, RFC 5737.
     done = bringup(tmp_path, *options, "max", "--drive-at", "tcp://192.0.2.1")
     assert done.returncode == 2
@@ -105,14 +105,14 @@ WRONG = {
         "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
     f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
         "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
-    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
+    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be an existing file",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
     f"run {DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
-    "run --state here": "--state: is of a drive",
+    "run --state here": "--state: is for a drive",
 }
 
 
@@ -154,7 +154,7 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     assert refused(
         monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the sensor roof, too")
+    ).startswith("--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof")
 
 
 NODES = [
@@ -182,7 +182,7 @@ NO_EFFECT = {
     # A real drive would run on levels of another time than --speed, which is refused, says.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
-        "bringup --speed says it",
+        "bringup --speed sets it",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
         "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is greatest_volume_per_day;",
@@ -204,7 +204,7 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     """rclpy takes a mistyped limit without a word."""
     pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
-    with pytest.raises(ConfigurationError, match="must be a file that is there"):
+    with pytest.raises(ConfigurationError, match="must be an existing file"):
         parameters(file)
     file.write_text(text)
     with pytest.raises(ConfigurationError) as error:
@@ -255,11 +255,11 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
         driver.take()
         assert stop(1) == (
             False,
-            f"another program (process {os.getpid()}) runs the drive: left to it, which may run "
-            "the pump",
+            f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
+            "the drive is left to it",
         )
         assert wire.connections == 0
-        message = "bringup told the drive to stop, which said then: speed 0.0%"
+        message = "bringup ordered the drive to stop; it then reported: speed 0.0%"
         assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
         driver.release()
         assert stop(1)[0] and stop(1)[1].startswith(message)
@@ -272,7 +272,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
         done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
-        "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+        "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
     )
 
 

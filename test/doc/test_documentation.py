@@ -78,7 +78,7 @@ def test_commands_are_introduced_as_their_help_does() -> None:
     text = (DOC / "reference" / "commands.md").read_text()
     assert (
         "shows the roof.\n\nWith `--drive` and `--drive-at` there is hardware in the loop: a "
-        "drive, and no simulated pump"
+        "drive instead of the simulated pump"
     ) in text
     assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
 

@@ -64,7 +64,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
          "sequences.stop.2.value = 'speed': can be written in sequences.run only"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
-         "status.running.value = '0x0005': has bits outside of the mask 0x0004: it could never"),
+         "status.running.value = '0x0005': has bits outside the mask 0x0004: it could never"),
         (BIT_2, BIT_2.replace("mask: 0x0004", "mask: 0"),
          "status.running.mask = 0: must be from 1 to 4"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be from 1 to 2"),
@@ -75,13 +75,13 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0: must be fin"),
         ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, 1.6"),
         ("stops: {1: Fault,", "stops: {2: Fault,",
-         "timeout.serial.action.stops.2 = 'Fault': stands in stops and"),
+         "timeout.serial.action.stops.2 = 'Fault': is in both stops and"),
         ("    register: timeout_time\n", "    register: rating\n",
          "registers.rating: must have the unit s"),
         ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
          "registers.rating: must have low, above 0, and high, and no full_scale: speed is div"),
         ("  - registers.fault\n", "  - registers.faulty\n",
-         "unverified.5 = 'registers.faulty': names no key of this file"),
+         "unverified.5 = 'registers.faulty': is not a key of this file"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: speed is missing: e"),
     ],
 )
@@ -140,9 +140,9 @@ def test_addresses(text: str, address: Address, interface: str, device_id: int) 
         *((text, "must be tcp://HOST, tcp://HOST:PORT, gateway:")
           for text in ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "COM3",
                        "somewhere,17")),
-        ("tcp://10.0.0.7,256", "must be the drive's device id, 0 to 255"),
-        ("gateway://10.0.0.7,0", "must be the drive's device id, 1 to 247"),
-        ("/dev/ttyUSB0,x", "must be the drive's device id, 1 to 247"),
+        ("tcp://10.0.0.7,256", "must have a device id, 0 to 255, after"),
+        ("gateway://10.0.0.7,0", "must have a device id, 1 to 247, after"),
+        ("/dev/ttyUSB0,x", "must have a device id, 1 to 247, after"),
     ],
 )
 def test_no_addresses(text: str, message: str) -> None:

@@ -268,7 +268,7 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None
         bench.exchange.start()
         for _ in range(2):
             wait(lambda: bench.now.connected)
-            assert "does not guard for 0.6 s after power-up" in bench.now.unguarded
+            assert "is not effective for 0.6 s after power-up" in bench.now.unguarded
             wait(lambda: RUN in bench.drive.written)
             assert time.monotonic() - began > 0.6
             wait(lambda: bench.now.unguarded == "" and bench.drive.values[4] == 10000)
@@ -377,7 +377,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     bench.drive.written.clear()
     assert not ask(0.5, PAUSE_S + 1.0, lambda: RUN in bench.drive.written)
     assert bench.now.start_failed.startswith({
-        "to start": "the drive did not come to run: ",
+        "to start": "the drive failed to start: ",
         "while it runs": "the connection was lost: ",
     }[fails])
     assert ask(None, 5, lambda: not bench.now.start_failed)
@@ -793,7 +793,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
-        wait(lambda: "runs this drive already" in bench.now.problem)
+        wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
     assert time.monotonic() - began < 2.0
     wait(lambda: bench.now.connected)

@@ -83,27 +83,27 @@ MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
      {"value": "sensors[1].distance", "scale": -0.001, "offset": 0.6}, 0.25),
     ("[[1, 2], [3, 4]]", {"value": "[1][0]"}, 3.0),
     # Not a number.
-    ("true", {}, "says 'True', which is no number"),
-    ("null", {}, "says 'None', which is no number"),
-    ('"2.31"', {}, "says '2.31', which is no number"),
-    ("[2.31]", {}, "says '[2.31]', which is no number"),
-    ("NaN", {}, "says nan, which is no number"),
-    ("-Infinity", {}, "says -inf, which is no number"),
-    ("1e999", {}, "says inf, which is no number"),
+    ("true", {}, "says 'True', which is not a number"),
+    ("null", {}, "says 'None', which is not a number"),
+    ('"2.31"', {}, "says '2.31', which is not a number"),
+    ("[2.31]", {}, "says '[2.31]', which is not a number"),
+    ("NaN", {}, "says nan, which is not a number"),
+    ("-Infinity", {}, "says -inf, which is not a number"),
+    ("1e999", {}, "says inf, which is not a number"),
     ("9" * 400, {}, "says a number that is too large"),
-    ("1e308", {"scale": 100.0}, "says 1e+308, which is no number"),
+    ("1e308", {"scale": 100.0}, "says 1e+308, which is not a number"),
     # Out of range.
     ("6.01", {}, "says 6.01 m (raw 6.01), which is not from 0 to 6 m"),
     ("-0.01", {}, "says -0.01 m (raw -0.01), which is not from 0 to 6 m"),
     # Malformed, or of another form.
-    ("", {}, "says b'', which is no JSON"),
-    ("2,31", {}, "says b'2,31', which is no JSON"),
-    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is no JSON"),
+    ("", {}, "says b'', which is not JSON"),
+    ("2,31", {}, "says b'2,31', which is not JSON"),
+    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is not JSON"),
     ('{"level": 2.3}', {"value": "depth"}, "says b'{\"level\": 2.3}', which has no depth"),
     ('{"level": 2.3}', {"value": "level.m"}, "says b'{\"level\": 2.3}', which has no level.m"),
     ('{"level": []}', {"value": "level[0]"}, "says b'{\"level\": []}', which has no level[0]"),
     ('{"a": 1}', {"value": "a[0]"}, "says b'{\"a\": 1}', which has no a[0]"),
-    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is no JSON"),
+    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, {}, "a message of 65537 bytes, which is more than 65536"),
 ]
 
@@ -135,7 +135,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
     with Talker(shared) as talker:
         talker.say(TOPIC, "1.5", retain=True)
         with reading(shared) as reader:
-            until(lambda: "what the broker kept may be old" in reader.snapshot.problem, 20)
+            until(lambda: "the retained message may be old" in reader.snapshot.problem, 20)
             assert reader.snapshot.value is None
             talker.say(TOPIC, "1.6", retain=True)
             until(lambda: reader.snapshot.value == 1.6, 20)
@@ -149,7 +149,7 @@ def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
         until(lambda: reader.snapshot.value == 2.0, 20)
         lasted = until(lambda: reader.snapshot.value is None, 20)
         assert 0.3 < lasted < 2.0
-        assert reader.snapshot.problem.endswith(f"{TOPIC}: has said nothing for 0.5 s")
+        assert reader.snapshot.problem.endswith(f"{TOPIC}: has sent nothing for 0.5 s")
         assert after(reader, talker, "3") == [3.0]
 
 
@@ -163,7 +163,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         time.sleep(0.5)  # until it has subscribed
         assert after(reader, talker, "1", "1") == [1.0, 1.0]
-        slept_for = "may have said this before the machine was suspended"
+        slept_for = "this message may be from before the suspend"
         assert after(reader, talker, "1", "1") == [slept_for, slept_for]
         time.sleep(1.1)
         assert after(reader, talker, "4", "5") == [4.0, 4.0]
@@ -177,21 +177,21 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
 ) -> None:
     """Unlike a value, that is known from what the broker kept."""
     with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
-        unknown = "is not there: roof/LWT has not said 'Online'"
+        unknown = "is offline: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
-        until(lambda: "is there, and has said nothing yet" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but has not sent a reading yet" in reader.snapshot.problem, 20)
         assert after(reader, talker, "1") == [1.0]
         talker.say("roof/LWT", "Online", retain=True)
         talker.say("roof/LWT", "Offline", retain=True)
-        until(lambda: "is not there: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
+        until(lambda: "is offline: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
         assert reader.snapshot.value is None
         assert after(reader, talker, "2") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
-        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but" in reader.snapshot.problem, 20)
     with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
-        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but" in reader.snapshot.problem, 20)
         assert after(reader, talker, "3") == [3.0]
 
 
@@ -213,7 +213,7 @@ def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_pat
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
         talk("2")
         broker.pause()
-        until(lambda: "has said nothing for 1 s" in reader.snapshot.problem, 5)
+        until(lambda: "has sent nothing for 1 s" in reader.snapshot.problem, 5)
         until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 15)
         broker.go_on()
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
@@ -231,7 +231,7 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
             until(lambda: "nobody answers at" in reader.snapshot.problem, 20)
             assert reader.snapshot.code == "broker_lost"
             broker.start()
-            until(lambda: "has said nothing yet" in reader.snapshot.problem, 20)
+            until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
 
 
 def test_login_and_encryption(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_the_shipped_file_is_read() -> None:
          "level_limit"),
         ("cistern/status ", "+/status ", 17, "cistern.available = '+/status': must be a topic "
          "without"),
-        ("cistern/status ", "cistern/sensor/level/state ", 17, "must be another topic"),
+        ("cistern/status ", "cistern/sensor/level/state ", 17, "must differ from the topic"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates are for mqtts://"),
@@ -344,9 +344,9 @@ def test_the_shipped_file_is_read() -> None:
          "for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", 30, "rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: goes with median: 1"),
+        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: needs median: 1"),
         ("roof/temperature", "roof/rain", 40, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is the rain gauge's: both"),
+         "rain': is also the rain gauge's: both"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(

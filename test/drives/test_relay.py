@@ -178,10 +178,10 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
     ("make", "fault", "note"),
     [
         ("tasmota", "timer_off", r"^PulseTime1.Set is 0: off$"),
-        ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, and must be true$"),
-        ("tasmota", "power_up_on", r"^the state after power-up: PowerOnState is 3, and must be 0$"),
-        ("shelly_gen2", "power_up_on", r"initial_state is on, and must be off$"),
-        ("shelly_gen2", "auto_on", r"^auto on: result.auto_on is true, and must be false$"),
+        ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, but must be true$"),
+        ("tasmota", "power_up_on", r"^the state after power-up: PowerOnState is 3, but must be 0$"),
+        ("shelly_gen2", "power_up_on", r"initial_state is on, but must be off$"),
+        ("shelly_gen2", "auto_on", r"^auto on: result.auto_on is true, but must be false$"),
         ("tasmota", "timer_long=2", r"PulseTime1.Set is 20, which is 2 s: less than 3 s cannot"),
         ("shelly_gen2", "timer_long=2", r"auto_off_delay is 2, which is 2 s: less than 3 s cannot"),
     ],
@@ -197,7 +197,7 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
         assert bench.now.timeout_s is None and bench.now.timeout_known
         assert re.search(note, bench.now.timeout_note), bench.now.timeout_note
         bench.speed = 1.0
-        wait(lambda: "its own timer does not guard" in bench.now.problem, 5)
+        wait(lambda: "its own timer is not effective" in bench.now.problem, 5)
         assert not tap.switched(on=True) and not bench.closed
 
 
@@ -281,7 +281,7 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     took = wait(lambda: not bench.closed, 20)
     assert took < TIMER_S + SLACK_S
     wait(lambda: not bench.now.connected, 10)
-    expected = "that can be understood" if fault == "garbage" else "no answer to the question"
+    expected = "no valid answer to" if fault == "garbage" else "no answer to the question"
     assert expected in bench.now.problem
     bench.relay.inject("none")
     wait(lambda: bench.closed, 60)
@@ -294,7 +294,7 @@ def test_one_that_switches_by_its_timer_alone_is_noticed_and_left_off(bench: Ben
     took = wait(lambda: not bench.closed, 20)
     assert took < TIMER_S + SLACK_S
     wait(lambda: bench.now.second_master, 5)
-    assert "its timer has passed" in bench.now.second_master
+    assert "its timer has expired" in bench.now.second_master
     bench.relay.inject("none")
     assert wait(lambda: bench.closed, 30) > 8.0  # the pause after a second master is 10 s
 
@@ -418,7 +418,7 @@ def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
 def test_a_speed_that_is_none_is_refused() -> None:
     relay: Relay = placed("tasmota", "mqtt://127.0.0.1/roof").connection()
     for speed in (0.0, 1.1, float("nan")):
-        with pytest.raises(ValueError, match="is no speed at which a relay is on"):
+        with pytest.raises(ValueError, match="is not a speed at which a relay is on"):
             relay.run(speed)
 
 
@@ -432,12 +432,12 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
         (TASMOTA, "state: {question: state,", "state: {question: status,",
          "state.question = 'status': must be one of questions: state, timer, power_up, restart"),
         (TASMOTA, "payload: \"ON\"}", "payload: $on}",
-         "switch_on.payload = '$on': has another $ than $device, $me, $id, $seconds"),
-        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must be another value"),
+         "switch_on.payload = '$on': may contain only these $ names: $device, $me, $id, $seconds"),
+        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
         (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, 111"),
-        (TASMOTA, "unverified: []", "unverified: [clock]", "names no key of this file"),
+        (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
         (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
-         "number = 'id': is of questions whose payload has $id"),
+         "number = 'id': needs $id in the payload of every question"),
         (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
     ],
 )

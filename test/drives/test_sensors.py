@@ -70,9 +70,9 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
         # What cannot be a level is refused with why.
         ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
-        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means that there is no reading"),
+        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means 'no reading'"),
         ("7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0},
-         "says nan, which is no number"),
+         "says nan, which is not a number"),
     ],
 )
 def test_scale_offset_type_and_word_order(
@@ -85,7 +85,7 @@ def test_scale_offset_type_and_word_order(
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:
     """Of three: 1, 1 (of 1, 9: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
     data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
-    no_reading = "says 0xFFFF, which means that there is no reading"
+    no_reading = "says 0xFFFF, which means 'no reading'"
     assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, no_reading, 3.0, 3.0]
 
 
@@ -145,14 +145,14 @@ def test_the_shipped_file_is_read() -> None:
     [
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
-        (["  median: 5", "  median: 99"], 21, "cistern.median = 99: is late by 49 s"),
+        (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
-        (["5031", "5030"], 27, "roof.register = 0: is the cistern's: both sensors would be"),
+        (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),
         # One process for each sensor, and one alone can open the line, by whichever of its names.
         (
             ["tcp://127.0.0.1:5030", "/dev/ttyS0", "tcp://127.0.0.1:5031", "LINK"], 25,
-            "is the cistern's serial line, which one program alone can open",
+            "is the cistern's serial line, which only one program can open",
         ),
     ],
 )

@@ -210,7 +210,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
         return [drive.intruder() for _ in range(3)]
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
-    assert results[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in results[2]
+    assert results[:2] == ["", ""] and f"word is 0x{runs}, but 0x{stops} was" in results[2]
 
 
 # --- what it says ---------------------------------------------------------------------------------
@@ -333,7 +333,7 @@ def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> N
 
 @pytest.mark.parametrize("name", ["abb_acs880", "danfoss_fc202"])
 def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
-    with pytest.raises(DriveError, match=rf"{name}.yaml tells of none .* \(timeout.tcp\)"):
+    with pytest.raises(DriveError, match=rf"{name}.yaml has no .*timeout .*\(timeout.tcp\)"):
         follow(name, "", Drive.timeout)
 
 
@@ -382,7 +382,7 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
         ([(0, frame("0001 0000 0005 07 03 02 1337"))], "connection", "no valid answer"),
         ([(0, frame("0001 DEAD 0005 01 03 02 1337"))], "connection", "no valid answer"),
         ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function 4, not 3"),
-        ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers came, not 1"),
+        ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers, not 1"),
         ([(0, bytes(range(255, 0, -1)) * 4)], "connection", ""),
         ([], "connection", "no valid answer within 0.3 s"),
     ],
@@ -452,7 +452,7 @@ no speed      : 06 0001 0000
 ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
 RFRD          : 03 219C 0001 -> 03 02 02EE : 750
 NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
-""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
+""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable values are 300 to 7200")
       for rpm in (299, 7201)),
 ]
 
@@ -503,5 +503,5 @@ def test_giving_up_in_the_middle_of_a_start() -> None:
 
 @pytest.mark.parametrize("speed", [-0.1, 1.01, float("nan")])
 def test_no_speed(speed: float) -> None:
-    with pytest.raises(ValueError, match="no share"):
+    with pytest.raises(ValueError, match="not a share"):
         follow("abb_acs880", "", lambda drive: drive.run(speed))

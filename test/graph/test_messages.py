@@ -150,7 +150,7 @@ def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     """The name is rmw_dds_common's for a participant that it has no node of."""
     assert call_node("mpc") == "mpc"
     assert call_node("_NODE_NAME_UNKNOWN_") == (
-        "a node whose name is not known, perhaps because it was killed"
+        "a node of unknown name, perhaps because it was killed"
     )
 
 
@@ -220,11 +220,11 @@ def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit()
     """The unit of a plain number, which is 1, is not written."""
     topics = read_topics()
     for name, value, words in (
-        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0, and must be from 0 to 100 m"),
+        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0; it must be from 0 to 100 m"),
         ("/pump/command", -2.0,
-             "/pump/command was refused: -2.0, and must be finite and at least 0"),
+             "/pump/command was refused: -2.0; it must be finite and at least 0"),
         ("/forecast/precipitation", array("d", [0.0, -1.0, math.inf]),
-         "/forecast/precipitation was refused: -1.0, and must be from 0 to 0.001 m/s"),
+         "/forecast/precipitation was refused: -1.0; it must be from 0 to 0.001 m/s"),
     ):
         topic = topics[name]
         entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))

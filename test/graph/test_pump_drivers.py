@@ -67,7 +67,7 @@ BROKEN = {
         ),
         (
             "    publisher.publish(flow)\n", "    publisher.publish(flow)\n" * 2,
-            "exactly one flow", r"[2-9] flows where 1 must come",
+            "exactly one flow", r"[2-9] flows instead of 1,",
         ),
     ],
     "volatile": [
@@ -144,7 +144,7 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
             if not right:
                 wrong.append(f"{name}: exit code {code}, {failed}")
         output = checks["example"].stdout()
-        assert "are the only witness" in output and ("22 of 22 checks passed" in output or wrong)
+        assert "are the only evidence" in output and ("22 of 22 checks passed" in output or wrong)
         # All checks, and no terminal: a line every ten seconds.
         assert "check " in checks["example"].stderr()
         # The check is gone, and so is the controller: a driver ends its run in good order.
@@ -180,7 +180,7 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_
         assert absent.wait(300) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
         assert check_again.wait(300) == 3
-        assert "/taken/pump/command has a publisher already (pump)" in check_again.stderr()
+        assert "/taken/pump/command already has a publisher (pump)" in check_again.stderr()
     finally:
         driver.terminate()
         assert driver.wait(300) == 0  # no traceback, and no failure, at SIGTERM
@@ -195,7 +195,7 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
         warning = (
             "/pump/flow has a publisher that cannot be heard (pump): it is volatile and has no "
-            "liveliness lease, and must be reliable, transient local, keep last 64, with a "
+            "liveliness lease, but must be reliable, transient local, keep last 64, with a "
             "liveliness lease of 1 s (doc/real-pump.md); change it, or end it"
         )
         log = logs / "plant.log"

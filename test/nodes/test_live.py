@@ -349,7 +349,7 @@ def test_no_command_of_what_was_before_a_suspend(
             (site.cwd / when).touch()
             site.until(lambda: newest(commands) == 0.0, LATE, "no command")
             site.until(
-                lambda: any("stood still for 3600 s" in message for message in site.said),
+                lambda: any("was paused for 3600 s" in message for message in site.said),
                 LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
@@ -380,7 +380,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.values["/roof/level"] = lambda now: dry(now) + 0.04
         site.during(0.5)
         os.kill(process.pid, signal.SIGCONT)
-        site.until(site.says("/onoff: inputs", ERROR, "this node itself stood still"), LATE, "why")
+        site.until(site.says("/onoff: inputs", ERROR, "this node itself was paused"), LATE, "why")
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
         site.during(0.5)
         after = [value for _, value in commands[before:]]
@@ -492,7 +492,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
         site.until(site.says("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
-        site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
+        site.until(site.says("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
         useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
         site.until(site.says(*useless), LATE, "why")
         # It is ready once it has said what it lacks, not before it has looked.

@@ -297,7 +297,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         hardware.inject("refused")
     assert hardware.speed() > 0.9
     printed = process.stderr()
-    assert "waiting for the pump to stand" in printed
+    assert "waiting for the pump to come to rest" in printed
     assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
     assert "THE PUMP MAY BE RUNNING" in printed
     summary = summary_of(tmp_path / "run")
@@ -306,7 +306,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         (incident["node"], incident["cause"]) for incident in summary["incidents"]
         if incident["part"] == "process"
     ]
-    stopped = r"could not stop the drive; .*told the drive to stop, which said then: speed [01]\."
+    stopped = r"could not stop the drive; .*ordered the drive to stop; it then reported: speed [01]"
     for (node, cause), (expected, pattern) in zip(causes[:2], [
         ("pump", r"had not answered for 2 s \(stopped\): killed; starts"),
         ("pump", stopped),
@@ -395,7 +395,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
         os.read(reading, 1 << 20)  # from here on it takes what is said
         os.kill(early.nodes()["pump"], signal.SIGKILL)
         assert early.wait(300) == 1
-        assert b"bringup told the drive to stop" in os.read(reading, 1 << 20)
+        assert b"bringup ordered the drive to stop" in os.read(reading, 1 << 20)
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     summary = summary_of(tmp_path / "early")
     assert summary["reason"] == "node pump ended (SIGKILL)"
@@ -431,7 +431,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     )
     with live(domain, tmp_path, *options) as process:
         site.values = dict(LEVELS)
-        frost = "  weather: frost: the temperature is unknown, and so whether there is frost"
+        frost = "  weather: frost: the temperature is unknown, so there may be frost"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
         assert "publish /gauge/temperature" in process.stderr()
         site.until(lambda: len(commands) > 4, 60, "commands")

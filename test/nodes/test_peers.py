@@ -107,7 +107,7 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     assert nodes.code("plant") == 1
     (fatal,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
     assert fatal.endswith(
-        "nothing came within 4 s on /weather/precipitation, /weather/evapotranspiration from "
+        "no message within 4 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
 
@@ -144,7 +144,7 @@ RECORDED: Said = [
     (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
-COUNT = "of each topic 1 messages should have come; messages were lost or came twice: /cistern/"
+COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /cistern/"
 # The node, its messages, those after its first command, its exit code, and what it says.
 WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice before the run": (

@@ -88,7 +88,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "inactive"
     assert not rig.change("activate")
     rig.tick(0.5)  # answered by the flow of a pump that still turns
-    assert "it is being let go of; clean up first" in rig.state
+    assert "it is being released; clean up first" in rig.state
     wait_for(
         lambda: not rig.change("cleanup") and rig.lifecycle_state() == "unconfigured", 40,
         "the end of the attempt",
@@ -110,13 +110,13 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, {}, None),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_s=10.5), {},
-         "is 10.5 s, and must be at most 10 s (drive_timeout_limit); to set it: "),
+         "is 10.5 s, but must be at most 10 s (drive_timeout_limit); to set it: "),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_note="0"), {},
-         "does not guard (0); to set it: "),
+         "is not effective (0); to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", Snapshot(timeout_note="no timeout.tcp"), {},
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {},
-         "and say so (local_settings_stop_the_pump: true); to set it: "),
+         "and confirm that (local_settings_stop_the_pump: true); to set it: "),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {"local_settings_stop_the_pump": True},
          None),
     ],
@@ -141,7 +141,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.simulate("--fault", "timeout_off")
     node = rig.start()
     rig.join()
-    rig.until_said("drive timeout", ERROR, "does not guard", "58.")
+    rig.until_said("drive timeout", ERROR, "is not effective", "58.")
     rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", LATE, "configuring")
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
@@ -153,7 +153,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
         activate_without_drive_timeout="true", popen={"stderr": subprocess.PIPE, "text": True}
     )
     rig.run()
-    assert rig.says("drive timeout", WARN, "does not guard")
+    assert rig.says("drive timeout", WARN, "is not effective")
     # It counts steady time; the clock topic stands with the commands.
     began = time.monotonic()
     rig.observer.until(lambda: rig.drive.speed() == 0.0, 6, "the watchdog")
@@ -161,7 +161,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
     rig.run()
-    words = "was not heard at the end", "nothing but its own panel stops it now"
+    words = "was not heard at the end", "only its own panel can stop it now"
     ends_in_words(rig, node, "silence", *words)
 
 
@@ -178,7 +178,7 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
     began = time.monotonic()
     rig.start(drive=str(file))
     rig.join()
-    rig.tick_until(0.4, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+    rig.tick_until(0.4, lambda: "is not effective for 4 s" in rig.state, 20, "the reason")
     rig.until_code("drive timeout", "drive_guards_later", 0.4)
     assert rig.lifecycle_state() == "active"
     while time.monotonic() - began < 4:  # it connected later than that began
@@ -233,7 +233,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     file = rig.cwd / "pump.json"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.why_not_kept(20.0) == ""
-        words = f"process {os.getpid()} has it already"
+        words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
@@ -270,7 +270,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     answer = rig.call(SetBool, "stop", data=True)
     assert time.monotonic() - began < 1.9
     assert not answer.success and answer.message.startswith(STOPPED)
-    assert answer.message.endswith(f"but {file} is not yet on the disk; it is written on")
+    assert answer.message.endswith(f"but {file} is not yet on the disk; writing continues")
     rig.until_it_stands(6)
     rig.until_said("state file", ERROR, "within 2 s")
     assert rig.state.startswith(STOPPED)
@@ -322,7 +322,7 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
         rig.drive.inject(fault)
         rig.until_state("unknown: no connection to the drive", 6)
         assert rig.tick(0.5) == 0.0
-        assert rig.state.endswith("whether the pump stands is not known")  # it may slow down yet
+        assert rig.state.endswith("not known whether the pump is at rest")  # it may slow down yet
         rig.until_code("drive", "drive_lost")
         since = rig.observer.values("/pump: drive")["since"]
         assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
@@ -339,8 +339,8 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     rig.drive.inject("refused")
     rig.until_state("unknown: no connection")
     rig.drive.inject("none")
-    rig.until_state("timeout does not guard")
-    rig.until_said("drive timeout", ERROR, "does not guard")
+    rig.until_state("timeout is not effective")
+    rig.until_said("drive timeout", ERROR, "is not effective")
     rig.stands_within(3)
 
 
@@ -379,7 +379,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "does not stand at the end", "its own timeout of 1.5 s has to stop it"
+    words = "is not at rest at the end", "its own timeout of 1.5 s must stop it"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
@@ -405,7 +405,7 @@ def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
     while len(rig.flows) < 130:
         flows.append(rig.tick(0.5))
         if len(rig.flows) == 100:
-            assert rig.state == "held: it is in quiet hours, until 2025-07-01 12:02+00:00"
+            assert rig.state == "held: these are quiet hours, until 2025-07-01 12:02+00:00"
             assert rig.code("pump") == "quiet_hours"
             assert rig.drive.speed() == 0.0
     assert flows[-1] > 0
@@ -458,7 +458,7 @@ def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) ->
         node = rig.start(state_file=file, pause_until=until.isoformat())
         rig.join()
         rig.tick_until(0.5, lambda: "not activated" in rig.state, 60, "the refusal")
-        rig.until_said("state file", ERROR, "has it already")
+        rig.until_said("state file", ERROR, "already uses it")
     rig.tick_until(
         0.5, lambda: rig.state == f"held: an operator paused it until {to_people(until)}", 60,
         "the pause",
@@ -543,7 +543,7 @@ def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
 
     now = time.time()
     assert "needs volume" in ask(volume=0.1).reason
-    assert "s old and must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
+    assert "s old, but must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
     assert ask(volume=0.1, asked_at=now).successful
     repeated = ask(volume=0.1, asked_at=now)
     assert not repeated.successful and "before the last one" in repeated.reason
@@ -559,7 +559,7 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
         run = rig.observer.publisher("/run")
         run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
         _, errors = node.communicate(timeout=60)
-    assert "the plant's speed = '10': is for the drive simulator" in errors
+    assert "the plant's speed = '10': is allowed only with the drive simulator" in errors
     assert node.returncode == 2
     assert registers.written and (0, 0x047F) not in registers.written
     rig.observer.node.destroy_publisher(run)

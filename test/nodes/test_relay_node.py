@@ -102,7 +102,7 @@ def test_a_relay_that_drops_out_is_said_and_left_off(
     rig.drive.inject("deaf")
     assert rig.until_open() < TIMER_S + SLACK_S
     rig.until_code("pump", "second_master", command=1.0)
-    assert "its timer has passed" in rig.state
+    assert "its timer has expired" in rig.state
     rig.drive.inject("none")
     rig.until_closed()
 
@@ -110,9 +110,9 @@ def test_a_relay_that_drops_out_is_said_and_left_off(
 @pytest.mark.parametrize(
     ("make", "fault", "words"),
     [
-        ("tasmota", "timer_off", "does not guard (PulseTime1.Set is 0: off)"),
-        ("tasmota", "timer_long=120", "is 120 s, and must be at most 10 s (drive_timeout_limit)"),
-        ("shelly_gen2", "power_up_on", "result.initial_state is on, and must be off"),
+        ("tasmota", "timer_off", "is not effective (PulseTime1.Set is 0: off)"),
+        ("tasmota", "timer_long=120", "is 120 s, but must be at most 10 s (drive_timeout_limit)"),
+        ("shelly_gen2", "power_up_on", "result.initial_state is on, but must be off"),
     ],
 )
 def test_one_that_nothing_would_switch_off_is_refused(
@@ -189,7 +189,7 @@ def test_in_the_loop(domain: int, tmp_path: Path) -> None:
         wait_for(lambda: relay.speed() == 0.0, 20, "an open contact")
         assert time.monotonic() - killed < 5.0  # half of the relay's own timer
         assert early.wait(300) == 1
-        assert "bringup told the drive to stop, which said then: speed 0.0%" in early.stderr()
+        assert "bringup ordered the drive to stop; it then reported: speed 0.0%" in early.stderr()
         done = run("done", "--hours", "0.05", "--speed", "20")
         assert done.wait(300) == 0, done.stderr()
         # To the target, Eq. (3a), and what flows, 8.4 l/s, in the ticks after.

@@ -183,7 +183,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
 
 BURST = "perhaps a burst pipe or a leak behind the pump"
 CLOSED = "perhaps a closed valve, a blocked pump, an empty pipe or an empty cistern"
-RUNS = "perhaps the pump runs although it should stand (a stuck contactor)"
+RUNS = "perhaps the pump runs although it should be off (a stuck contactor)"
 LEAK = "perhaps a leak, or somebody else takes water"
 HALF_DRY = {"x2": 0.5}
 DRAINED = {"x2": 0.2, "site": LOW_OUTLET}

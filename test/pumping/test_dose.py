@@ -69,7 +69,7 @@ def refusals() -> Iterator[tuple[str, float, float, str]]:
     yield "nothing", 0.0, 0.0, "must be above 0 and at most 0.5 m3"
     yield "negative", -0.2, 0.0, "must be above 0 and at most 0.5 m3"
     yield "less than a pulse", 0.01, 0.0, "must be at least 0.0"
-    yield "too old", 0.2, 61.0, "61 s old and must be at most 60 s"
+    yield "too old", 0.2, 61.0, "61 s old, but must be at most 60 s"
     yield "of a time to come", 0.2, -10.0, "must be at most 60 s"
     yield "of no time", 0.2, math.nan, "must be at most 60 s"
     yield "before the node was started", 0.2, 30.0, "before the pump node was started"

@@ -45,7 +45,7 @@ def test_a_level_in_another_unit_is_refused() -> None:
         "refused", "", "refused", "",
     ]
     why = cistern.came(4.0, 81.0).why
-    assert why == "is 81 m, and here no level is above 9 m: is its unit wrong?"
+    assert why == "is 81 m, but no level here is above 9 m: is its unit wrong?"
     roof = LevelRule(roof_reach(PAPER_SITE), 0.01, 0.02)
     assert rule(roof.came(0.0, 45.7)) == "refused"
     assert roof.came(1.0, 0.0457).good
@@ -99,10 +99,10 @@ def test_what_is_said() -> None:
     rules.came(1.0, 2.0)
     assert rules.judge(6.1).why == "is older than 5 s (level_limit)"
     rules.paused(7.0)
-    assert rules.judge(8.0).why == "is unknown: this node itself stood still for 7 s"
+    assert rules.judge(8.0).why == "is unknown: this node itself was paused for 7 s"
     rules.came(9.0, 0.0, "was refused: nan")
     assert rules.came(10.0, 1.0).why == (
-        "was refused: nan; now it is good, and counts after 10 s of that (recovery_time)"
+        "was refused: nan; now it is good, and counts once it has been so for 10 s (recovery_time)"
     )
     assert rules.refuse(11.0, "was refused: it is too short").why == "was refused: it is too short"
 
@@ -140,7 +140,7 @@ def test_jump() -> None:
     level = level_rule()
     level.came(0.0, 0.5)
     assert level.came(10.0, 0.459).why == (
-        "jumped: 0.5 m, and 10 s later 0.459 m, where water can be at 0.47 m, give or take 0.01 m "
+        "jumped: 0.5 m, and 10 s later 0.459 m, but water can be at 0.47 m, give or take 0.01 m "
         "(jump_tolerance)"
     )
 

@@ -219,7 +219,7 @@ def test_a_fault_is_cleared_once_in_a_day_and_some_never(code: str) -> None:
     assert rig.control.page_may_not_clear == "there is no fault"
     rig.ledger.fault("why", code)
     if code != "speed_not_followed":
-        assert "somebody who has looked" in rig.control.page_may_not_clear
+        assert "somebody who has checked the pump" in rig.control.page_may_not_clear
         return
     rig.control.clear_on_page()
     assert rig.ledger.record.fault == ""
@@ -279,7 +279,7 @@ def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None
     assert rig.run(30, 0.3).state == "running"
     decision = rig.step(0.3)
     assert (codes(decision), decision.speed) == (["quiet_hours"], None)
-    assert decision.why.startswith("it is in quiet hours, until 2026-03-08 04:00-04:00")
+    assert decision.why.startswith("these are quiet hours, until 2026-03-08 04:00-04:00")
     rig.run(30, 0.3)
     rig.now = ends - 5
     assert [rig.step(0.3).speed for _ in range(5)] == [None] * 5

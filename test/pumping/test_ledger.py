@@ -111,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} has it already; end that process"
+        f"{file} cannot be written: process {os.getpid()} already uses it; end that process"
     )
     assert "--state, state_file" in problem
     second.stop("")
@@ -236,7 +236,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
-    assert decision.why.endswith("look at the pump, then release it")
+    assert decision.why.endswith("check the pump, then release it")
     assert rig.ledger.why_not_kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
@@ -248,8 +248,8 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert read(file, time.time).unknown == ""
     # A directory where the file should be stays.
     ledger = Ledger(tmp_path, time.time)
-    assert "cannot be read (it is no file)" in ledger.record.unknown
-    assert "no file" in ledger.why_not_kept()
+    assert "cannot be read (it is not a file)" in ledger.record.unknown
+    assert "not a file" in ledger.why_not_kept()
 
 
 def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
@@ -364,7 +364,7 @@ def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()
     assert rig.ledger.why_not_kept() in (
-        f"{tmp_path}/pump.json is not yet on the disk; it is written on",
+        f"{tmp_path}/pump.json is not yet on the disk; writing continues",
         f"{tmp_path}/pump.json could not be written within 2 s",  # where the machine is busy
     )
     assert time.monotonic() - began < 1.5
@@ -374,7 +374,7 @@ def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     )
     # A ledger that may not write says that, whatever the disk does.
     second = Ledger(tmp_path / "pump.json", time.time)
-    assert f"process {os.getpid()} has it already" in second.problem
+    assert f"process {os.getpid()} already uses it" in second.problem
     # The next try finds no pipe, and the disk's thread is free for other tests.
     (tmp_path / "pump.json.new").rename(tmp_path / "pipe").open().close()
 

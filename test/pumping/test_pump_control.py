@@ -117,7 +117,7 @@ def test_what_is_not_known_is_said_so() -> None:
         (decision.state, decision.flow, decision.flow_known, decision.turns_at, decision.stands)
         for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
-    assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
+    assert rig.decisions[-1].why.endswith("; it is not known whether the pump is at rest")
     decision = rig.run(3, 0.5)
     assert (decision.stands, decision.why) == (True, "connection lost")
     rig.change = {"speed": 5.0}
@@ -144,7 +144,7 @@ def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
     decision = rig.step(0.5)
     assert (decision.state, decision.stands) == ("held", False)
     assert decision.why == (
-        "an operator stopped it; no connection; whether the pump stands is not known"
+        "an operator stopped it; no connection; it is not known whether the pump is at rest"
     )
     rig.change = {}
     assert rig.run(60, 0.5).why == "an operator stopped it"
@@ -159,9 +159,9 @@ def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
 @pytest.mark.parametrize(
     ("stuck", "command", "why"),
     [
-        (0.0, 0.5, "the pump turns at 0.00 of its speed, and 0.6"),
-        (1.0, 0.5, "the pump turns at 1.00 of its speed, and 0.6"),
-        (0.5, 0.0, "the pump turns at 0.50 of its speed, and it was ordered to stop, for 13 s"),
+        (0.0, 0.5, "the pump turns at 0.00 of its speed, but 0.6"),
+        (1.0, 0.5, "the pump turns at 1.00 of its speed, but 0.6"),
+        (0.5, 0.0, "the pump turns at 0.50 of its speed, but it was ordered to stop, for 13 s"),
     ],
 )
 def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:
@@ -216,7 +216,7 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
 ) -> None:
     """Each is given up after 2 s, and the next one waits for the least time off."""
     rig = Rig(settings=settings_for(PAPER_SITE, least_off=60.0))
-    failed = "the drive did not come to run: it has no voltage"
+    failed = "the drive failed to start: it has no voltage"
     begun, on_for = [], 0
     rig.stuck_speed = 0.0
     for _ in range(1200):
@@ -246,7 +246,7 @@ def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
     """Of 30 s, said to be 5 s: that is a tenth away after 0.6 s; and 12 s more are allowed."""
     rig = Rig(drive_ramp=1 / 30, settings=settings_for(PAPER_SITE, drive_ramp=5.0))
     assert rig.run(40, 1.0).state == "fault"
-    assert "s, which a ramp of 5 s (drive_ramp) does not explain" in rig.decisions[-1].why
+    assert "s; a ramp of 5 s (drive_ramp) does not explain this" in rig.decisions[-1].why
 
 
 def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
@@ -300,7 +300,7 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     assert decision.flow == pytest.approx(flow, abs=5e-9)
     assert decision.source == source
     assert decision.warning == (
-        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most"
+        "flow meter: a flow of 5.7 m3/s is not believable: the pump delivers at most 0.0084 m3/s"
         if change.get("flow") == 5.7 else ""
     )
 
@@ -320,7 +320,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.run(8, None)
     assert [decision.flow for decision in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
     rig.change = {"speed": -0.019}
-    assert rig.run(9, 0.0).source == "the pump stands"
+    assert rig.run(9, 0.0).source == "the pump is at rest"
     rig.change = {}
     assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}

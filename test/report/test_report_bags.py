@@ -75,7 +75,7 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
     contents.append(Trajectory(start=START, **dict.fromkeys(NAMES, np.array([]))).to_parquet())
     for content in contents:
         (tmp_path / "file").write_bytes(content)
-        with pytest.raises(ConfigurationError, match="is empty, cut short or no trajectory"):
+        with pytest.raises(ConfigurationError, match="is empty, truncated or not a trajectory"):
             read_parquet(tmp_path / "file")
 
 

@@ -233,13 +233,13 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "must be one of none, refused" in refused("--fault", "smoke")
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
-    assert "is no exception code" in refused(*FREE, "--fault", "exception=99")
+    assert "is not an exception code" in refused(*FREE, "--fault", "exception=99")
     copy = tmp_path / "own.yaml"
     copy.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
     assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
-        assert "another program has the port" in refused("--port", port, "--workbench", "0")
+        assert "another program uses the port" in refused("--port", port, "--workbench", "0")
 
 
 # --- with the driver, which is made from the drive files ------------------------------------------

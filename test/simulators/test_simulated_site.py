@@ -108,7 +108,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             until(lambda: rows()[-1]["pump_flow_m3_per_s"] == 0)
             drive.end()
             until(lambda: rows()[-1]["speed"] == 0)
-        assert "the pump counts as standing" in site.said
+        assert "the pump is taken to be at rest" in site.said
     assert (first["time_s"], last["time_s"]) == (1, 40)
     assert first["pump_flow_m3_per_s"] == pytest.approx(6.1261e-3, rel=1e-4)
     assert last["pumped_m3"] == pytest.approx(0.2450, rel=5e-4)
@@ -205,7 +205,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
         assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
         assert readers["thermometer"].snapshot.value == 15.0
         site.inject("roof_silent")
-        until(lambda: "has said nothing for 5 s" in readers["roof"].snapshot.problem, 20)
+        until(lambda: "has sent nothing for 5 s" in readers["roof"].snapshot.problem, 20)
         site.inject("roof_absurd", 1234)  # mm from the sensor down, which is 0.6 m up
         until(lambda: "says -0.634 m" in readers["roof"].snapshot.problem, 20)
         site.inject("none")

@@ -194,11 +194,11 @@ WRONG = {
     ),
     "lead": (
         [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
-        f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
+        f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
     ),
     "apart": (
         [str(GEM)],
-        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these are of ",
+        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover ",
     ),
 }
 

@@ -642,7 +642,7 @@ def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
     return shown(graph)
 
 
-LOST = "off: no connection to the drive; whether the pump stands is not known"
+LOST = "off: no connection to the drive; it is not known whether the pump is at rest"
 
 
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:

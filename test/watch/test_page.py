@@ -224,7 +224,7 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
             page.locator("#summary").evaluate("(one) => getComputedStyle(one).borderColor"),
         ))
     assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
-    why = "off: whether the pump stands is not known"
+    why = "off: it is not known whether the pump is at rest"
     said[:] = node("/pump", "pump", ("pump", 1, why), pump=why, stands=False, speed=None, flow=None)
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
     until_shown(page, "#summary[data-level=error]", "whether the pump stood is not known")
