@@ -19,7 +19,7 @@ TOGETHER = "all of them, a member each"
 
 
 class Adversary:
-    """Hourly forecasts of a kind; the first hour is not forecast but observed."""
+    """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
 
     def __init__(self, kind: str, weather: Weather) -> None:
         self._kind = kind

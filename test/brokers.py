@@ -69,7 +69,7 @@ class Mosquitto:
         self.process.wait()
 
     def end(self) -> None:
-        """End it in good order: with a place for that, it keeps what is retained."""
+        """Shut the broker down cleanly: if persistence is set up, it keeps retained messages."""
         self.process.terminate()
         self.process.wait()
 

@@ -1,4 +1,4 @@
-"""The campaign's own parts: halves that share no storm, and intervals."""
+"""Parts of the campaign of real seasons: halves that share no storm, and intervals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOUR = timedelta(hours=1)
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
-    """The inputs of made-up rain: a storm each third day, heavy in every other month."""
+    """The inputs of made-up rain: a storm every third day, heavy in every other month."""
     directory = tmp_path_factory.mktemp("archives")
     begin = YEAR.start.replace(hour=0)
     hours = round(YEAR.hours) + 24
@@ -39,7 +39,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
 
 
 def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
-    """What dresses an issue is of the other half, all hours of it, and a week away or more."""
+    """An issue is dressed only with hours of the other half, at least a week away."""
     wet = inputs.wet_weeks(YEAR)
     assert 0.3 < wet.mean() < 0.6
     changes = np.flatnonzero(np.diff(wet.astype(int))) + 1
@@ -59,7 +59,7 @@ def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
 
 
 def test_intervals_of_sums_over_weeks() -> None:
-    """Nothing but a factor between two: no width. Otherwise the ratio lies within it."""
+    """A constant factor has an interval without width; otherwise the ratio lies within it."""
     weeks = np.random.default_rng(1).gamma(2.0, size=40)
     assert interval(0.9 * weeks, weeks) == pytest.approx((0.9, 0.9, 0.9))
     value, low, high = interval(weeks, np.ones(40))
@@ -68,7 +68,7 @@ def test_intervals_of_sums_over_weeks() -> None:
 
 
 def test_rows_of_the_figure(inputs: Inputs, tmp_path: Path) -> None:
-    """A run with a tenth less in each week has 0.9, without width; the least has its range."""
+    """A tenth less in each week gives 0.9 without width; the least possible has a range."""
     results = {}
     for number, (source, form) in enumerate(SHOWN.values()):
         share = 1 - number / 10
