@@ -65,7 +65,7 @@ def season(
     site: str, forecast: Callable[[float], Array], days: float = 6.0, *, memory: float = 30.0,
     falls: Callable[[Array], Array] = fallen,
 ) -> tuple[Lookahead, Array, Array]:
-    """Run some days with a forecast, of which only the present tick is sure to be right.
+    """Run some days with a forecast that is sure to be right only for the present tick.
 
     Returns the controller and, for each tick, the deviation (in days of an empty roof) and the
     trust.

@@ -10,7 +10,7 @@ from greenroof_ros.controllers.tick_times import TickTimes
 
 @pytest.mark.parametrize("count", [0, 1, 5000, 100_000])
 def test_times_of_ticks(count: int) -> None:
-    """They equal numpy's; of 100,000 ticks the percentile is that of the last 65,536."""
+    """They equal numpy's; for 100,000 ticks the percentile covers the last 65,536."""
     times, drawn = TickTimes(), np.random.default_rng(4).exponential(1e-4, count)
     for seconds in drawn.tolist():
         times.append(seconds)

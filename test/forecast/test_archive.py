@@ -35,7 +35,7 @@ def test_an_issue_is_known_when_it_is_available(
     archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
     model = FileModel(archive, weather_from(first), False)
     for hour in range(24):
-        since = hour + 12 - late  # the first run is that of 18:00 the day before
+        since = hour + 12 - late  # the first run is at 18:00 the day before
         number, lead = since // 6, since % 6 + late
         expected = [number + (lead + ahead) / 100 for ahead in range(3)]
         assert model.known(hour, 3)[0][0].tolist() == pytest.approx(expected, abs=1e-12)

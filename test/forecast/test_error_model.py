@@ -49,7 +49,7 @@ def rain() -> dict[int, Array]:
 
 
 def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
-    """The fit finds the file's constants, and their rain is that of the records.
+    """The fit finds the file's constants, and their rain agrees with the records.
 
     Its mean, and what the greatest tenth and hundredth of the wet hours exceed; from the records
     themselves, and by integration.

@@ -260,7 +260,7 @@ def test_too_few_to_dress(tmp_path: Path) -> None:
 
 
 def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
-    """Another one reads it, says so, and writes nothing; nor is a file written without an issue."""
+    """Another one reads it, reports this, and writes nothing; no issue, no file."""
     _, _, dressing = dressed(tmp_path)
     before = (tmp_path / "dressed.csv").read_bytes()
     other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)

@@ -1,6 +1,6 @@
 """CaSPAr's NetCDF, written here by its conventions: what is read from the header of its files.
 
-The header is that of 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and of a member of an
+The header is copied from 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and from a member of an
 ensemble, 2018030100_000.nc; a missing value at the first hour has NetCDF's fill value.
 """
 

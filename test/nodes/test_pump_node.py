@@ -264,7 +264,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
     rig.start()
     rig.run()
-    file.unlink()  # it is written anew, as state.json.new
+    file.unlink()  # it is written again, as state.json.new
     os.mkfifo(pipe)
     began = time.monotonic()
     answer = rig.call(SetBool, "stop", data=True)

@@ -46,7 +46,7 @@ def incident(role: str, part: str, cause: str, code: str, began: float, ended: f
 
 
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
-    """Return a store for a graph of which only the site is known."""
+    """Return a store that knows only the site of its graph."""
     graph = Store()
     graph.set_site(site)
     graph.set_present(mode=mode, factor=30.0, note="")

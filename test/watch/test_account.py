@@ -218,7 +218,7 @@ def live_topics() -> Recorded:
         "/cistern/level": (at(0.4, *np.arange(4, 3601, 4)), np.full(901, 2.0)),
         "/weather/precipitation": (at(*np.arange(0, 3601, 1)), np.full(3601, 1e-6)),
         "/weather/evapotranspiration": (at(*np.arange(0, 3601, 1)), np.full(3601, 1e-5)),
-        # Silent for 27 minutes, 10 of which count.
+        # Silent for 27 minutes; only 10 count.
         "/pump/flow": (at(0, 600, 1200, 1500, 1620, 3240, 3600), np.full(7, 1e-3)),
     }
 

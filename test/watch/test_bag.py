@@ -214,7 +214,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 def test_another_bag_in_its_place(tmp_path: Path) -> None:
-    """The bag is removed and made anew, or becomes shorter than what was read."""
+    """The bag is removed and made again, or becomes shorter than what was read."""
     bag = tmp_path / "bag"
     run = Run(bag)
     run.ticks(100)

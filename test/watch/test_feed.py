@@ -45,7 +45,7 @@ class Kept(Store):
     Attributes:
         values: by thread and topic, the value at each time.
         present: the states of the graph that it was given, each once.
-        runs: how often it began anew.
+        runs: how often it started again.
     """
 
     def __init__(self) -> None:
