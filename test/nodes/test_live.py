@@ -241,7 +241,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast on/off takes over, then it begins anew; an invalid command acts as 0."""
+    """Without a forecast on/off takes over, then it starts again; an invalid command acts as 0."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
@@ -299,7 +299,7 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
     """Its commands grow by a thousandth each time, across on/off's turn and across a restart.
 
-    With a file that does not have its values, it begins anew.
+    With a file that does not have its values, it starts from the beginning.
     """
     commands = site.be_dry()
     good = dict(site.values)

@@ -235,7 +235,7 @@ def test_mains_raise_the_cistern() -> None:
 def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
     """At 1 m of head it takes 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s.
 
-    4e-4 m/s on 50 m2, 0.8 arriving, are 0.016 m3/s: possibly only 0.01204 stays, because the
+    4e-4 m/s on 50 m2, 0.8 arriving, are 0.016 m3/s: possibly only 0.00804 stays, because the
     outlet can take 1.5 times as much. The outlet alone must lower nothing: it can be clogged.
     """
     site = replace(

@@ -71,7 +71,7 @@ def test_what_it_is_worth(site: Path) -> None:
 
 
 def test_a_study_with_dressed_forecasts(site: Path) -> None:
-    """The study's deviation equals that of a single run, and the table names the file."""
+    """The study's deviation equals a single run's, and the table names the file."""
     (site / "grid.yaml").write_text("""
         site: site.yaml
         weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}
