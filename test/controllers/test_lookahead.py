@@ -218,7 +218,7 @@ def test_it_waits_for_what_will_be_known_in_time() -> None:
     assert commands[1] > 0.9
 
 
-# --- what follows from it -------------------------------------------------------------------------
+# --- what follows from the recursion --------------------------------------------------------------
 
 STEPS = len(growing_steps(12.0)) - 1
 DRY = [0.0] * STEPS

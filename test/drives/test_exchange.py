@@ -499,7 +499,7 @@ def test_one_in_local_control_is_not_left_in_silence(
         time.sleep(0.01)
 
 
-# --- whether a drive obeys, by a clock of the test's own ------------------------------------------
+# --- whether a drive obeys, by the test's own clock -----------------------------------------------
 
 
 class Stopping:
@@ -633,7 +633,7 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.until_said(lambda status: status.speed == pytest.approx(0.25))
 
 
-# --- where time is not real -----------------------------------------------------------------------
+# --- not at real time -----------------------------------------------------------------------------
 
 
 SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
@@ -716,7 +716,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     second.release()
 
 
-# --- what must not happen -------------------------------------------------------------------------
+# --- unexpected errors ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -744,7 +744,7 @@ def test_whatever_fails_the_next_step_begins_again(
         assert "talking to the drive failed: OSError('torn out')" in problems
 
 
-# --- how it is left -------------------------------------------------------------------------------
+# --- leaving a drive ------------------------------------------------------------------------------
 
 
 def falls_for(drive: Registers, seconds: float) -> None:

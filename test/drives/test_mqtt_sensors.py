@@ -169,7 +169,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
         assert after(reader, talker, "4", "5") == [4.0, 4.0]
 
 
-# --- whether the sensor, and the broker, is there -------------------------------------------------
+# --- whether sensor and broker are there ----------------------------------------------------------
 
 
 def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(

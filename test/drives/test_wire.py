@@ -213,7 +213,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
     assert results[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in results[2]
 
 
-# --- what it says ---------------------------------------------------------------------------------
+# --- what a drive reports -------------------------------------------------------------------------
 
 READS: list[tuple[str, str, dict[str, Any]]] = [
     ("abb_acs880", """

@@ -206,7 +206,7 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
     assert len(rows) == 181 and set(rows[120:]) == {0, 10}
 
 
-# --- side by side, each in a namespace of its own -------------------------------------------------
+# --- side by side, each in a separate namespace ---------------------------------------------------
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:

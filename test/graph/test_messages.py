@@ -142,7 +142,7 @@ def test_big_endian(kind: str, message: bytes, value: Any) -> None:
     assert list(decoded) == value if kind == NUMBERS else decoded == value
 
 
-# --- what a node takes of its inputs, and what it calls those who publish them --------------------
+# --- what a node accepts as input, and what it calls the publishers -------------------------------
 
 
 def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:

@@ -195,7 +195,7 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     assert all(word in line for word in REFUSED[command]), line
 
 
-# --- help: nothing is started, and what it says is what the started node has ----------------------
+# --- help: it starts nothing, and matches the started node ----------------------------------------
 
 
 def help_of(cwd: Path, command: str) -> str:

@@ -181,7 +181,7 @@ def test_the_table_is_whole() -> None:
     assert named <= settings | of_nodes
 
 
-# --- what the page may do: release what it stopped, and clear what nobody has to look at ----------
+# --- what the page may do: release its own stop, and clear a fault that needs no inspection -------
 
 
 def test_the_page_releases_what_it_stopped_and_nothing_else() -> None:

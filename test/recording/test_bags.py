@@ -170,9 +170,9 @@ def test_parameters_are_columns_of_their_own() -> None:
     assert row_parameters(row) == {"hours": "3", "gain": "20"}
 
 
-# --- of a live site: split, bounded, readable while it grows, and what a kill leaves --------------
+# --- live sites: split, bounded, readable while growing, and after a kill -------------------------
 
-# --- of a live site: split, bounded, readable while it grows, and what a kill leaves --------------
+# 2026-11-21 23:00:00 UTC, by date -d.
 LATE_NS = 1795302000 * 10**9
 
 

@@ -79,7 +79,7 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
             read_parquet(tmp_path / "file")
 
 
-# --- bags of others ------------------------------------------------------------------------------
+# --- foreign bags --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -409,7 +409,7 @@ def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
     }
 
 
-# --- how runs ended, and what was lost in them ---------------------------------------------------
+# --- how runs ended, and their incidents ---------------------------------------------------------
 
 
 def test_a_changed_parameter(tmp_path: Path) -> None:

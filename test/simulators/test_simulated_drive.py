@@ -46,7 +46,7 @@ def place_of(drive: Simulator) -> str:
     return drive.ready.split()[2].rstrip(",")
 
 
-# --- how it is set --------------------------------------------------------------------------------
+# --- settings -------------------------------------------------------------------------------------
 
 
 def test_a_factor_makes_the_motor_faster() -> None:
@@ -242,7 +242,7 @@ def test_wrong_options_are_refused_with_what_would_be_right(
         assert "another program has the port" in refused("--port", port, "--workbench", "0")
 
 
-# --- with the driver, which is made from the drive files ------------------------------------------
+# --- with the driver, by the drive files ----------------------------------------------------------
 
 
 class Driven:

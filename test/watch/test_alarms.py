@@ -443,7 +443,7 @@ def test_other_devices() -> None:
         assert [(row["id"], row["level"]) for row in alarms.rows()] == [("disk usage", level)]
 
 
-# --- hostile --------------------------------------------------------------------------------------
+# --- hostile messages -----------------------------------------------------------------------------
 
 _TEXTS = st.one_of(
     st.text(max_size=30),

@@ -242,7 +242,7 @@ def test_what_says_nothing_is_refused(port: int) -> None:
     assert_goes_on(port)
 
 
-# ------------------------------------------------------------------------------- too much of it
+# -------------------------------------------------------------------------------- too much load
 
 
 def _flood(port: int, head: bytes, part: bytes) -> None:

@@ -37,7 +37,7 @@ def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
         (weather.first + timedelta(hours=hour)).isoformat(timespec="minutes") for hour in missing
     ]
     assert not np.isnan(weather.evapotranspiration).any()
-    # A mean far from that of Julys over five years, 4 to 5 mm a day, would be another climate.
+    # Julys of five years have a mean of 4 to 5 mm a day; far more would be another climate.
     assert 3.5 < weather.evapotranspiration.mean() < 6
 
 
