@@ -188,7 +188,7 @@ def test_in_frost_the_bound_is_the_run(
 def test_the_bound_of_a_measured_roof_is_close(start: str, tmp_path: Path) -> None:
     """Twelve hours of the Neubrandenburg roof: drizzle while the roof is filled, and a storm.
 
-    The recursion follows the soil exactly: for the drizzle its plan beats the program's.
+    The recursion keeps the soil's equations: for the drizzle its plan beats the program's.
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     run = paper_run("--site", str(site), "--start", start, "--hours", "12")

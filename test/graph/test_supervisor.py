@@ -114,7 +114,7 @@ def limits(**limit_values: float) -> pytest.MarkDecorator:
 
 @limits(silence_s=4.0)
 def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
-    """The pump may not run until the node is back, and is told why.
+    """The pump may not run until the node is back; the pump node gets the reason.
 
     Nothing is left open from its predecessor: a site runs for months.
     """

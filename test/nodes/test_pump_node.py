@@ -550,7 +550,7 @@ def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
-    """Another drive does not run until the plant has told the speed; then the node ends."""
+    """Another drive does not run until the plant publishes its speed; then the node ends."""
     registers = acs880()
     with closing(Wire(registers)) as wire:
         node = rig.start(wire.gateway, popen={"stderr": subprocess.PIPE, "text": True})

@@ -103,7 +103,7 @@ def test_what_was_missed_is_not_caught_up() -> None:
 def test_what_is_not_known_is_said_so() -> None:
     """A drive that is lost while it runs: neither speed nor flow, until it is sure to stand.
 
-    It is if seen at rest, or not heard for the 15 s of its own timeout; a nonsense speed is heard.
+    It stands if seen at rest or not heard for the 15 s of its timeout; nonsense counts as heard.
     """
     rig = Rig()
     decision = rig.step(0.0)

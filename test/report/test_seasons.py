@@ -228,7 +228,7 @@ def named(row: Row) -> tuple[str, str, str]:
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     """The best with imperfect forecasts or none; a table compares the others with it.
 
-    A controller without forecast errors in the study counts as perfect by its horizon.
+    If the study has a controller only with perfect forecasts, its horizon shows that it uses them.
     """
     lower, lowest = ({year: total - more for year, total in ONOFF.items()} for more in (20, 30))
     report = study_of(

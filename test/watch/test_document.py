@@ -828,7 +828,7 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
 def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     said: str, state: str, level: str
 ) -> None:
-    """No recording tells which alarms there were."""
+    """No recording shows which alarms there were."""
     graph = watched("ended")
     graph.add_pump_state(START, said)
     document = shown(graph)

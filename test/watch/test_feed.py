@@ -310,7 +310,7 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
 
 
 class Broken(Kept):
-    """A store that raises when told what is watched."""
+    """A store that raises when it is given what is watched."""
 
     def set_present(self, **_: Any) -> None:
         raise ValueError("broken")
