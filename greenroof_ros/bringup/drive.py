@@ -25,7 +25,7 @@ from greenroof_ros.graph.supervisor import NodeStart, StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 from greenroof_ros.watch.beside import watcher
 
-# The value of an option if the user runs that node.
+# Option value for a node that the user runs.
 EXTERNAL = "external"
 _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
@@ -153,8 +153,8 @@ class DriveChoice:
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
 
-        It takes the pump node's process id. It returns whether the drive reports the pump at rest,
-        and the outcome in words. If another program runs the drive, it leaves it alone: False.
+        It takes the pump node's process id, and returns whether the drive reports the pump at rest,
+        and the outcome in words. A drive that another program runs is left alone, with False.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
@@ -313,9 +313,9 @@ def own_parameters(
         controller: the graph's controller.
 
     Raises:
-        ConfigurationError: the file does not exist or sets something without effect; or it sets
-            the drive, its state file or the speed, which only bringup may set (it would otherwise
-            stop the wrong drive); or ROS 2 is not installed.
+        ConfigurationError: the file does not exist or sets something without effect; it sets the
+            drive (bringup would then stop the wrong one), its state file or the speed (which
+            bringup has checked); or ROS 2 is not installed.
     """
     file: Path | None = arguments.node_parameters
     if file is None:

@@ -1,4 +1,4 @@
-"""A drive in the loop of a simulated run: parameters of its pump node, and the wait for it."""
+"""A drive in the loop of a simulated run: pump node parameters, and waiting for the drive."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def _keep_up(
     try:
         while True:
             supervisor.listen()
-            signals.check()  # before look(): a service manager signals the nodes too; no failure
+            signals.check()  # before look(): a node stopped by a service manager has not failed
             supervisor.look()
             record.look(supervisor, starting=start.late)
             start.look(supervisor.last, supervisor.inhibit)
@@ -161,7 +161,7 @@ class _Start:
 
     It lists what would become an incident if it lasted, except warnings; a mere consequence only
     if no cause with the same effect on the pump is there. It is printed when its codes change (the
-    messages contain numbers). The start ends when nothing is missing; incidents report the rest.
+    messages contain numbers). The start ends when nothing is missing; later losses are incidents.
     """
 
     def __init__(self, namespace: str) -> None:

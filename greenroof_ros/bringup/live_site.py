@@ -37,7 +37,7 @@ class LiveSite:
         site_file: the parameters of Table I.
         controller: the chosen controller.
         parameters: all parameters of the controller.
-        sensors: sensor file; None if nodes of the user's publish the levels.
+        sensors: sensor file; None if the user's own nodes publish the levels.
         sensed: content of that file; None without a file.
         weather: whether bringup starts the weather node; otherwise the user runs one.
         forecast: forecast file, or ``open-meteo`` to fetch it from there; None if there is none or
@@ -46,7 +46,7 @@ class LiveSite:
         fetch_url: URL of the forecast server; empty for Open-Meteo's.
         fetch_every: time between two forecasts (min); None for the weather node's default.
         dressed: file of the rain after past forecasts, to which new rain is added; None for none.
-        drive: the pump's drive; None if a node of the user's runs the pump.
+        drive: the pump's drive; None if the user's own node runs the pump.
         bag_limit: size beyond which the bag's oldest files are removed (MB); None for no bag.
     """
 
@@ -106,7 +106,7 @@ class LiveSite:
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
-        """Return the files to copy at the start, by name; not the forecast: it is replaced."""
+        """Return the files to copy at the start, by name; without the forecast: it changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
             "drive": self.drive.file if self.drive is not None else None,

@@ -23,7 +23,7 @@ from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# Variable that names the profiles file; Fast DDS 3 (ROS 2 Kilted) has a new name, warns of the old.
+# Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
 _PROFILES, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 # Used in all profiles files: how long the others know a killed process (s). In lockstep, a node
 # stopped for longer than this is discovered a second time, and its recent messages come twice.
@@ -193,8 +193,8 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
 def make_executor() -> Any:
     """Return the fastest executor of this rclpy, for nodes without publisher events.
 
-    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. A live node must not
-    use it: publisher events can lock it up (rmw_fastrtps, pull request 890). The slow one will do.
+    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
+    lock it up (rmw_fastrtps, pull request 890). A live node has them, and time for the slow one.
     """
     try:
         from rclpy.experimental import EventsExecutor

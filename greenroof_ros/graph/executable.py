@@ -104,9 +104,9 @@ def node_help(
     Args:
         module: its module, and the arguments that it requires.
         role: its role in the interface.
-        purpose: its purpose.
+        purpose: what it does; a module docstring.
         parameters: returns all parameters that it declares for a site.
-        example: arguments of an example.
+        example: the arguments in the example.
         outputs: the optional topics that it publishes.
         always_live: whether it is only for live graphs.
     """

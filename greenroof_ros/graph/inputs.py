@@ -98,7 +98,7 @@ class Publishers:
 
     @property
     def heard(self) -> int:
-        """How many publishers have messages that arrive: their quality of service fits."""
+        """How many publishers can be heard: their quality of service fits."""
         return self._alive if self._by_lease else len(self._known()) - len(self._unheard())
 
     def names(self) -> list[str]:
@@ -135,7 +135,7 @@ class Publishers:
         return f"{self.full_name} {problem}" if problem else ""
 
     def warning(self, now: float) -> str:
-        """Return a sentence on publishers that cannot be heard, once discovery is complete.
+        """Return a sentence on publishers that have been unheard for the discovery time, or "".
 
         Args:
             now: time on the steady clock (s).
@@ -320,7 +320,7 @@ class Inputs:
         """Return some of the topics, by the role that should publish them.
 
         If the interface names two roles (plant or pump driver), it is the first that publishes none
-        of the node's other topics, or else the last.
+        of this node's other inputs, or else the last.
         """
         present = {self._role} | {
             entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names

@@ -102,7 +102,7 @@ class LinkedNode(NoClockSubscription, Node):
             self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
 
     def act(self) -> None:
-        """Note that the node has acted, and let it act."""
+        """Let the node act, and note that its run has begun."""
         self.acted = True
         self.on_inputs()
 

@@ -109,7 +109,7 @@ class Levels:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """How far jumps that water cannot make have moved both readings so far (m)."""
+        """How far impossible jumps have shifted the readings of cistern and roof so far (m)."""
         cistern, roof = self._rules
         return cistern.displacement, roof.displacement
 

@@ -1,8 +1,8 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N. Except on ``/clock`` messages have
-no tick number: no node publishes tick k + 1 before it has acted on tick k. The rule for every node
-except the recorder, which only counts:
+Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` tells the tick; the
+others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
+every node except the recorder, which only counts:
 
 1. *wait*: a message arrives, and its input is no longer awaited (:meth:`Lockstep.receiver`);
 2. *act*: no input is awaited; from here on all are, for the next tick (:meth:`Lockstep.act`);
@@ -16,12 +16,12 @@ recorder. These end a run:
   the plant watches this, and names the topics that it waits for;
 - a second publisher, or a second message before the node has acted. Only the pump node tolerates
   these, for the command, and stops the pump; the plant also gets them and ends the run;
-- a second message after the node has acted. It counts for the next tick and is found when the
-  message of that tick comes, too, or after the last tick. A message that only the recorder misses
-  shows in its count.
+- a second message after the node has acted. It counts for the next tick, and is found when that
+  tick's own message comes; after the last tick, any message is one too many. A message that only
+  the recorder misses shows in its count.
 
-:mod:`greenroof_ros.graph.peers` finds second publishers and a plant that has gone. A tick has no
-timers and no sleeps. Wall clocks only end a run that hangs, and stop the pump node's drive.
+:mod:`greenroof_ros.graph.peers` finds second publishers and a plant that has gone. No timer or
+sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class Looker:
                 start_parameter_services=False, enable_rosout=False, use_global_arguments=False,
             )
 
-        # A second node makes the calls: an executor would take the messages of its node.
+        # A second node makes the calls: an executor takes the messages of the node that it spins.
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)

@@ -1,4 +1,4 @@
-"""Watch a node's peers in a simulated run: which are missing, which have a double, or have gone."""
+"""Watch a node's peers in a simulated run: missing ones, duplicates, and a plant that has gone."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _DISCOVERY_S = 2.0
 _STEADY_TICKS, _STEADY = 10, 0.01
 # A flow up to this share of the steady one counts as 0: a pump running down, or meter noise.
 _NONE = 0.01
-# A flow above that at command 1 by more than this share exceeds the pumps' maximum: noise is less.
+# A flow more than this share above the flow at command 1 exceeds the maximum: noise is less.
 _NOISE = 0.05
 # The first flow of a pump that was at rest is at most this share of its steady flow.
 _AT_REST = 0.5
@@ -78,7 +78,7 @@ _NOT_RUNNING = "not tried: the pump does not run"
 
 @dataclass(frozen=True)
 class Limits:
-    """The command that the driver gets, and how long it may take.
+    """The command for the driver, and its time limits.
 
     Attributes:
         command: command for a running pump, a share of its maximum flow.
@@ -296,7 +296,7 @@ class PumpCheck:
             self._node.create_subscription(of, topic.graph_name, hear, profile)
         for name in (RUN, *_PLAYED):
             self._publishers[name] = self._publisher(self._node, name)
-        # The same run identity whenever a driver is checked; the speed at which its levels change.
+        # A fixed identity: a driver can be checked twice. Its levels change at this speed.
         speed = max(1.0, self._site.tau / self._limits.period)
         self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, speed).values)
         self._spin(_DISCOVERY_S)
@@ -322,7 +322,7 @@ class PumpCheck:
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            overrides: values, by topic, that replace the true levels, no frost or usual command.
+            overrides: values, by topic, that replace those of an undisturbed tick.
         """
         _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau
@@ -392,7 +392,7 @@ class PumpCheck:
             _require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
-        """Check that the pump runs, since a check of a stop proves nothing otherwise."""
+        """Require that the pump runs: otherwise a check of a stop proves nothing."""
         _require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:

@@ -149,8 +149,8 @@ class SupervisorSocket:
                 read = read_socket(self._socket)
                 self._ended = not read
                 data += read
-        # Lines are whole: they are short enough to be written at once. A line of a bringup of
-        # another version is no permit if it has another form.
+        # Lines are whole: they are short enough to be written at once. A line in another form, as
+        # from a bringup of another version, is no permit.
         with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
             line = json.loads(data.splitlines()[-1])
             self._inhibit, self._at = str(line["inhibit"]), float(line["at"])

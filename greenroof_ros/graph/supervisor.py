@@ -1,4 +1,4 @@
-"""The processes of a graph's nodes: starts, watches, logs and ends them; live, restarts them."""
+"""Start, watch, log and end the processes of a graph's nodes; on a live site, restart them, too."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class NodeProcess:
     Attributes:
         process: the operating-system process.
         socket: the supervisor's end of the socket to it.
-        heard: when it last reported or was started, or this process was paused (steady clock, s).
+        heard: when it last reported or was started, or this process resumed (steady clock, s).
         spoke: whether it has reported.
         last: its last report; empty before the first.
         last_lines: the last lines that it printed.
@@ -270,7 +270,7 @@ class Supervisor:
         self._ears.register(printed, selectors.EVENT_READ, running.log)
 
     def permit(self, inhibit: str) -> None:
-        """Send the pump node, if there is one, its permit, if this has changed or is due.
+        """Send the pump node, if there is one, its permit if that has changed or is due.
 
         Args:
             inhibit: why the pump must not run; empty if it may.
@@ -410,9 +410,10 @@ class LiveSupervisor(Supervisor):
 
     A node that ends or is silent for too long is restarted after a delay that grows. If a node
     needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder and
-    gauges are never given up: recording must not stop control. The pump node gets a permit four
-    times a second. If it dies, falls silent or does not obey, it is killed and the drive is stopped
-    from here.
+    gauges are never given up: recording must not stop control.
+
+    The pump node gets a permit four times a second. If it dies, falls silent or disobeys, it is
+    killed and the drive is stopped from here.
 
     Attributes:
         inhibit: why the pump must not run; empty if it may.
