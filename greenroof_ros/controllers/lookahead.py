@@ -316,7 +316,7 @@ class Lookahead:
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 
     def _means(self, rates: Array, chosen: list[int]) -> Array:
-        """Return means over a plan's steps from means over the forecast's, both on the last axis."""
+        """Average the forecast's steps to a plan's steps, both on the last axis."""
         amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
         return np.asarray(amounts / np.diff(self._after.edges[chosen]))
 

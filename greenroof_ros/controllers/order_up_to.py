@@ -50,7 +50,7 @@ class Policy:
     cost: float
 
     def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
-        """Return the volume that the roof is filled to or held at (m3); if fuller, it is left alone.
+        """Return the volume that the roof is filled to or held at (m3); a fuller one is left alone.
 
         Between two nodes of the roof's volume the decision at the lower one applies. Between two
         nodes of the water the volume is interpolated; if one of them leaves the roof alone, the
