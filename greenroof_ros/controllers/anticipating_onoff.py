@@ -147,7 +147,7 @@ class AnticipatingOnOff:
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
         """Whether the roof, without pumping, is too dry for most of the time until each step's end.
 
-        On a measured roof each time has the weight of the share of pumped water that is left then.
+        On a measured roof each time is weighted by the share of water pumped now that is left then.
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths

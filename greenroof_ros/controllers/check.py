@@ -21,7 +21,7 @@ from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 
 # Levels, as shares of the cistern's outlet level and of the roof's target; rates of rain (m/s) and
-# evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor may read.
+# evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor can read.
 _CISTERN = (0.0, 0.2, 0.25, 0.8, 1.0, 1.5)
 _ROOF = (0.0, 0.5, 0.999, 1.0, 1.001, 2.0)
 _RAIN = (0.0, 1e-7, 2e-5)

@@ -17,7 +17,7 @@ from greenroof_ros.model.soil import soil_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# The roof is held this far below the target (m3): at the target the plant stops the pumps, Eq. (3a)
+# The roof is held this far below the target (m3), at which the plant stops the pumps, Eq. (3a).
 BELOW_M3 = 1e-6
 # Nodes below and above the target, for an ensemble or scarce water: forecasts err by more than the
 # distance between nodes.
@@ -92,7 +92,7 @@ class Cistern:
 
         Args:
             x1: what the cistern holds (m3).
-            demand: the most that may be asked of it (m3).
+            demand: the most that can be asked of it (m3).
             seconds: within this time.
         """
         supplied = (self._site.mains_flow or 0.0) * seconds

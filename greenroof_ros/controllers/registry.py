@@ -155,7 +155,7 @@ class ControllerChoice:
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the value of each parameter on a site, unless a user gives another.
 
-        For a controller of this package it comes from ``config/NAME.yaml``, which a user can edit.
+        Built-in controllers read it from ``config/NAME.yaml``, which a user can edit, if it exists.
         """
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():

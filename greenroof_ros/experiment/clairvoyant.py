@@ -69,8 +69,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
       what stays below the suction level, plus one tick's flow, because the last tick that pumped
       began at the suction level or above. It is also at most all that the cistern ever held.
 
-    On a measured roof the limits are those of the volume after a tick minus a slope times the
-    volume before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
+    On a measured roof the limits apply to the volume after a tick minus a slope times the volume
+    before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
 
     The program neglects the following, which can leave a gap: the outflow of the cistern; that the
     flow falls with its level; that pumping stops at z_veg, if the roof may but need not be below;
@@ -87,7 +87,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
         max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1; by default those of a minute.
+        block: number of ticks that share one variable, at least 1; by default a minute's.
 
     Raises:
         NoBoundError: the solver found no optimum.

@@ -45,7 +45,7 @@ class Tick(NamedTuple):
     command: float
     """share of the maximum flow"""
     flows: Flows
-    """m3/s; those of the last tick are not applied, since the run ends in its state"""
+    """m3/s; not applied in the last tick, since the run ends in its state"""
 
 
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:

@@ -16,8 +16,8 @@ from greenroof_ros.model.soil import soil_of
 
 Wanted = Callable[[int, float, float], float]
 
-# For the recursion: length of a step (s); largest number of steps, whose levels need memory; nodes
-# below and above the target.
+# For the recursion: length of a step (s); largest number of steps, since their levels need memory;
+# nodes below and above the target.
 _STEP_S, _MOST_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 

@@ -140,11 +140,11 @@ def _ends(
     site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
     line: float,
 ) -> list[float]:
-    """Return candidates for the least and largest volume (m3) after a tick, minus a line.
+    """Return candidates for the least and largest volume after a tick, minus a line (m3).
 
     Between the wilting point, the onset of stress and field capacity the volume after a tick is a
-    continuous, concave parabola of the volume before it, also minus a line. So the least is at an
-    end of these pieces, and the largest at an end or at a parabola's vertex.
+    concave parabola of the volume before it, and continuous; to subtract a line changes neither. So
+    the least is at an end of these pieces, and the largest at an end or at a parabola's vertex.
 
     Args:
         site: of a measured roof.
@@ -153,7 +153,7 @@ def _ends(
         high: largest volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        line: slope of the line, which is subtracted times the volume before the tick.
+        line: its slope: this many times the volume before the tick is subtracted.
     """
     dry, most = site.wilting_volume, site.available_volume
     onset = dry + site.stress_onset * most

@@ -92,7 +92,7 @@ class Samples:
 
 
 def _sum(before: float, values: Values) -> float:
-    # Not numpy's sum, whose order of summation depends on the length of the block.
+    # Not numpy's sum: its order of summation depends on the length of the block.
     return float(np.cumsum(np.append(before, values))[-1])
 
 

@@ -22,7 +22,7 @@ def flow_at(site: Site, speed: float, cistern_level: float) -> float:
     """Return the flow (m3/s) of pumps at a speed; 0 if they lift no water to the roof.
 
     Pumps at rest deliver nothing, even from a cistern above the roof: a check valve is assumed. At
-    speed 1 the bits are those of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
+    speed 1 the result has the bits of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
 
     Args:
         site: with the curve.

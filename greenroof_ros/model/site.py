@@ -355,8 +355,8 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
     """Return the text of a site file with other values; its comments stay.
 
     The entries of a file that it extends are copied into it, so that it is complete. Volumes that
-    depend on changed values follow them: the products x2_star and z_cap, and the initial volumes,
-    whose levels stay the same.
+    depend on changed values follow them: the products x2_star and z_cap, and the initial volumes
+    (their levels stay the same).
 
     Args:
         path: of a file that :func:`read_site` accepts.
@@ -420,7 +420,7 @@ def site_yaml() -> YAML:
 
 
 def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
-    """Return the entries of a site file, and those of the file that it extends.
+    """Return the entries of a site file, including the file that it extends.
 
     By key: file, line and value. The site file's own entries take precedence.
     """
