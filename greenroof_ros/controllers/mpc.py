@@ -140,7 +140,7 @@ class Mpc:
                 "the same site file, and only lookahead all members"
             )
         # Step 6: the operating point. The first disturbance average is the paper's zero; f is
-        # affine in w, so the average cancels in the prediction and only sets the point of b.
+        # affine in w, so the average cancels in the prediction and only sets where b is evaluated.
         x1 = site.cistern_volume(cistern_level)
         x2 = site.roof_volume(roof_level)
         rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0

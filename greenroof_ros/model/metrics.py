@@ -150,8 +150,8 @@ def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) 
     """Return the share of the rain on the roof that did not drain off it in the same hours (1).
 
     The drainage of an hour is split between rain and pumped water in the ratio in which they came
-    in the six hours that end with it. Rain, and its part of the drainage, count in the hours of
-    each stretch of ``hours`` with more than ``above``.
+    in the six hours that end with it. Rain, and its part of the drainage, count in every hour that
+    is part of a stretch of ``hours`` with more than ``above``.
 
     Args:
         site: with the area of the roof.
