@@ -96,7 +96,7 @@ def _over_least(row: Row) -> str:
 
 
 def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
-    """Say how many runs there are, for each controller, and under what conditions."""
+    """Say how many runs there are, with their controllers and conditions."""
     counts = {name: len(report.settings[name].labels) for name in report.controllers}
     of = _and(
         controller_name(name) + (f" ({count} settings)" if count > 1 else "")
