@@ -79,7 +79,7 @@ _STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
 
 
 def _sparse(record: Record) -> Iterator[Finding]:
-    """Find sensors that are read less often than rows are written: between, all is missing."""
+    """Find sensors that are read less often than rows are written: rows between are empty."""
     for column, values in {"rain": record.rain, **record.measured}.items():
         often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
         if often > 1:
@@ -486,7 +486,7 @@ def level_sensor(record: Record, simulated: Values) -> Finding:
             variances.append(float(np.var(record.level[low:high], ddof=1)))
     if len(times) < _FEWEST_NIGHTS:
         return FINDINGS.make("level-sensor", "unseen", "level sensor")
-    from scipy import stats  # half of all import time; a refusal comes before
+    from scipy import stats  # half of all import time, and not needed for a refusal
 
     line = stats.linregress(times, errors)
     drift = 30 * 1000 * float(line.slope)

@@ -58,7 +58,7 @@ _FEWEST_ROWS = 100
 # A row further than this from whole steps (share of a step) is off; at most this share of rows may
 # be: a clock that is set each week makes two in a thousand.
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
-# Least share of a day with temperatures to know its extremes, and the distance of other days (d).
+# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
 _ENOUGH, _LONGEST_GAP = 0.75, 3
 # Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
 # a sine's range, six hours apart 0.71.
@@ -320,7 +320,7 @@ def _from_temperatures(
     A temperature belongs to the day of its row, not of its step: if the logger's clock was set, the
     step of a row at 0:00 can begin on the day before. A step has the evapotranspiration of the day
     in which it begins on the record's own clock. A day without temperatures, or with less than 0.75
-    of its ``temperature``, is interpolated. If it counts, a day with temperatures must be within
+    of its ``temperature``, is interpolated. For a day that counts, temperatures must exist within
     three days.
 
     Args:
@@ -333,8 +333,8 @@ def _from_temperatures(
         counts: whether a step is fitted or judged, shape (steps,).
 
     Raises:
-        ConfigurationError: the site has no place, temperatures are too far apart to show a day's
-            extremes, a day that counts is too far from them, or a least exceeds a greatest one.
+        ConfigurationError: the site has no place; or temperatures are too far apart to show a day's
+            extremes, too far from a day that counts, or least above greatest.
     """
     if site.latitude is None or site.longitude is None:
         raise ConfigurationError(

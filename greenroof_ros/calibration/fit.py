@@ -463,7 +463,7 @@ def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
     if count < 2:  # without the only group nothing is left
         return np.full(moved.shape[1], np.inf)
     variance = np.var(moved, axis=0) * (count - 1)
-    from scipy.stats import t as student  # half of all import time; a refusal comes before
+    from scipy.stats import t as student  # half of all import time, and not needed for a refusal
 
     quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
     return np.asarray(quantile * np.sqrt(variance))

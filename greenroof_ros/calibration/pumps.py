@@ -230,7 +230,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
 
     Runs in which the cistern rises by more than noise are left out. The others have less weight the
     less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals are by
-    :func:`.fit.half_intervals`, with runs as groups and degrees by :func:`.fit.freedom`.
+    :func:`.fit.half_intervals`, with runs as groups and the degrees of :func:`.fit.freedom`.
 
     If the cistern's fall is far from what the pumps can lift, or at another time than they run, the
     findings hold a refusal and no curve is fitted. With fewer than ten runs by :func:`find_runs`

@@ -18,8 +18,8 @@ Values = NDArray[np.float64]
 Steps = NDArray[np.bool_]
 HOUR_S, DAY_S = 3600, 86400
 
-# Two storms are this far apart (s). A roof responds for this long after rain (s); the halves of a
-# record are also split after this long without water.
+# The least time between two storms, and how long a roof responds after rain (s). The halves of a
+# record are also split after that long without water.
 _APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
 
 
@@ -103,7 +103,7 @@ class Record:
 
     @property
     def known(self) -> Steps:
-        """Steps with all of rain, pumped and :attr:`measured`, also in the steps before and after.
+        """Steps with rain, pumped and :attr:`measured` known, also one step before and after.
 
         A sensor that failed in a step often recorded only a part of the step beside it.
         """
@@ -149,12 +149,12 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 
 
 def greatest_rise(values: Values) -> float:
-    """Return the greatest difference of a value and an earlier one."""
+    """Return the greatest rise of a value above an earlier value."""
     return float(np.max(values - np.minimum.accumulate(values)))
 
 
 def lately(steps: Steps, count: int) -> Steps:
-    """Return which steps are among these, or follow one of these by at most ``count - 1``."""
+    """Return which steps are marked, or follow a marked step by less than ``count``."""
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
 
 
@@ -203,7 +203,7 @@ def comparable(record: Record) -> Steps:
 def halve(record: Record, steps: Steps) -> dict[str, Steps]:
     """Split steps on the first dry day after half of all rain and pumped water.
 
-    Water gives the information on a roof: with halves of equal time, one could have all storms. A
+    Only water tells something about a roof: with halves of equal time, one could have all storms. A
     storm in both halves would make the validation depend on data of the fit. Without a dry day all
     steps are in the earlier half.
 

@@ -222,7 +222,7 @@ def drawn(trajectory: Trajectory) -> Drawn:
     for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
         values = getattr(trajectory, name)
         if name not in ("cistern", "roof"):
-            # The run ends at the last sample, so its flows never held; the values before it go on.
+            # The run ends at the last sample: its flows never held, so draw the values before it.
             values = np.append(values[:-1], values[-2])
         index = thin(values)
         times = trajectory.time[index].tolist()

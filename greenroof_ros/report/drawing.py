@@ -145,7 +145,7 @@ class Figure:
             color="independent", shape="independent", strokeDash="independent"
         )
         specification = whole.properties(title=self.title).configure(**CONFIG).to_dict()
-        # Added after altair, which would check each row by its schema. The SVG becomes the PNG.
+        # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
         (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")

@@ -49,7 +49,7 @@ _WINDOW = (
     "sensor and pump errors",
 )
 SKY = _WINDOW[:4]
-"""the columns in which windows agree that share a figure of the weather"""
+"""windows that agree in these columns share a figure of the weather"""
 _SEASON = ("site", "from", "start", "length", "evapotranspiration", "sensor and pump errors")
 _FACTS = {SINGLE: _WINDOW, SEEDS: _WINDOW, SEASONS: _SEASON}
 

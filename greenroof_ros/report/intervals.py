@@ -61,7 +61,7 @@ class Deviations:
         return float(self._of_weeks(tuple(self.weeks), np.ones((1, len(self.weeks))))[0])
 
     def resampled(self, years: tuple[int, ...]) -> tuple[Array, Array]:
-        """Return mean and worst tenth of weeks (m3), each of all these years, then by resample."""
+        """Return mean and worst tenth of weeks (m3), each for the years, then for each resample."""
         if years not in self._resampled:
             counts = np.vstack((np.ones(len(years)), _draws(len(years))))
             means = counts @ [self.totals[year].mean() for year in years] / len(years)
@@ -69,7 +69,7 @@ class Deviations:
         return self._resampled[years]
 
     def _of_weeks(self, years: tuple[int, ...], counts: Array) -> Array:
-        """Return the worst tenth of weeks for each row of years' counts, shape (n, years)."""
+        """Return the worst tenth of weeks (m3) for each row of ``counts``, shape (n, years)."""
         weeks = [self.weeks[year] for year in years]
         place = np.repeat(np.arange(len(years)), [seasons.size for seasons in weeks])
         seeds = np.array(list(map(len, weeks)))
@@ -113,7 +113,7 @@ def _worst_tenths(weights: Array, values: Array) -> Array:
 
 
 def compare(own: Deviations, other: Deviations) -> Comparison | None:
-    """Compare two controllers; None if they share fewer than two years or one divides by 0."""
+    """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
     years = tuple(year for year in own.totals if year in other.totals)
     if len(years) < 2:
         return None

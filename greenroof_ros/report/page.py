@@ -23,7 +23,7 @@ from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentenc
 def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
     """Return a package's ``page.html``, which can extend this package's templates.
 
-    A value that a template uses must be given; it is an error otherwise.
+    It is an error if a value that a template uses is missing.
 
     Args:
         package: its name.

@@ -16,7 +16,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import q_pump
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, pointed, short
 
-# More than a roof's pump can have [assumed], but not more than numbers in l/s, m3/h or mm.
+# Pumps of roofs are below these limits [assumed]; data sheets in l/s, m3/h or mm exceed them.
 _LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
 _HEADER = "flow [m3/s]", "head [m]"
 

@@ -143,7 +143,7 @@ def _metric(name: str, form: str = "", title: str = "") -> Column:
 
 
 def unit(metric: Metric) -> str:
-    """Return a metric's unit with a superscript."""
+    """Return a metric's unit, with m³ for m3."""
     return metric.unit.replace("m3", "m³")
 
 

@@ -101,7 +101,7 @@ def _axis(
     references = {"target": site.x2_star}
     if quantity == "cistern":
         references = {"outlet": site.a1 * site.z_o, "suction limit": site.a1 * site.suction_level}
-        # Only if near, or its label would overlap another at the edge.
+        # Only if nearby: at the edge its label would overlap another.
         if site.low_outlet_level is not None and near(site.a1 * site.low_outlet_level):
             references["low outlet"] = site.a1 * site.low_outlet_level
     # Include references nearby; a reference far away would make all lines flat.

@@ -199,7 +199,7 @@ def _run(
                     raise
                 except Exception as error:  # raised by the run, or because its process died
                     what, reason = "no bound", str(error) or type(error).__name__
-                    if is_run:  # a run counts without its bound
+                    if is_run:  # a missing bound is no failure
                         what, store.failures[case.identity] = "failed", reason
                     progress.print(f"{what}: {names.name(case)}: {reason}", markup=False)
                 else:

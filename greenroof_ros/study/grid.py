@@ -51,7 +51,7 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
-# The keys of a window that can be lists.
+# The keys of a window with lists that multiply the runs.
 _TIMES = ("year", "start", "hours", "evapotranspiration")
 # Error messages that say what each block must be.
 _SITE = (
