@@ -28,8 +28,8 @@ from greenroof_ros.model.site import Site
 if TYPE_CHECKING:
     from netCDF4 import Dataset, Variable
 
-# Hours after the nominal time by which a run is complete. HRDPS 4.9 h; the ensembles have no
-# figures, so that for GEFS, 6.1 h (wethr.net, Weather Model Update Schedule): all rounded up.
+# Hours after the nominal time by which a run is complete. HRDPS 4.9 h; these ensembles have no
+# figures; GEFS has 6.1 h (wethr.net, Weather Model Update Schedule). All are rounded up to hours.
 _DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")

@@ -45,7 +45,7 @@ def fit_skill(
 ) -> Skill:
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
-    ``amount``, ``persistence`` and ``evapotranspiration`` show in no score, so they are those in
+    ``amount``, ``persistence`` and ``evapotranspiration`` show in no score; they are taken from
     skill ``real``.
 
     Args:

@@ -1,7 +1,7 @@
 """Evapotranspiration by FAO-56: hourly by Penman-Monteith (``fao56``), daily by Hargreaves.
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
-Rome 1998; equation numbers here are those in this paper, and the package ``eto`` implements them.
+Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
 Hargreaves' equation needs only a day's least and greatest temperature.
 """
 

@@ -152,7 +152,7 @@ def _compare(
     simulation: Process, domain: int, directory: Path, hours: str,
     outcomes: dict[Case, Outcome],
 ) -> None:
-    """Compare the simulation's bag with that from an undisturbed run at full speed."""
+    """Compare the simulation's bag with the bag of an undisturbed run at full speed."""
     wrong = ""
     code = simulation.process.wait(600)
     if code != 0:

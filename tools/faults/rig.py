@@ -204,7 +204,7 @@ class Rig:
         raise NotImplementedError
 
     def pids(self) -> dict[str, int]:
-        """Return the process of each node, by the node's name, and that named ``bringup``."""
+        """Return the process of each node, by the node's name, and of ``bringup``."""
         pids = {"bringup": self.main.process.pid}
         with suppress(OSError):  # it has ended
             pids |= self.main.nodes()

@@ -96,7 +96,7 @@ def _stands_from(
 
     Every ten minutes a new pump control runs for a quarter of a minute, so its own limits do not
     count. While there is a forecast the pump is commanded to run, then `lookahead` decides, with a
-    dry roof. Without a thermometer the temperature is that in the forecast.
+    dry roof. Without a thermometer the temperature comes from the forecast.
     """
     choice = find_controller("lookahead")
     values = {setting.name: setting.default for setting in choice.parameters_on(site)}

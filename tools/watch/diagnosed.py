@@ -20,7 +20,7 @@ from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.supervision import ENDED, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 
-# A node reports four times a second; doc/explanation/live.md: after 2 s of silence bringup holds it.
+# A node reports four times a second; bringup holds the pump after 2 s (doc/explanation/live.md).
 SILENT_S = 2.0
 # A node that waits for another one for longer than this reports an alarm (s).
 _WAITS_S = 5.0
