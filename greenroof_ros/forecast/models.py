@@ -166,9 +166,9 @@ class FileModel(ForecastModel):
         self._archive = archive
         refuse_between_hours(archive.issues, weather)
         self._late = weather.rain_late
-        # The hour of the records from whose start each issue is known. If their rain is late, the
-        # forecasts must be as late: otherwise the controller would know about rain from a forecast
-        # made after it fell.
+        # The hour of the records at whose start each issue becomes known. If their rain is late,
+        # forecasts must be as late: otherwise the controller would expect rain that in fact fell
+        # an hour ago.
         delay = timedelta(hours=archive.delay + self._late)
         self._known_from = [
             -((weather.first - issue.issued - delay) // HOUR) for issue in archive.issues
@@ -230,7 +230,7 @@ class NormalRecords:
 
         Args:
             climate: of the rain.
-            rain: of each hour (mm), NaN where missing, shape (hours,).
+            rain: of each hour (mm), NaN if missing, shape (hours,).
             first: hours since 1970 of the first.
         """
         self._climate, self._rain, self._first = climate, rain, first
@@ -449,7 +449,7 @@ def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     twice = np.full(len(power), 2.0)
     twice[[0, -1]] = 1.0
     unknown = (1 - coherence**2) @ (twice * power) / hours
-    # Variance beyond the filters' reach is added to that within.
+    # The variance beyond the filters' reach is added within it.
     within = (common**2).sum(axis=1) + (own**2).sum(axis=1)
     scale = np.sqrt(np.divide(unknown, within, out=np.zeros(len(leads)), where=within > 0))
     return _Filters(

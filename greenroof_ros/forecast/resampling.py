@@ -96,7 +96,7 @@ class Known:
         """
         if not self._from <= since < self._until:
             self._draw_lines(since)
-        # No mean is negative, but rounding at the end of a line can be.
+        # No mean is negative, but rounding can make one so at the end of a line.
         means = np.maximum(self._first + self._slope * since, 0.0)
         return Outlook(
             means[:-1] if all_members else array("d", means[0].tobytes()),

@@ -20,7 +20,7 @@ _LEAST_HOURS = 8760
 # the others' water. GFS's fifth day, half missing there, had 0.36 to 0.52.
 _LEAST_SHARE = 0.55
 # The lowest r of the services five days ahead is 0.32 (sums over 12 h; the package's table of
-# skill). Among this many unrelated pairs hardly one set in a thousand reaches the limit.
+# skill). With this many unrelated pairs r reaches the limit in hardly one case in a thousand.
 _LEAST_R, _LEAST_PAIRS = 0.1, 1000
 
 

@@ -45,8 +45,8 @@ def fit_skill(
 ) -> Skill:
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
-    ``amount``, ``persistence`` and ``evapotranspiration`` show in no score; they are taken from
-    skill ``real``.
+    ``amount``, ``persistence`` and ``evapotranspiration`` cannot be fitted to the scores, and are
+    taken from skill ``real``.
 
     Args:
         tallies: the tally of each class.

@@ -45,7 +45,7 @@ def bounds(site: Site) -> dict[str, float]:
     )
     exchange *= 2
     end = exchange + RAMP_S + SLACK_S
-    # The line is left silent once the speed has not fallen for this time.
+    # The line is left silent if the speed has not fallen for this long.
     runs_on = RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
     frozen, jump = 0.01, 0.02

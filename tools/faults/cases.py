@@ -330,8 +330,8 @@ MODES = ("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermitt
 def _badly() -> dict[tuple[str, str], Expected]:
     """Return what must follow from topics that are published badly; others have no effect.
 
-    The controller uses its own command in place of /pump/flow, and the campaign's, on/off, needs
-    no forecast.
+    The controller uses its own command in place of /pump/flow, and the campaign's controller
+    (on/off) needs no forecast.
     """
     command, frost = "/pump/command", "/weather/frost"
     refused = Expected(signs=_REFUSED[command])

@@ -58,7 +58,7 @@ class _Readers:
         ]
 
     def stop_and_continue(self, rng: random.Random) -> None:
-        """Stop each for `STOPPED_S`, at its own random time; mostly all are stopped together."""
+        """Stop each for `STOPPED_S`, at its own random time; for most of it all are stopped."""
         began = time.monotonic()
         moments = []
         for process in self._processes:

@@ -30,7 +30,7 @@ RESAMPLES = 2000
 # Length of the sums of forecasts (h).
 _SUM_H = 48
 
-# What an owner sees of a run: heading, format, and the weekly sums of which it is the ratio.
+# What an owner sees of a run: heading, format, and the weekly sums whose ratio it is.
 OWNERS = {
     "mean deviation (mm)": ("{:.2f}", "total_deviation_m3", "deviated"),
     "water stress (h)": ("{:.0f}", "stress_hours", ""),

@@ -4,8 +4,7 @@
 keeps each fault for longer than the limit after it was reported. Whatever a node reports as wrong
 on ``/diagnostics`` must appear on the page within the limit, with the condition's code, and
 disappear within it afterwards. A change that lasts less than the limit may be missed, but each kind
-must show its own alarm: one that the campaign expects, or one of the node that the fault is done
-to.
+must show its own alarm: one that the campaign expects, or one of the node with the fault.
 """
 
 from __future__ import annotations
