@@ -29,8 +29,8 @@ exclude_patterns = [
 ]
 templates_path = ["_templates"]
 
-# A broken link is an error (-W). Not documented here are names outside this package, private
-# ones, names of types, and constants, which have comments in the source.
+# A broken link is an error (-W). Not documented here are names outside this package, private ones,
+# names of types, and constants, which have comments in the source.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),

@@ -1,7 +1,7 @@
 """A pump driver that replaces the simulated pump: /pump/command in, /pump/flow out.
 
-It needs only rclpy. Start it, then bringup with ``--pump external``; start it again for each
-run. This pump's flow follows the command with a first-order lag.
+It needs only rclpy. Start it, then bringup with ``--pump external``; start it again for each run.
+This pump's flow follows the command with a first-order lag.
 """
 
 import math

@@ -4,30 +4,30 @@ A service's rain has the bias of its model, and no measure of its uncertainty. W
 its forecasts and a record of rain, an issue can be replaced by the rain after its *analogs*: the
 hours that were observed after each of the past issues most similar to it (Hamill and Whitaker 2006,
 doi:10.1175/MWR3237.1; Delle Monache et al. 2013, doi:10.1175/MWR-D-12-00281.1). Members are spells
-of the record, so their hours and days belong together without a Schaake shuffle (Clark et al.
-2004, Journal of Hydrometeorology 5:243).
+of the record, so their hours and days belong together without a Schaake shuffle (Clark et al. 2004,
+Journal of Hydrometeorology 5:243).
 
 **Expected rain.** Leads are divided into blocks that grow with the lead, as errors of timing do: to
-6, 12, 24, 48, 72 and 120 h, and so on. The rain expected in a block, m, is a straight line
-of the rain forecast for it, f (mm, the mean of the issue's members): m = a + b f. It is fitted
-to the past issues by least squares, with a >= 0 and b >= 0, and goes through their means.
+6, 12, 24, 48, 72 and 120 h, and so on. The rain expected in a block, m, is a straight line of the
+rain forecast for it, f (mm, the mean of the issue's members): m = a + b f. It is fitted to the past
+issues by least squares, with a >= 0 and b >= 0, and goes through their means.
 
 **Similarity.** The distance of two issues is the sum over blocks of (log m - log m')^2. It compares
 the rain that they lead to, whatever the unit or the bias of the forecast, and weights a block by
-the service's skill in it: without skill b is 0, all issues are alike, and the analogs are a
-random draw from the record, its climatology. Ties are broken at random.
+the service's skill in it: without skill b is 0, all issues are alike, and the analogs are a random
+draw from the record, its climatology. Ties are broken at random.
 
 **Members.** The ten most similar issues that are two days or more apart, so that no storm counts
-twice. Rain is skewed: most of the analogs of a wet issue are drier than it is. So the rain of
-each analog's block is multiplied by m / m', limited to between a quarter and four. (Alessandrini et
-al. 2019, doi:10.1175/MWR-D-19-0006.1, correct analogs of rare events by a line of the forecasts
-too.) Hours after the forecast's end are left as observed. Compared with unscaled analogs, this took
-the bias of sums over 48 h from 0.87 to 1.03, and lowered their CRPS by 6 % (the three services
+twice. Rain is skewed: most of the analogs of a wet issue are drier than it is. So the rain of each
+analog's block is multiplied by m / m', limited to between a quarter and four. (Alessandrini et al.
+2019, doi:10.1175/MWR-D-19-0006.1, correct analogs of rare events by a line of the forecasts too.)
+Hours after the forecast's end are left as observed. Compared with unscaled analogs, this took the
+bias of sums over 48 h from 0.87 to 1.03, and lowered their CRPS by 6 % (the three services
 together).
 
-**No leakage.** The line and the analogs of an issue use no issue whose time is within the length
-of a member plus five days, before or after. So an issue of the archive that made the file
-is dressed without the rain observed after it, and a season can be replayed with its own file.
+**No leakage.** The line and the analogs of an issue use no issue whose time is within the length of
+a member plus five days, before or after. So an issue of the archive that made the file is dressed
+without the rain observed after it, and a season can be replayed with its own file.
 
 The numbers of members, hours and days here were chosen at Budva, 2024-02-20 to 12-31, with GEM, GFS
 and KNMI, by the CRPS of sums over 12, 48 and 120 h: of the whole period, and of its drier and

@@ -10,11 +10,11 @@ amounts. The z behind the records' rain, see :mod:`greenroof_ros.forecast.skill`
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
 at each frequency, with the coherence s given there. The first two terms are what the forecasters
-know; zeta is an error common to all members, xi_j the own error of member j. All
-have the spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two
-members have the coherence s with each other, as each has with the truth. So the truth is like one
-more member, and the ensemble's spread is reliable. Last, rain is made of f_j + wetness, and
-multiplied by the amount: these are a service's systematic errors.
+know; zeta is an error common to all members, xi_j the own error of member j. All have the spectrum
+of z, and so has f_j: it rains in forecasts as often as in the records. Any two members have the
+coherence s with each other, as each has with the truth. So the truth is like one more member, and
+the ensemble's spread is reliable. Last, rain is made of f_j + wetness, and multiplied by the
+amount: these are a service's systematic errors.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ _LEADS = 256
 # Age in multiples of the persistence at which an issue's noise is dropped; exp(-3) of it remains.
 _FORGOTTEN = 3
 
-# Sweeps over all dry hours, after which the start hardly matters: the slowest mode
-# of an autoregression with T = 8 h keeps 0.985 of itself in a sweep.
+# Sweeps over all dry hours, after which the start hardly matters: the slowest mode of an
+# autoregression with T = 8 h keeps 0.985 of itself in a sweep.
 _SWEEPS = 300
 
 # Length of the blocks in which random numbers are drawn (hours since 1970).
@@ -147,8 +147,8 @@ class FileModel(ForecastModel):
 
     The newest is the last that was available by the start of the hour. After its end there is no
     rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour if
-    it is shorter than a day. Without a column of evapotranspiration the records' values
-    count as known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
+    it is shorter than a day. Without a column of evapotranspiration the records' values count as
+    known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -167,8 +167,8 @@ class FileModel(ForecastModel):
         refuse_between_hours(archive.issues, weather)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,
-        # forecasts must be as late: otherwise the controller would expect rain that in fact fell
-        # an hour ago.
+        # forecasts must be as late: otherwise the controller would expect rain that in fact fell an
+        # hour ago.
         delay = timedelta(hours=archive.delay + self._late)
         self._known_from = [
             -((weather.first - issue.issued - delay) // HOUR) for issue in archive.issues
@@ -298,9 +298,9 @@ class ErrorModel(ForecastModel):
     seed, the member's number and the time of issue: the same seed gives the same forecasts,
     whichever are asked for first.
 
-    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e
-    grows from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like
-    xi. Members differ in the rain only. Member 0 is the single forecast of the same seed.
+    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e grows
+    from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.
+    Members differ in the rain only. Member 0 is the single forecast of the same seed.
 
     Forecasts are limited to the ranges in :data:`greenroof_ros.formats.records.QUANTITIES`.
     """

@@ -69,8 +69,8 @@ class ServiceRequest:
 
     Attributes:
         ensemble: whether to request all members of an ensemble, or one series.
-        model: weather model by the service's name, such as ``icon_seamless``; if empty, the
-            service chooses.
+        model: weather model by the service's name, such as ``icon_seamless``; if empty, the service
+            chooses.
         days: length of the answer, from the first hour of today in UTC.
         url: of the interface; if empty, the service's own.
     """

@@ -1,15 +1,15 @@
 """The skill of forecasts: constants for the rain of a place, and for the errors of its forecasts.
 
-**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is at
-most a threshold c, and above it
+**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is at most a
+threshold c, and above it
 
     r = k (exp(b (z - c)) - 1)
 
 so that small amounts are the most frequent and large ones fall off as a lognormal's do. From hour
 to hour z is a first-order autoregression with the correlation exp(-h / T) at h hours apart. So rain
-comes in spells, and the errors of an hour's forecast can be described by correlated normal
-numbers. A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and
-Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
+comes in spells, and the errors of an hour's forecast can be described by correlated normal numbers.
+A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and Stahel,
+Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
 28(5):1247 (1992).
 
 **Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
@@ -17,9 +17,9 @@ Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
 The first factor is the general skill of the forecast; the second is an error of timing, which
-affects short showers first. Small scales are also lost first in real rain forecasts
-(Bowler, Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006).
-At the lead 0 everything is known.
+affects short showers first. Small scales are also lost first in real rain forecasts (Bowler, Pierce
+and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At the lead 0
+everything is known.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ _COLUMNS = {
     "wind speed": ("Wind Spd (km/h)", "Wind Spd Flag"),
     "station pressure": ("Stn Press (kPa)", "Stn Press Flag"),
 }
-# The service's legend: M = missing, NA = not available. A value flagged M is not an observation:
-# it often repeats the last one before the gap.
+# The service's legend: M = missing, NA = not available. A value flagged M is not an observation: it
+# often repeats the last one before the gap.
 _MISSING_FLAGS = {"M", "NA"}
 # Largest difference between a place's mean solar time and its standard time (h).
 _MOST_FROM_SOLAR_TIME = 2.5

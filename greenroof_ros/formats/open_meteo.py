@@ -433,8 +433,8 @@ def _known_of(previous: Records) -> list[Issue]:
 def _daily(previous: Records) -> list[Issue]:
     """Return one issue a day, at 00 UTC, for verification: each hour comes only from its own N.
 
-    The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is
-    in exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
+    The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is in
+    exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
     :func:`_known_of` uses a value in up to four issues, or replaces it by another N's.
     """
     issues = []

@@ -46,9 +46,9 @@ def read_records(file: Path, _site: Site, /) -> Records:
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
-    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]``
-    begins with the name of its method. Each further line is the hour that starts at its ``time``
-    (ISO 8601 with the offset from UTC); the hours must be consecutive.
+    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
+    with the name of its method. Each further line is the hour that starts at its ``time`` (ISO 8601
+    with the offset from UTC); the hours must be consecutive.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -101,8 +101,8 @@ def read_forecasts(path: Path) -> list[Issue]:
     [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
     (only member 0's values are used). Each further line is the hour that starts at its ``time``, as
     forecast at ``issued`` (ISO 8601 with the offset from UTC). The hours of each issue and member
-    are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and
-    so on, and all members of an issue have the same hours.
+    are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
+    on, and all members of an issue have the same hours.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.

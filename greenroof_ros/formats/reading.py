@@ -35,9 +35,9 @@ def read_records(file: Path, site: Site) -> Records:
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
     """Read an archive of forecasts.
 
-    An issue is known once it is available, which is hours after its nominal time, because its
-    run must be computed and distributed. The nominal time is the time of its observations, at
-    which its first hour begins.
+    An issue is known once it is available, which is hours after its nominal time, because its run
+    must be computed and distributed. The nominal time is the time of its observations, at which its
+    first hour begins.
 
     Args:
         source: a file, or a directory of files of one format.

@@ -63,8 +63,8 @@ class Records:
             each forecast by its column, shape (hours,); NaN if missing.
         method: of the evapotranspiration among them; empty if there is none.
         shifted: quantities that the files have at the end of their hour, moved to its start.
-        rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour
-            and it was not moved to the start, otherwise 0.
+        rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
+            it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
     """
 
@@ -236,8 +236,7 @@ class Issue:
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
 
-        After its end the issue repeats its last day, or its last hour if it is shorter than a
-        day.
+        After its end the issue repeats its last day, or its last hour if it is shorter than a day.
         """
         if self.evapotranspiration is None:
             return None

@@ -95,10 +95,10 @@ def _spells(observed: Array, step: int) -> list[Array]:
 def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
     """Fit a climate to records of rain (mm).
 
-    The share of wet hours is counted. k and b have the largest likelihood, given that
-    amounts are counted in tips. T fits the tetrachoric correlations of wet and dry hours up to a
-    day apart (least squares). All are within the limits of a skill file. A lag is left out if it
-    shows no correlation, for example if no two hours that far apart are wet.
+    The share of wet hours is counted. k and b have the largest likelihood, given that amounts are
+    counted in tips. T fits the tetrachoric correlations of wet and dry hours up to a day apart
+    (least squares). All are within the limits of a skill file. A lag is left out if it shows no
+    correlation, for example if no two hours that far apart are wet.
 
     Args:
         spells: uninterrupted hours, each spell of 1 h or more.

@@ -144,10 +144,10 @@ def bridged(series: Array, longest: int) -> Array:
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     """Fill what is still missing: rain with 0, other quantities with the mean of the days around.
 
-    That is the mean at the same time of day over the three days before and the three days after,
-    of the hours that are known or were bridged. If none of them is, the hour stays missing. Years
-    with a few estimated hours are more useful than pieces of years, but rain that was not measured
-    is lost, so the user must ask for this.
+    That is the mean at the same time of day over the three days before and the three days after, of
+    the hours that are known or were bridged. If none of them is, the hour stays missing. Years with
+    a few estimated hours are more useful than pieces of years, but rain that was not measured is
+    lost, so the user must ask for this.
     """
     filled = {}
     for quantity, series in values.items():

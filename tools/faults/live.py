@@ -29,8 +29,8 @@ _RECOVERY_S = 75.0
 _END_S = 50.0
 _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
-# Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file
-# that is good again counts only after a while.
+# Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file that
+# is good again counts only after a while.
 _OVER_S = 15.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002

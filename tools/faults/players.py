@@ -147,8 +147,8 @@ class Players(_Played):
 class Relay(_Played):
     """Stands between nodes in lockstep: the others hear each node's messages only through it.
 
-    A node publishes under /true, and each message is passed on as a case requires; one that is
-    not passed on holds up the tick. A node in lockstep publishes again only when it is answered, so
+    A node publishes under /true, and each message is passed on as a case requires; one that is not
+    passed on holds up the tick. A node in lockstep publishes again only when it is answered, so
     slow is the same as delayed, but longer.
     """
 

@@ -1,7 +1,7 @@
 """Cases of a failing forecast service: six hours of one failure, as a live site meets it.
 
-Requests and answers are real, but the time between requests is skipped. For every ten minutes
-the file of forecasts is read, and controller and pump control use it, in this process.
+Requests and answers are real, but the time between requests is skipped. For every ten minutes the
+file of forecasts is read, and controller and pump control use it, in this process.
 """
 
 from __future__ import annotations

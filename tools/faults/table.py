@@ -14,8 +14,7 @@ import paths  # noqa: F401
 from faults.cases import MODES, SIMULATED, WAYS
 from markdown_tables import head, row
 
-# Beginnings and end of the tables, each for some rigs: relays, other network devices, and the
-# rest.
+# Beginnings and end of the tables, each for some rigs: relays, other network devices, and the rest.
 _RELAYS, _NETWORK, _REST = (
     f"<!-- measured: make faults{of} -->\n" for of in (", relays", ", network", "")
 )

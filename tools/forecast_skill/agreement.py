@@ -38,9 +38,8 @@ class Agreement(NamedTuple):
 def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
     """Return the agreement of forecasts from their r and covariance, without the series.
 
-    The covariance of a mean with the records is the mean of its members' covariances with them,
-    so r of the mean is sum(r_i s_i) / sqrt(sum(C_ij)), with standard deviations s and covariances
-    C.
+    The covariance of a mean with the records is the mean of its members' covariances with them, so
+    r of the mean is sum(r_i s_i) / sqrt(sum(C_ij)), with standard deviations s and covariances C.
 
     Args:
         alone: r of each with the records, shape (members,).
@@ -78,8 +77,8 @@ def of_members(forecasts: np.ndarray, observed: np.ndarray, hours: int, count: i
     """Return the agreement of ensembles of ``count`` members, the mean over all choices of members.
 
     Args:
-        forecasts: of each hour (mm), shape (members, hours); NaN if there is none. Hours at the
-            end that do not fill a sum are left out.
+        forecasts: of each hour (mm), shape (members, hours); NaN if there is none. Hours at the end
+            that do not fill a sum are left out.
         observed: the records of these hours (mm).
         hours: length of a sum.
         count: number of members of an ensemble.

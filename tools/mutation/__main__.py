@@ -1,9 +1,9 @@
 """Change the code in one place at a time, and see whether a test fails.
 
-``python tools/mutation`` copies the checkout, draws a seeded sample of all the mutants that
-Cosmic Ray can make of each folder's modules, and runs the tests of ``judges.yaml`` on each. It
-prints a table, and keeps it in ``runs/`` with every mutant that survived. Ctrl-C ends it after the
-current mutant: the order is random, so the mutants judged until then are a sample too.
+``python tools/mutation`` copies the checkout, draws a seeded sample of all the mutants that Cosmic
+Ray can make of each folder's modules, and runs the tests of ``judges.yaml`` on each. It prints a
+table, and keeps it in ``runs/`` with every mutant that survived. Ctrl-C ends it after the current
+mutant: the order is random, so the mutants judged until then are a sample too.
 """
 
 from __future__ import annotations

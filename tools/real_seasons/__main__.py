@@ -1,11 +1,11 @@
 """What forecasts as they were issued are worth: ``python tools/real_seasons ARCHIVES -o DIR``.
 
-ARCHIVES is a directory with the previous runs of three services and the gauge's record,
-2024-02-20 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs
-on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
-of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a
-file in DIR; the same command continues after an interruption. Prints tables in Markdown, draws
-trust over time, and writes ``worth.csv``, from which the README's figure is drawn.
+ARCHIVES is a directory with the previous runs of three services and the gauge's record, 2024-02-20
+to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs on/off, and
+``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, of a
+placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a file
+in DIR; the same command continues after an interruption. Prints tables in Markdown, draws trust
+over time, and writes ``worth.csv``, from which the README's figure is drawn.
 
 - **dressed**: by the same record, without the days around each issue.
 - **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter

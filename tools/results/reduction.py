@@ -73,8 +73,8 @@ def seeds(study: Path) -> Rows:
 def seasons(study: Path) -> Rows:
     """Return a row for each controller and roof, over the years and seeds of its seasons.
 
-    The mean deviation is over all years (mm). Its ratio to the first on/off on the same roof has
-    a 95 % interval. The row also has the number of years in which it is below on/off, and the ratio
+    The mean deviation is over all years (mm). Its ratio to the first on/off on the same roof has a
+    95 % interval. The row also has the number of years in which it is below on/off, and the ratio
     to the least possible if the study has it.
     """
     rows = read(study / "results.csv")

@@ -34,8 +34,8 @@ _LOOK_S = 0.1
 # Each listener discovers a restarted process in its own time, as Fast DDS announces it repeatedly.
 # The page may hear of it this much earlier than this program (s).
 _AHEAD_S = 3.0
-# Reads the page: level and code of each standing alarm, by the name of its status; and the
-# events, newest first.
+# Reads the page: level and code of each standing alarm, by the name of its status; and the events,
+# newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
     (alarm) => [alarm.dataset.alarm, `${alarm.dataset.level} ${alarm.dataset.code}`])),
