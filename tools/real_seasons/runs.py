@@ -16,8 +16,8 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import Rain, SteppedForecast
-from greenroof_ros.formats.records import Archive
+from greenroof_ros.forecast.resampling import Known, Rain, SteppedForecast
+from greenroof_ros.formats.records import HOUR, Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
@@ -66,11 +66,14 @@ class Case:
 class HourAsForecast(SteppedForecast):
     """Knows the rain at this moment, and for the rest of the hour only the forecast."""
 
-    def _take_hour(self, hour: int) -> None:
-        super()._take_hour(hour)
-        self._now = self._rates[:-1, 0].copy()
-        rain, _ = self._model.known(hour, self._hours(hour))
-        self._rates[:-1, 0] = rain[:, 0] / 1000 / 3600
+    def _known_in(self, hour: int) -> Known:
+        """Return the newest forecast in an hour, that hour included."""
+        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
+        present = min(hour, len(self._weather.precipitation) - 1)
+        self._now = self._weather.precipitation[present] / 1000 / 3600
+        evapotranspiration[0] = self._weather.evapotranspiration[present]
+        issued = self._weather.first + hour * HOUR
+        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
 
     def precipitation(self, tick: int) -> Rain:
         """Return the means of the steps (m/s); the first is observed."""
