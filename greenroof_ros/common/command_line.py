@@ -195,7 +195,7 @@ class Finding:
     Attributes:
         check: what the part must do.
         problem: what it does instead; empty if the check passed.
-        came: what it did, if the check passed and the result is worth showing.
+        came: the result, if the check passed and the result is worth showing.
     """
 
     check: str

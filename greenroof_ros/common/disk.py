@@ -106,7 +106,7 @@ DISK = DiskThread()
 
 
 class Newest(Generic[_T]):
-    """Writes the newest of the values it is given; a newer value replaces one that still waits.
+    """Writes the newest of the values it is given; a newer value replaces a value that still waits.
 
     Attributes:
         problem: why the last value could not be written, in words; empty if it was.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class ConfigurationError(Exception):
-    """A file or an option is wrong; the message says where, what is there, and what would be right.
+    """A file or an option is wrong; the message gives the place, the value, and what is expected.
 
     Commands then end with exit code 2, without a traceback.
 

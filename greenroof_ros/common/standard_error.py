@@ -111,7 +111,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """Show progress.
 
     Yields:
-        A function to call with what is being done now, and the share that is done, 0 to 1.
+        A function to call with the present task, and the share of all tasks that is done, 0 to 1.
     """
     from rich.console import Console  # nodes print only lines, and do not need this
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

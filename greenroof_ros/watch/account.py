@@ -83,7 +83,7 @@ _BY_NAME = {metric.name: metric for metric in METRICS}
 
 
 class _Pending:
-    """Values of a topic that are not counted yet, after the newest one that is."""
+    """The newest counted value of a topic, and all values that are not counted yet."""
 
     def __init__(self) -> None:
         self._times: list[Stamps] = []
@@ -117,7 +117,7 @@ class Account:
     """The sums of one run, or of a live site since the watcher began.
 
     A value holds until the next value of its topic. In a simulation that is one tick, and the sums
-    equal those of the run's summary; a tick that was not heard is a gap. On a live site a value
+    equal the run's summary; a tick that was not heard is a gap. On a live site a value
     holds for 10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
 
     Flows that nobody measures on a live site are computed from the levels: the overflow by Eq. (2),
@@ -126,7 +126,7 @@ class Account:
     ``initial_layer`` when the account begins.
 
     Attributes:
-        live: whether it is a live site, where drainage and overflow are not waited for.
+        live: whether it is a live site: drainage and overflow are not waited for.
         since: begin of the account (ns); None if it has not begun.
         until: its end (ns).
         gap_s: total time in which something was unknown (s).
@@ -181,7 +181,7 @@ class Account:
     def totals(self) -> Mapping[str, float]:
         """Return the known metrics so far, in their units.
 
-        The keys are those of the document's account. ``stored`` is the change of the water on the
+        The keys are as in the document's account. ``stored`` is the change of the water on the
         roof, and ``unexplained`` the part of it that the flows do not explain.
         """
         self._count()

@@ -2,8 +2,8 @@
 
 An alarm is a status that is not OK, a node that failed, or a node that is not heard. It is
 identified by the name of its status: a number that changes in its sentence makes no new alarm, but
-a second fault under that name does. The table of conditions says by its code what it means and what
-to do; sentences are not parsed.
+a second fault under that name does. Its meaning and the advice come from the table of conditions,
+by its code; sentences are not parsed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TEXT, _ROWS, _OVER, _EVENTS = 500, 100, 20, 50
 _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
-# Advice for unknown codes, and for other devices, of which nothing is known here.
+# Advice for unknown codes, and for other devices, about which nothing is known here.
 OTHER = "Nothing is known about this here; read the log of the node that says so."
 FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
 
@@ -106,7 +106,7 @@ class Alarm:
 
     @property
     def gist(self) -> str:
-        """What is wrong, without numbers, which change."""
+        """Level, code and sentence, without numbers, which change."""
         trouble = self.trouble
         what = trouble.gist or re.sub(r"[0-9.]+", "", trouble.what)
         return f"{trouble.level} {trouble.code} {what}"
@@ -118,7 +118,7 @@ class Alarm:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether somebody has seen it as it is now, apart from its numbers."""
+        """Whether somebody has seen it in its present form; numbers do not count."""
         return self.gist == self.acknowledged
 
     def row(
@@ -209,7 +209,7 @@ class Alarms:
         def order(name: str) -> tuple[bool, bool, int, bool, int, float]:
             alarm = present[name]
             trouble = alarm.trouble
-            # The pump node itself, without which it is unknown whether the pump runs; its state.
+            # First the pump node (without it nobody knows whether the pump runs), then its state.
             rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((trouble.role, trouble.part), 2)
             return (
                 not trouble.role, name in causes, rank, alarm.is_acknowledged,
@@ -269,7 +269,7 @@ class Alarms:
         return present.get(rows[0]["follows"], rows[0])["do"] if rows else "Nothing to do."
 
 
-# --- what follows from what -----------------------------------------------------------------------
+# --- causes ---------------------------------------------------------------------------------------
 
 
 def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
@@ -304,7 +304,7 @@ def _candidates(
     state = (trouble.role, part) == (PUMP, PUMP)
     if code in _NEEDS_A_HAND and part == PUMP:
         return
-    if part and node in troubles:  # the node as a whole, such as one that is silent
+    if part and node in troubles:  # the node as a whole, such as a silent node
         yield node
     if part == "supervisor" or not part:
         yield from _other_nodes(node, trouble, troubles)

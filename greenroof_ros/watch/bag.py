@@ -63,7 +63,7 @@ _TYPES = (_FLOAT, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String")
 
 @dataclass
 class Batch:
-    """What was read in one go, and how far the bag was read; names are those of the interface.
+    """The content read in one go, and how far the bag was read; names are as in the interface.
 
     Attributes:
         numbers: topics of numbers, with times (ns since 1970) and values, in the order of the bag.
@@ -111,7 +111,7 @@ class Recorded:
 
         Args:
             bag: a directory with ``.mcap`` files, which need not exist yet.
-            namespace: of its topics, such as ``/site1``; None for that of the first roof level.
+            namespace: of its topics, such as ``/site1``; None: take it from the first roof level.
         """
         self._bag = bag
         self._namespace = namespace
@@ -308,7 +308,7 @@ class FollowedBag:
 
         Args:
             bag: its directory.
-            namespace: of its topics; None for that of the first roof level.
+            namespace: of its topics; None: take it from the first roof level.
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag

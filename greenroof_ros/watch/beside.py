@@ -19,7 +19,7 @@ _ENDING_S = 3.0
 
 @contextlib.contextmanager
 def watcher(namespace: str, site_file: Path) -> Iterator[None]:
-    """Serve a page while something runs; print what the watcher prints, the page's address first.
+    """Serve a page during a run; print the watcher's output, which begins with the page's address.
 
     The watcher ends with the run, however that ends. If it cannot start or ends early, a line says
     so, and the run goes on.
@@ -52,7 +52,7 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
 
 
 def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
-    """Print what a watcher prints, and that it ended if it was not asked to."""
+    """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():

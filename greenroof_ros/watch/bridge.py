@@ -54,7 +54,7 @@ class Bridge:
         """Start without a connection.
 
         Args:
-            store: what is published.
+            store: state of the graph, to publish.
             feed: stops the pump.
             broker: where to publish.
             prefix: of Home Assistant's topics.
@@ -163,7 +163,7 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of the state, in the page's units; None means *unknown*.
 
     Args:
-        store: what is known; the caller holds its lock.
+        store: state of the graph; the caller holds its lock.
         shown: the document of that store.
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]

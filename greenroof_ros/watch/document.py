@@ -52,7 +52,7 @@ def document(store: Store, wall: float) -> dict[str, Any]:
     """Return everything that page and terminal show, below 100 kB, as plain texts.
 
     Args:
-        store: what is known.
+        store: state of the graph.
         wall: now (steady clock, s).
     """
     with store.lock:
@@ -249,12 +249,12 @@ _THEN = (
 
 
 def _stop(store: Store) -> dict[str, Any]:
-    """Return whether the pump can be stopped from here, is stopped, and what is wrong with that.
+    """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
     It is stopped if an operator stopped it and it stands; the stop alone only says that it should
     stand. ``call`` and ``release`` are the commands to stop and release it; empty if that would do
-    nothing. A key in ``_here`` is whether something may be done here, in ``_then`` what happens
-    then. A request for a dose sends ``asked_at`` back: one that was delayed on the way is too old.
+    nothing. Entries in ``_here`` say whether an action is allowed here, entries in ``_then`` what
+    happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -370,7 +370,7 @@ def series(store: Store, hours: float) -> dict[str, Any]:
     value holds for longer. It also has a gap from a row of None to the next row.
 
     Args:
-        store: what is known.
+        store: state of the graph.
         hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
     """
     with store.lock:
@@ -413,7 +413,7 @@ def _gap(rows: list[list[Any]], stretch_ns: int) -> float:
     """Return the time between two rows of a line beyond which there is a gap (s).
 
     It is the account's time, or twice the stretch that a row covers if that is longer. If rows
-    usually come less often, there is a gap when so many are missing that the value is stale:
+    usually come less often, there is a gap after as many missing rows as make the value stale:
     samples of a run at full speed may be an hour apart.
     """
     gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9

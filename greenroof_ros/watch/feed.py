@@ -1,11 +1,11 @@
-"""Feeds what is shown: from the graph that runs and from the bag that it writes.
+"""Feeds the store: from the graph that runs and from the bag that it writes.
 
 A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.looker`. But each of its
 subscriptions costs the publisher time in every tick, so it hears the numbers of a run only up to a
 certain speed. Above that it hears only /diagnostics.
 
-What is heard shows the present. The past comes from a bag that grows, if there is one: in order and
-with nothing missing. If there is none, what is heard becomes the past.
+Heard messages are the present. The past comes from a bag that grows, if there is one: in order and
+with nothing missing. If there is none, heard messages become the past.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # The fastest run, in times real time, whose numbers are heard: 60 and some jitter.
 FASTEST = 66.0
-# How often the watcher takes what came, and how often it updates what is watched (s).
+# How often the watcher takes new messages, and how often it updates the state of the graph (s).
 _LOOK_S, _SAY_S = 0.05, 0.25
 # How long heard values wait for a bag that does not grow (the recorder of a live site writes every
 # 10 s), and for the recorder to say where its bag is (s).
@@ -98,7 +98,7 @@ class Feed:
         """Start with nothing.
 
         Args:
-            store: what is fed.
+            store: the store to feed.
             bag: the bag to read; None for the bag that the graph writes.
             site_file: the site file by which levels are judged; None for the graph's own.
 
@@ -131,7 +131,7 @@ class Feed:
         self._judge_by(site_file or self._site_of_graph())
 
     def _begin_hearing(self) -> None:
-        """Forget what was heard and is not part of the past yet."""
+        """Forget heard messages that are not part of the past yet."""
         self._ticks = Ticks()
         # Numbers and plans in the order of arrival, each with its time (ns since 1970) and topic.
         self._heard: deque[tuple[int, str, float | bytes]] = deque()
@@ -170,7 +170,7 @@ class Feed:
             request: for a dose, as :meth:`greenroof_ros.graph.looker.Looker.give_dose` takes it.
 
         Returns:
-            What the pump node answers.
+            The pump node's answer.
 
         Raises:
             StopFailedError: the pump node did not confirm it.
@@ -209,7 +209,7 @@ class Feed:
             self._looker.close()
 
     def _look(self) -> None:
-        """Take all that came, and show it; if a step fails, the others are done all the same."""
+        """Take new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
             self._hear, self._see_graph, self._answer, self._hand_on, self._say,
         ) if self._fails(act)]
@@ -238,7 +238,7 @@ class Feed:
         self._forgive_own_pause()
 
     def _see_graph(self) -> None:
-        """Find out which graph is there, and hear and read what is to be shown of it."""
+        """Find out which graph is there, and subscribe to it and follow its bag as needed."""
         now = time.monotonic()
         mode = self._graph.mode(now)
         if self._bag is not None and (mode == "none" or not self._shows_graph()):
@@ -275,7 +275,7 @@ class Feed:
         return self._graph.node(RECORDER) is not None and self._graph.bag() in (None, self._bag)
 
     def _forget(self) -> None:
-        """Forget everything that is shown; what is recorded is read again."""
+        """Forget everything that is shown; a recording is read again."""
         self._begin_hearing()
         self._follow(None)
         self._store.start_over()
@@ -337,7 +337,7 @@ class Feed:
         another = site != self._store.site
         self._store.set_site(site, note)
         if another and self._recorded is not None:
-            self._forget()  # what was counted was of another site
+            self._forget()  # the account was for another site
 
     def _choose_topics(self, now: float) -> None:
         """Subscribe to as much as the graph can bear."""
@@ -369,7 +369,7 @@ class Feed:
         """Whether a simulation runs."""
         return self._mode in ("simulated", "loop")
 
-    # --- what comes -----------------------------------------------------------------------------
+    # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         """Take a message that came; if it cannot be taken, the others are taken all the same."""
@@ -413,7 +413,7 @@ class Feed:
             self._heard.append((stamp, name, value))
 
     def _hand_on(self) -> None:
-        """Make what was heard the past, if no bag brings that."""
+        """Make heard messages part of the past, if no bag brings the past."""
         now = time.monotonic()
         if self._shows_samples(now) and self._graph.samples is not None:
             time_ns, values = self._graph.samples
@@ -450,7 +450,7 @@ class Feed:
         waited = now - self._waits_since > _FOUND_S
         return self._running and too_fast and waited and not recorded
 
-    # --- what is said of it ---------------------------------------------------------------------
+    # --- state of the graph ---------------------------------------------------------------------
 
     def _say(self) -> None:
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""What the files beside a recorded bag say: the controller's name, and what was lost in the run."""
+"""Reads the files beside a recorded bag: the controller's name, and the incidents of the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
     """Return a recorded run's controller, its incidents in the order of begin, and what is wrong.
 
     Incidents are in a file of their own, or in the summary if that file could not be written.
-    Their times are those of ticks if the site is simulated, otherwise wall time.
+    They are dated by ticks if the site is simulated, otherwise by wall time.
     """
     directory, controller = bag.parent, ""
     try:

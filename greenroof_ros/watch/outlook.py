@@ -1,4 +1,4 @@
-"""What is to come: the forecast of rain, and the controller's plan."""
+"""The hours to come: the forecast of rain, and the controller's plan."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Amount(NamedTuple):
 
 
 class Pumped(NamedTuple):
-    """What a controller plans to pump."""
+    """Planned pumping."""
 
     volume: float
     """m3"""
@@ -46,7 +46,7 @@ class Pumped(NamedTuple):
 
 @dataclass(frozen=True)
 class _Steps:
-    """What is to come, in steps.
+    """A forecast or a plan, in steps.
 
     Attributes:
         at: when the first step begins (s since 1970).
@@ -109,7 +109,7 @@ def _ranges(values: Values) -> tuple[Values, Values]:
 
 @dataclass(frozen=True)
 class Plan(_Steps):
-    """What the controller plans to pump.
+    """The controller's plan of pumping.
 
     Attributes:
         flow: mean of each step (m3/s).
@@ -133,7 +133,7 @@ class Plan(_Steps):
         return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
     def pumped(self, now: float) -> Pumped | None:
-        """Return what is to be pumped from now to 12 h ahead; None for nothing."""
+        """Return the pumping planned from now to 12 h ahead; None if there is none."""
         lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
         if not len(pumps):

@@ -1,7 +1,7 @@
-"""Which nodes are in a graph, and what each last said on /diagnostics, which only this file reads.
+"""Which nodes are in a graph, and their last reports on /diagnostics, which only this file reads.
 
 A node is identified by its name; another process under the same name is a restart. Alarms, tiles
-and subscriptions all follow from what is kept here.
+and subscriptions all follow from this registry.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain
 
 OK, WARN, ERROR, STALE = range(4)
-# Nodes report four times a second; one that is silent for longer than this (s) counts as not heard,
-# as in bringup. Other devices report once a second: the default of diagnostic_aggregator.
+# After this silence (s) a node counts as not heard, as in bringup; it reports four times a second.
+# Other devices report once a second; their limit is the default of diagnostic_aggregator.
 SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
@@ -196,7 +196,7 @@ class Registry:
         Args:
             wall: now (steady clock, s).
             statuses: the statuses.
-            stamp_ns: time stamp of the message, in a simulation that of the tick (ns since 1970).
+            stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
             arrived: when the message came (s); None if unknown: ``wall`` is used.
             tau: duration of a tick (s).
         """
@@ -301,7 +301,7 @@ class Registry:
             self.runs += 1
             self._start_ns, self.samples = 0, None
             self._ticks.clear()
-            # What silent nodes said was about the run before.
+            # Reports of silent nodes are about the run before.
             for other in list(self._nodes.values()):
                 if not other.is_heard(wall):
                     self._forget(other)
@@ -353,7 +353,7 @@ class Registry:
             for part in parts.values():
                 part.heard += seconds
 
-    # --- what graph it is -----------------------------------------------------------------------
+    # --- kind of graph --------------------------------------------------------------------------
 
     @property
     def anybody(self) -> bool:
@@ -409,8 +409,8 @@ class Registry:
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:
         """Return another process of the same name, or role, that is heard alternately with a node.
 
-        None if there is none. A process that was started in place of one that is gone is no rival:
-        the earlier one was not heard after it began.
+        None if there is none. A process that replaced another one is no rival: the earlier process
+        was not heard after the later one began.
         """
         for rival in self._nodes.values():
             alike = rival is not node and getattr(rival, same) == getattr(node, same)
@@ -441,7 +441,7 @@ class Registry:
         except OSError:
             return None
 
-    # --- what is wrong --------------------------------------------------------------------------
+    # --- troubles -------------------------------------------------------------------------------
 
     def troubles(self, wall: float) -> dict[str, Trouble]:
         """Return all that is wrong now, each by the name of its status."""
@@ -495,7 +495,7 @@ class Registry:
                 "refused", names=node.refused,
             )
         for part, said in node.parts.items():
-            # What a silent node last reported as wrong is shown as long as it is silent.
+            # The last troubles of a silent node stay.
             if not silent and wall - said.heard > SILENT_S:
                 yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
             elif said.level != OK:
@@ -539,7 +539,7 @@ def _counts(values: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
-    """Return the items that were appended to a list, of which the node may keep only the newest."""
+    """Return the items appended to a list; the node may keep only the newest items in it."""
     old, all_now = before.get(key), values.get(key)
     if not isinstance(old, list) or not isinstance(all_now, list):
         return []

@@ -1,8 +1,8 @@
 """The page over HTTP: its files, what is pushed to it, and the actions that it can request.
 
 Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
-the token. What was stopped here may be released here if that was allowed, which needs a token. With
-it, a dose may also be given if the site file allows doses.
+the token. A stop from here may be released here if that was allowed, which needs a token. With it,
+a dose may also be given if the site file allows doses.
 Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
 request must name this host (not another name that leads here), and an action needs a header that
 only this page can send. No connection can hold up others: their number is limited, each has a time
@@ -106,7 +106,7 @@ class News:
         """Start without messages.
 
         Args:
-            store: what is shown.
+            store: state of the graph, to show.
         """
         self.readers = 0
         self._store = store
@@ -166,11 +166,11 @@ class News:
         return Message(key, shown if key == "state" else shown["tiles"]["summary"])
 
 
-# --- who is served -------------------------------------------------------------------------------
+# --- connections ---------------------------------------------------------------------------------
 
 
 class _Connections:
-    """The connections of a server: if there is no room, the idle one that is due first goes."""
+    """The connections of a server; if there are too many, the idle one that is due first ends."""
 
     def __init__(self, server: web.Server) -> None:
         self._server = server
@@ -200,7 +200,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _NEXT_S
 
     async def drop_idle(self) -> None:
-        """End connections whose next request is overdue, again and again."""
+        """End connections with an overdue next request, again and again."""
         while True:
             await asyncio.sleep(1.0)
             self._forget_closed()
@@ -250,7 +250,7 @@ class _Site:
             self.app.router.add_post(f"/{action}", self._act)
         self.app.router.add_post("/acknowledge", self._acknowledge)
 
-    # --- who may ask ----------------------------------------------------------------------------
+    # --- access ---------------------------------------------------------------------------------
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
@@ -287,7 +287,7 @@ class _Site:
                 raise web.HTTPForbidden(reason="only the page itself may ask for this")
         return await handler(request)
 
-    # --- what is answered -----------------------------------------------------------------------
+    # --- answers --------------------------------------------------------------------------------
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Push messages to one browser until it disconnects, or does not read."""
@@ -338,7 +338,7 @@ class _Site:
                 "volume": _number(body, "volume", "m3"), "asked_at": _number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
-        # No request joins a stop after which another action was requested.
+        # A request joins the one under way only if no other action was requested since.
         if task is None or task.done() or (task is not self._newest and not given):
             task = asyncio.create_task(self._ask(action, given, request.remote or ""))
             self._acting[action] = self._newest = task
@@ -479,7 +479,7 @@ def serve(
     """Serve the page until a signal comes.
 
     Args:
-        store: what is shown.
+        store: state of the graph, to show.
         feed: stops the pump.
         host: address or name to listen on.
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
