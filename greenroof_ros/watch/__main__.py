@@ -150,7 +150,7 @@ def main() -> int:
             f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal needs it not"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
-    # Releasing needs a token even here: behind a proxy each request comes from this machine.
+    # Releasing always needs a token: behind a proxy each request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
     token = secrets.token_urlsafe(24) if needed else None
     signals = Signals()

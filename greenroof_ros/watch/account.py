@@ -117,8 +117,8 @@ class Account:
     """The sums of one run, or of a live site since the watcher began.
 
     A value holds until the next value of its topic. In a simulation that is one tick, and the sums
-    equal the run's summary; a tick that was not heard is a gap. On a live site a value
-    holds for 10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
+    equal the run's summary; a tick that was not heard is a gap. On a live site a value holds for
+    10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
 
     Flows that nobody measures on a live site are computed from the levels: the overflow by Eq. (2),
     and the drainage by Eq. (4), which begins at the soil's capacity, or for a measured roof by

@@ -106,7 +106,7 @@ class Alarm:
 
     @property
     def gist(self) -> str:
-        """Level, code and sentence, without numbers, which change."""
+        """Level and code, and the trouble's gist, or else its sentence without the numbers."""
         trouble = self.trouble
         what = trouble.gist or re.sub(r"[0-9.]+", "", trouble.what)
         return f"{trouble.level} {trouble.code} {what}"
@@ -131,7 +131,7 @@ class Alarm:
 
         Args:
             name: of its status.
-            follows: the name of the alarm that causes it; None if it is a cause.
+            follows: the name of the alarm that causes it; None if there is none.
             recorded: whether it is an incident of a recording.
         """
         trouble, node = self.trouble, name.partition(": ")[0]

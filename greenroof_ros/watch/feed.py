@@ -282,7 +282,7 @@ class Feed:
 
     def _follow(self, bag: Path | None) -> None:
         """Follow another bag, or none."""
-        # Batches of the last bag that are still on their way are not shown any more.
+        # Batches of the previous bag that are still on their way are not shown any more.
         with self._lock:
             before, self._recorded = self._recorded, None
         if before is not None:

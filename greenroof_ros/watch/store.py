@@ -39,8 +39,8 @@ PLAN, PUMP_STATE = "/controller/plan", "/pump/state"
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _LARGEST = 1e9
-# A value is stale after this many of its usual intervals, but not within the second time (s). The
-# usual interval is at most the third (s).
+# A value is stale after this many of its usual intervals, and at the earliest after the second (s).
+# The usual interval counts as the third (s) at most.
 INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
 # Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
