@@ -241,7 +241,7 @@ def _signs(
             )
             return
         time.sleep(0.05)
-    advised = {who for watcher in rig.watchers for at, (who, _) in watcher.advised if at >= began}
+    advised = {who for who, _ in rig.advised(began)}
     without = {who for who, code in case.expected.signs if code != "node_failed"} - advised
     if without:
         outcome.fail(f"no alarm with advice came of: {without}")

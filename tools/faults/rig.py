@@ -246,11 +246,19 @@ class Rig:
 
     def signs(self, since: float, incidents: int = 0) -> set[Sign]:
         """Return the signs since a time on /diagnostics, and in incidents from a number on."""
-        heard = {
-            sign for watcher in self.watchers for at, sign in list(watcher.signs) if at >= since
-        }
-        return heard | {
+        return self._heard("signs", since) | {
             (incident.subject, incident.code) for incident in read_incidents(self.kept)[incidents:]
+        }
+
+    def advised(self, since: float) -> set[Sign]:
+        """Return the signs since a time that the page has advice about."""
+        return self._heard("advised", since)
+
+    def _heard(self, kind: str, since: float) -> set[Sign]:
+        """Return a kind of signs since a time; a case's own watcher hears that case alone."""
+        return {
+            sign for watcher in self.watchers for at, sign in list(getattr(watcher, kind))
+            if at >= since or watcher is not self.watcher
         }
 
     def incidents(self) -> int:
