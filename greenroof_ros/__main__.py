@@ -1,4 +1,4 @@
-"""Every command of this package by one name: ``greenroof``, or ``python -m greenroof_ros``."""
+"""The entry point of all commands: ``greenroof``, or ``python -m greenroof_ros``."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from greenroof_ros.common.errors import did_you_mean
 
 @dataclass(frozen=True)
 class Command:
-    """A command: a module of its own, imported once it is chosen.
+    """A command: a module of its own, imported when the command is chosen.
 
     Attributes:
         module: in this package; has ``main`` and ``make_parser``.
-        about: what it does, for the help.
+        about: the command in one line, for the help.
     """
 
     module: str
     about: str
 
 
-# By what a user wants to do, and by name.
+# Grouped by what a user wants to do; then by name.
 GROUPS = {
     "run the roof": {
         "run": Command("bringup.__main__", "run the node graph, simulated or with a drive"),
@@ -62,7 +62,7 @@ COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.it
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what prints the help and refuses what is no command."""
+    """Return the parser that prints the help and refuses unknown commands."""
     groups = (
         "\n".join([
             f"{title}:", *(f"  {name:20}{entry.about}" for name, entry in group.items())
@@ -79,7 +79,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    """Run the command that the command line names, as ``python -m`` and its module would."""
+    """Run the command named on the command line, just as ``python -m`` with its module would."""
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     words = sys.argv[1:]
@@ -91,14 +91,14 @@ def main() -> None:
 
 
 def _name(words: list[str]) -> str:
-    """Return the name of the command that some words begin with, be there one or not."""
+    """Return the command name that these words begin with, whether or not it exists."""
     two = any(name.startswith(f"{word} ") for name in COMMANDS for word in words[:1])
     return " ".join(word for word in words[:2 if two else 1] if word not in ("-h", "--help"))
 
 
 @command
 def _explain() -> int:
-    """Print which commands there are, or that there is none of this name."""
+    """Print the commands, or that there is none with this name."""
     parser = make_parser()
     name = _name(sys.argv[1:])
     if name and not any(entry.startswith(f"{name} ") for entry in COMMANDS):
@@ -108,11 +108,11 @@ def _explain() -> int:
 
 
 def _complete() -> None:
-    """Tell the shell what may come next, and exit; argcomplete has set the environment."""
+    """Print completions for the shell, and exit; argcomplete has set the environment."""
     import argcomplete
 
     words = os.environ["COMP_LINE"].split()[1:]
-    sys.argv[1:] = words  # options of the controller that it names
+    sys.argv[1:] = words  # a controller named there adds options
     parser = make_parser()
     branches = {"": parser.add_subparsers()}
     for name, entry in COMMANDS.items():

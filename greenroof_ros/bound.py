@@ -30,10 +30,10 @@ _PATIENCE_S = 2.0
 
 
 def _block_ticks(site: Site, block_s: float) -> int:
-    """Return the ticks in a block of so many seconds.
+    """Return how many ticks a block of this many seconds has.
 
     Raises:
-        ConfigurationError: they are not a whole number of ticks, at least one.
+        ConfigurationError: it is not a whole number of ticks, at least one.
     """
     ticks = round(block_s / site.tau)
     if ticks < 1 or not math.isclose(ticks * site.tau, block_s, rel_tol=1e-9):
@@ -46,7 +46,7 @@ def _block_ticks(site: Site, block_s: float) -> int:
 
 @contextmanager
 def _note_if_slow(note: str) -> Iterator[None]:
-    """Print a note on standard error if what is done takes longer than two seconds."""
+    """Print a note on standard error if the body takes longer than two seconds."""
     timer = threading.Timer(_PATIENCE_S, print, (note,), {"file": sys.stderr, "flush": True})
     timer.daemon = True
     timer.start()
@@ -59,7 +59,7 @@ def _note_if_slow(note: str) -> Iterator[None]:
 def _result(
     run: Run, max_command: float, bound: Bound, recursion: CarriedOut
 ) -> dict[str, Any]:
-    """Return what ``--json`` prints."""
+    """Return the object that ``--json`` prints."""
     attained = min(bound.plan_m3, recursion.total_m3)
     return {
         "bound_m3": bound.bound_m3,
@@ -82,7 +82,7 @@ def _result(
 
 
 def _table(result: dict[str, Any]) -> Table:
-    """Return what a person sees."""
+    """Return the table for the terminal."""
     initial, gap = result["initial"], result["gap"]
     rows = (
         (
@@ -120,7 +120,7 @@ def _table(result: dict[str, Any]) -> Table:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof bound",
         usage="%(prog)s [options]",
@@ -151,7 +151,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Bound the total deviation of the run that the command line asks for."""
+    """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
     block = None if arguments.block is None else _block_ticks(run.site, arguments.block)

@@ -1,4 +1,4 @@
-"""A site on MQTT, for Home Assistant among others: ``greenroof bridge``."""
+"""Publish a site on MQTT, for Home Assistant and others: ``greenroof bridge``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
 
-# As of the page: a tenth of a core where the others want all (nice).
+# As for the page (nice): about a tenth of a core if other processes want all of it.
 _GIVE_WAY = 10
 
 _DESCRIPTION = """\
@@ -41,7 +41,7 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof bridge",
         usage="%(prog)s --broker mqtt://HOST[:PORT] [options]",
@@ -76,7 +76,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Publish a site until asked to end."""
+    """Publish a site until the command is ended."""
     arguments = make_parser().parse_args()
     if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
         raise ConfigurationError(

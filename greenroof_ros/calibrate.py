@@ -1,4 +1,4 @@
-"""Fit a site's roof to what was measured on it: ``greenroof calibrate MEASURED``."""
+"""Fit a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -117,7 +117,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Fit the record that the command line names."""
+    """Fit the record named on the command line."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
@@ -151,7 +151,7 @@ def main() -> int:
 
 
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
-    """Return the pump curve of a data sheet."""
+    """Return the pump curve fitted to a data sheet."""
     with in_extra("study"):
         from greenroof_ros.report.pump_figures import read_pump_data
     points = read_pump_data(file)
@@ -169,14 +169,14 @@ def _calibrate(
     arguments: argparse.Namespace, site_file: Path, site: Site, sheet: PumpCurve | None,
     findings: Sequence[Finding],
 ) -> tuple[str, str]:
-    """Fit a record, print what was found, and return the texts of site file and page.
+    """Fit a record, print the findings, and return the texts of site file and page.
 
     Args:
         arguments: of the command line.
-        site_file: that the fit begins with.
-        site: its site, with the pumps of the data sheet.
-        sheet: what was fitted to the data sheet before.
-        findings: of the fit, so far.
+        site_file: the file with which the fit starts.
+        site: its site, with the pumps of the data sheet if there is one.
+        sheet: the pump curve already fitted to the data sheet, if any.
+        findings: earlier findings.
     """
     with in_extra("study"):
         from greenroof_ros.calibration.page import render
@@ -197,7 +197,7 @@ def _calibrate(
     pumps = fit_pumps(site, record.only(counts))
     site = pumps.site
     if pumps.parameters:
-        record = read(site)  # the pumps' state is now another flow
+        record = read(site)  # the fitted pumps turn their state into another flow
     counted = record.only(counts)
     doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
@@ -233,7 +233,7 @@ def _calibrate(
 
 
 def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
-    """Refuse a record if one half has nothing measured, or no water."""
+    """Refuse a record if nothing that was measured changes in one of its halves."""
     for part, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(
             np.ptp(values[steps]) == 0 for values in record.measured.values()
@@ -253,7 +253,7 @@ def _heading(
     measured: Path, spans: Mapping[str, str], rows: Collection[Scores],
     findings: Sequence[Finding],
 ) -> list[str]:
-    """Return what stands at the top of the site file."""
+    """Return the heading of the site file."""
     lines = [
         f"Fitted to {measured.name} by greenroof calibrate.",
         f"Fit: {spans['fit']}; validation: {spans['validation']}.",
@@ -300,7 +300,7 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
 
 
 def _print(findings: Sequence[Finding]) -> None:
-    """Print what was found beside the roof's parameters."""
+    """Print the findings of the fit."""
     for finding in findings:
         style = "bold" if finding.severity is Severity.WARNING else None
         Console().print(finding.text, style=style, soft_wrap=True, highlight=False)

@@ -1,4 +1,4 @@
-"""Whether a class is a controller: ``greenroof check-controller``."""
+"""Check whether a class is a controller: ``greenroof check-controller``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from greenroof_ros.model.site import read_site
 
 
 def _options(reference: str) -> Finding:
-    """Check that its parameters can be options of the commands beside the others."""
+    """Check that no parameter has the name of an option of the commands."""
     parser = argparse.ArgumentParser()
     problem = ""
     try:
@@ -26,7 +26,7 @@ def _options(reference: str) -> Finding:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof check-controller",
         description="Hold a controller to what the node graph, simulate, studies and reports rely "
@@ -49,7 +49,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Check the controller that the command line names."""
+    """Check the controller named on the command line."""
     arguments = make_parser().parse_args()
     choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")

@@ -1,4 +1,4 @@
-"""Whether a pump driver keeps to the interface: ``greenroof check-pump``."""
+"""Check whether a pump driver keeps to the interface: ``greenroof check-pump``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LIMIT = (
     "seen over topics, so look at the pump. Lockstep is played, one flow for each command; not a "
     "live graph, in which a driver must also stop for an input that falls silent."
 )
-# Options of a time (s): the name, which of the check's limits it is, least, default and meaning.
+# Options in seconds: option, field of `Limits`, least value, default and meaning.
 _TIMES = (
     (
         "--period", "period", 0.001, 0.1, "least time between two commands; each is a tick of the "
@@ -44,7 +44,7 @@ _TIMES = (
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof check-pump",
         description="Hold a pump driver that runs, be it this package's or your own in any "
@@ -80,7 +80,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Check the driver that the command line names."""
+    """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
         from greenroof_ros.graph.pump_check import Limits, check_pump

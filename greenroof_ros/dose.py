@@ -1,4 +1,4 @@
-"""Have a volume delivered once: ``greenroof dose``."""
+"""Deliver a volume once: ``greenroof dose``."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.watch import wire
 
 _PATIENCE_S = 20.0
-# For how long the pump node may say nothing before the dose counts as out of sight (s).
+# If the pump node is silent for longer than this (s), the fate of the dose is unknown.
 _SILENT_S = 5.0
 _LOOK_S = 0.1
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof dose",
         description="Have the pump deliver a volume once, now, whatever the controller commands: "
@@ -51,13 +51,13 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 class _Progress:
-    """What the pump node says of a dose.
+    """What the pump node reports about a dose.
 
     Attributes:
-        dose: as it was said last; None before that.
-        heard: when that was (steady clock, s).
-        begun: when the dose was accepted, likewise.
-        lost: whether the node does not know it any more: it was started again.
+        dose: its last report; None before the first.
+        heard: time of the node's last message (steady clock, s).
+        begun: time when the dose was accepted (steady clock, s).
+        lost: whether the node no longer knows the dose, because it was restarted.
     """
 
     def __init__(self, pump: str, asked_at: float) -> None:
@@ -66,7 +66,7 @@ class _Progress:
         self._pump, self._asked_at = pump, asked_at
 
     def take(self, name: str, message: bytes, *_: Any) -> None:
-        """Take a message of the graph."""
+        """Handle a message of the graph."""
         if name != DIAGNOSTICS or (statuses := wire.statuses(message)) is None:
             return
         for status in statuses[1]:
@@ -81,7 +81,7 @@ class _Progress:
 
 @command
 def main() -> int:
-    """Ask for a dose, and say how far it is until its end."""
+    """Ask for a dose, and print its progress until it ends."""
     arguments = make_parser().parse_args()
     pump = f"{arguments.namespace}/pump"
     with importing_ros():

@@ -1,4 +1,4 @@
-"""A drive that is not there, on Modbus, or a relay on MQTT: ``greenroof simulators drive``."""
+"""Simulate a drive on Modbus, or a relay on MQTT: ``greenroof simulators drive``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LAST_PORT = 65535
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
@@ -114,7 +114,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Be the drive that the command line asks for."""
+    """Simulate the drive or relay that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
     path = find_drive_file(arguments.drive)

@@ -1,4 +1,4 @@
-"""Keep a file of the newest forecast of the internet: ``greenroof fetch-forecast``."""
+"""Keep a file with the newest forecast from the internet: ``greenroof fetch-forecast``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from greenroof_ros.model.site import read_site
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof fetch-forecast",
         usage="%(prog)s [options]",
@@ -75,7 +75,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Fetch once, or again and again."""
+    """Fetch a forecast, once or at intervals."""
     arguments = make_parser().parse_args()
     if arguments.output.suffix != ".csv":
         raise ConfigurationError(

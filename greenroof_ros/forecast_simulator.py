@@ -1,4 +1,4 @@
-"""A forecast service for trying things out: ``greenroof simulators forecast``."""
+"""Simulate a forecast service: ``greenroof simulators forecast``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PORT = 8099
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     faults = "\n".join(f"  {name:10} {meaning}" for name, meaning in FAULTS.items())
     parser = argparse.ArgumentParser(
         prog="greenroof simulators forecast",
@@ -55,7 +55,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Be the service that the command line asks for."""
+    """Run the service that the command line asks for."""
     arguments = make_parser().parse_args()
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     files = find_files(arguments.weather or [str(default_weather())], "--weather")

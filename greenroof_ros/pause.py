@@ -1,4 +1,4 @@
-"""Pause the pump until a date, over restarts: ``greenroof pause``."""
+"""Pause the pump until a date, even if nodes restart: ``greenroof pause``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PATIENCE_S = 20.0
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof pause",
         description="Have the pump node keep the pump off until a date, after a restart too. The "

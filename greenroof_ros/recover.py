@@ -28,17 +28,17 @@ from greenroof_ros.recording.bag_writer import (
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
-    """Write every whole tick of a damaged bag, or message of a live site, into a new bag.
+    """Write every complete tick of a damaged bag, or message of a live site, to a new bag.
 
     Args:
         directory: a run directory, or the bag in it.
-        output: the new bag, which must not exist; by default beside the old one.
+        output: the new bag, which must not exist; by default it is next to the old one.
 
     Returns:
-        The new bag, and how much is in it, for people.
+        The new bag, and a text with how much is in it.
 
     Raises:
-        ConfigurationError: there is no bag, it holds no whole tick, or the output exists.
+        ConfigurationError: no bag, nothing complete in it, or the output exists or is unwritable.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     if not bag_files(bag):
@@ -58,21 +58,21 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
 
 
 def restore(bag: Path, target: Path) -> str:
-    """Make a bag of all that is whole in another one: ticks of a simulation, or live messages.
+    """Write all that is complete in one bag to another: ticks of a simulation, or live messages.
 
-    A file that was closed is the same in both, where the disk can do that; else it is copied: there
-    may be months of them.
+    A file that was closed is hard-linked, because there may be months of them, or copied if the
+    disk does not support links.
 
     Args:
-        bag: that was recorded.
-        target: the new one; must not exist.
+        bag: the recorded bag.
+        target: the new bag; must not exist.
 
     Returns:
-        How much there is in it, for people.
+        A text with how much is in it.
 
     Raises:
-        ConfigurationError: nothing is whole.
-        OSError: the new one cannot be written.
+        ConfigurationError: nothing is complete.
+        OSError: the new bag cannot be written.
     """
     files = bag_files(bag)
     target.mkdir(parents=True)
@@ -80,7 +80,7 @@ def restore(bag: Path, target: Path) -> str:
     for file in files:
         copy = next_file(list(restored), target)
         index = read_index(file)
-        # The newest is read: it may be the only one, and have its end in spite of some damage.
+        # Read the newest file in full: its middle can be damaged although its end is intact.
         if index is not None and (
             file != files[-1]
             or sum(1 for _ in _messages(file)) == index.statistics.message_count
@@ -105,12 +105,12 @@ def restore(bag: Path, target: Path) -> str:
 def _link(file: Path, copy: Path) -> None:
     try:
         os.link(file, copy)
-    except OSError:  # another disk, or one that knows no links
+    except OSError:  # another disk, or one without links
         shutil.copyfile(file, copy)
 
 
 def _rewrite(file: Path, copy: Path) -> None:
-    """Write the whole messages of a file into another; of a simulation the whole ticks."""
+    """Write a file's complete messages to another file; for a simulation its complete ticks."""
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
     per_tick = 1
@@ -140,22 +140,22 @@ def _rewrite(file: Path, copy: Path) -> None:
 
 
 def _per_tick(channels: Collection[Channel]) -> int:
-    """Return how many messages make a tick whose first ones have these channels.
+    """Return how many messages a tick has, from the channels of the first messages.
 
-    A live site has no clock and no ticks: each message is for itself.
+    A live site has no clock and no ticks: each message counts by itself.
     """
     return len(channels) if any(channel.topic.endswith("/clock") for channel in channels) else 1
 
 
 def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
-    """Read the messages of a file up to where its writer was killed: chunks are whole or not."""
+    """Yield the messages of a file up to its first damaged or incomplete chunk."""
     with file.open("rb") as stream, suppress(*DAMAGED):
         reader = NonSeekingReader(stream, validate_crcs=True)
         yield from reader.iter_messages(log_time_order=False)
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
@@ -171,7 +171,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Recover the bag that the command line names."""
+    """Recover the bag named on the command line."""
     arguments = make_parser().parse_args()
     bag, amount = recover(arguments.directory, arguments.output)
     print(f"{amount} recovered to {bag}")

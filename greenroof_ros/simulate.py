@@ -1,4 +1,4 @@
-"""A run in one process, without ROS: ``greenroof simulate``."""
+"""Simulate a run in one process, without ROS: ``greenroof simulate``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.metrics import Metrics
 
-# Column of the trajectory's file, beside the time: attribute of a tick.
+# Columns of the trajectory file besides the time, with the attribute of a tick in each.
 _COLUMNS = {
     "cistern_m3": "x1",
     "roof_m3": "x2",
@@ -38,12 +38,12 @@ _COLUMNS = {
     "drainage_m3_per_s": "flows.drainage",
     "frost": "frost",
 }
-# And of a measured roof.
+# The additional column for a measured roof.
 _LAYER = {"drainage_layer_m3": "layer"}
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof simulate",
         usage="%(prog)s [options]",

@@ -1,4 +1,4 @@
-"""Cistern and roof behind sensors on Modbus or MQTT: ``greenroof simulators site``."""
+"""Simulate cistern and roof with sensors on Modbus or MQTT: ``greenroof simulators site``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MM_PER_DAY = 1e-3 / 86400
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
@@ -79,7 +79,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Be the site that the command line asks for."""
+    """Simulate the site that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
     from greenroof_ros.simulators.simulated_site import SiteBench

@@ -9,7 +9,7 @@ from greenroof_ros.common.interface import markdown_table, read_topics
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     return argparse.ArgumentParser(
         prog="greenroof topics",
         description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",

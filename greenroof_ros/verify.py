@@ -71,16 +71,16 @@ examples:
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
-# What is scored unless something else is asked for: hours, and mm of an event in them.
+# Default sums: hours, and the mm from which such a sum is an event.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
-# How far ahead is looked (h); and how long a member of a dressed issue is, so that half a day after
-# the issue a live site still has as much of it as it looks ahead.
+# Hours ahead that are scored; and hours of each member of a dressed issue: half a day more, so a
+# live site with an issue half a day old still has its full look-ahead.
 _HORIZON, _MEMBER = 120, 132
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -138,19 +138,19 @@ def make_parser() -> argparse.ArgumentParser:
 
 @command
 def main() -> int:
-    """Verify the forecasts that the command line names."""
+    """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
     return _dress(arguments) if arguments.dress else _verify(arguments)
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    """Score forecasts, and write what was asked for."""
+    """Score forecasts, and write the requested files."""
     sums = _sums(arguments)
     for file in arguments.output:
         refuse_unwritable(file, (".html", ".csv"), "--output")
     if arguments.fit is not None:
         refuse_unwritable(arguments.fit, (".yaml",), "--fit")
-    with in_extra("study"):  # before the work, where a page is to be written
+    with in_extra("study"):  # fail before the work if a page needs it
         if any(file.suffix == ".html" for file in arguments.output):
             from greenroof_ros.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
@@ -171,10 +171,10 @@ def _verify(arguments: argparse.Namespace) -> int:
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
     records = f"{weather.source}, {span}"
-    # Previous runs say leads in days only: a service puts these together.
+    # Only archives put together from previous runs have leads in whole days.
     findings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
     texts: dict[Path, str] = {}
-    if arguments.fit is not None:  # first, as it may refuse what the scores need no more of
+    if arguments.fit is not None:  # first: it may refuse the forecasts
         texts[arguments.fit] = _fit(forecasts, tallies, weather, records)
     for file in arguments.output:
         texts[file] = (
@@ -199,7 +199,7 @@ def _fit(
     forecasts: IssuedForecasts, tallies: Mapping[Class, Tally], weather: Weather, records: str
 ) -> str:
     """Return the file of a skill that is as good as the forecasts."""
-    # Its parts of scipy take half a second, which those who do not fit are spared.
+    # Imported here because its parts of scipy take half a second, needed only for a fit.
     from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
 
     with _bar("fitting", MOST_TRIALS, "trials") as done:
@@ -208,7 +208,7 @@ def _fit(
 
 
 def _dress(arguments: argparse.Namespace) -> int:
-    """Make the file by which an archive is dressed, and say what that is worth."""
+    """Write the file for dressing an archive's forecasts, and print what dressing is worth."""
     for key in ("sums", "events", "fit", "dressed"):
         if getattr(arguments, key) is not None:
             raise ConfigurationError("is for scores; --dress makes a file", key=f"--{key}")
@@ -241,13 +241,13 @@ def _dress(arguments: argparse.Namespace) -> int:
 
 
 def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
-    """Return the place, and its records of rain."""
+    """Return the site, and the records of rain."""
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     return site, read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
-    """Return the sums and events that a command line asks for."""
+    """Return the sums and events of the command line."""
     if arguments.sums is None and arguments.events is None:
         return [Sum(*values) for values in _SUMS if arguments.lead % values[0] == 0]
     if arguments.sums is None or arguments.events is None:
@@ -267,7 +267,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
 
 
 def _new_table(title: str, *names: str) -> Table:
-    """Return a table of numbers without rows."""
+    """Return a table of numbers, without rows yet."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in names:
         table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)
@@ -275,7 +275,7 @@ def _new_table(title: str, *names: str) -> Table:
 
 
 def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
-    """Return the scores as a person sees them."""
+    """Return the scores as a table for the terminal."""
     headings = (heading for heading, _ in SHOWN.values())
     table = _new_table(title, "lead", "sum of", "event", *headings)
     before = ""
@@ -291,7 +291,7 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
 
 
 def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
-    """Return what dressing is worth as a person sees it."""
+    """Return the worth of dressing as a table for the terminal."""
     table = _new_table(
         title, "sum of", "n", "fell mm", "bias issued", "dressed", "CRPS mm issued", "dressed",
         "climate",
@@ -305,7 +305,7 @@ def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
 
 
 def _csv_text(tallies: Mapping[Class, Tally]) -> str:
-    """Return all scores as CSV, a line for each class; an empty cell where there is none."""
+    """Return all scores as CSV, one line per class; a cell is empty if there is no score."""
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")
     rows.writerow(
@@ -323,7 +323,7 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
 
 @contextmanager
 def _bar(action: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; yield what is called with how many more are done."""
+    """Show a progress bar; yield a function that is called with the number of items just done."""
     done = 0
     with progress_bar() as tell:
         def advance(more: int) -> None:

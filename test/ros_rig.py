@@ -114,6 +114,18 @@ class Observer:
         )
         return values
 
+    def times(self, topic: str) -> list[float]:
+        """Return a list that collects when each message of a topic is sent (s), from now on."""
+        times: list[float] = []
+
+        def note(_: Any, info: Any) -> None:
+            times.append(info["source_timestamp"] / 1e9)
+
+        self.node.create_subscription(
+            message_class(_TOPICS[topic].type), topic, note, qos(topic)
+        )
+        return times
+
     def publisher(self, topic: str, node: Node | None = None) -> Any:
         """Create a publisher for a topic, of the observer or of another node."""
         kind = message_class(_TOPICS[topic].type)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from real_seasons.inputs import BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
-from real_seasons.runs import PERFECT, Case
+from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
+from real_seasons.runs import NO_RAIN, PERFECT, Case, build
 from real_seasons.tables import interval
 from real_seasons.worth import SHOWN, rows
 
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.model.look_ahead import growing_steps
 
 HOUR = timedelta(hours=1)
 
@@ -56,6 +57,20 @@ def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
         apart = np.abs(candidates.issued[candidates.usable(hours_since_1970(issue.issued))]
                        - hours_since_1970(issue.issued))
         assert apart.min() >= 7 * 24
+
+
+@pytest.mark.parametrize("hour", [True, False])
+def test_what_is_known_of_the_present_hour(inputs: Inputs, hour: bool) -> None:
+    """This minute's rain; the rest of the hour has the same, or only the forecast: no rain."""
+    run = build(Case("measured", AUTUMN, NO_RAIN, hour=hour), inputs)
+    weather = inputs.weather["measured"]
+    first = (AUTUMN.start - weather.first) // HOUR
+    wet = next(number for number in range(99) if weather.precipitation[first + number])
+    rain = np.atleast_2d(run.forecast.precipitation(60 * wet + 10))[0]  # 50 minutes are left
+    assert rain[0] == weather.precipitation[first + wet] / 1000 / 3600
+    rest = rain[1:][growing_steps(48.0)[2:] <= 50 * 60]
+    assert len(rest) > 9
+    np.testing.assert_allclose(rest, rain[0] if hour else 0.0, rtol=1e-12)
 
 
 def test_intervals_of_sums_over_weeks() -> None:

@@ -1,1 +1,1 @@
-"""Drives and sensors by Modbus; no ROS."""
+"""Drives and sensors on Modbus and MQTT; without ROS."""

@@ -1,4 +1,4 @@
-"""One drive on Modbus, driven as its file says."""
+"""One drive on Modbus, operated as its drive file describes."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Registe
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDS
 
-# Between two looks at whether a drive has reached a state (s).
+# Time between two checks whether a drive has reached a state (s).
 _LOOK_S = 0.05
 _LOCAL = "; it is in local control: hand it over to the bus at its panel"
 
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """What a drive says of itself.
+    """What a drive reports about itself.
 
     Attributes:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
-        fault: in words; empty for none. To turn backwards is a fault, too.
+        fault: in words; empty for none. Turning backwards is a fault, too.
         warning: in words; empty for none.
-        speed: as share of rated speed; below 0 only where the pump turns backwards.
-        flow: m3/s; None where the drive has none.
+        speed: share of rated speed; below 0 only if the pump turns backwards.
+        flow: m3/s; None if the drive does not measure it.
         remote: it obeys the bus.
-        timed_out: the fault is that its own communication timeout has passed, and no other.
+        timed_out: its only fault is that its own communication timeout has passed.
         runs_on: the fault is that its speed does not fall after *stop*.
     """
 
@@ -45,7 +45,7 @@ class DriveStatus:
 
     @property
     def stands(self) -> bool:
-        """Whether the pump does not turn."""
+        """Whether the pump is at rest."""
         return abs(self.speed) <= STANDS
 
     def __str__(self) -> str:
@@ -57,33 +57,33 @@ class DriveStatus:
 
 
 class Drive:
-    """One drive; one connection, which who uses it opens and closes.
+    """One drive on one connection, which the caller opens and closes.
 
     Attributes:
-        file: what the drive is like.
+        file: the drive file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was written; None where there was none.
+        stopped: whether the last `stop` on this connection was written; None if there was none.
     """
 
     def __init__(self, file: DriveFile, address: Address, timeout_s: float = 0.5) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the drive without opening a connection.
 
         Args:
-            file: what the drive is like.
-            address: where it is.
+            file: the drive file.
+            address: of the drive.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         self.file, self.line = file, file.line(address, timeout_s)
         self.stopped: bool | None = None
         self._address, self._timeout = address, file.timeout.over(address)
         self._full_scale: dict[str, float] = {}
-        # What the drive was left in by somebody else is not known.
+        # False: the state in which somebody else left the drive is unknown.
         self._prepared = False
-        # The control word that was written last; None where it is not known what came of it.
+        # The control word written last; None if it is unknown whether that write succeeded.
         self._word: int | None = None
-        # The drive has given back a control word that was written.
+        # Whether the drive has returned a control word that was written.
         self._echoes = False
-        # The bits of the control word that mean something here.
+        # The bits of the control word that the drive file uses.
         self._bits = 0
         for steps in vars(file.sequences).values():
             for step in steps:
@@ -91,7 +91,7 @@ class Drive:
                     self._bits |= step.value
 
     def identify(self) -> str:
-        """Return what the nameplate says, for people.
+        """Return make, model and nameplate as text.
 
         Raises:
             DriveError: it cannot be read.
@@ -104,13 +104,13 @@ class Drive:
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its own communication timeout (s) on this connection; for off None, and why.
+        """Return its own communication timeout on this connection (s); if off, None and the reason.
 
-        Off is also one after which the drive would not stop. The registers that others are divided
-        by are read again, too, when they are next needed.
+        A timeout that would not stop the drive counts as off. The full-scale registers are read
+        again when they are next needed.
 
         Raises:
-            DriveError: it cannot be read, or the drive's file tells of none for this interface.
+            DriveError: it cannot be read, or the drive file has no timeout for this interface.
         """
         self._full_scale.clear()
         timeout = self._timeout
@@ -137,10 +137,10 @@ class Drive:
         return seconds, ""
 
     def read(self) -> DriveStatus:
-        """Return what the drive says of itself.
+        """Return what the drive reports about itself.
 
         Raises:
-            DriveError: it cannot be read, or says what cannot be.
+            DriveError: it cannot be read, or reports an impossible value.
         """
         status, values = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
@@ -165,7 +165,7 @@ class Drive:
         )
 
     def local(self, values: dict[str, int] | None = None) -> bool:
-        """Return whether it is in local control, where the drive's file tells how that is seen.
+        """Return whether it is in local control; False if the drive file has no condition for that.
 
         Args:
             values: raw values just read.
@@ -177,17 +177,17 @@ class Drive:
         return remote is not None and not self._fulfils(remote, {} if values is None else values)
 
     def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Run at a speed: bring the drive to where it can, then write speed and control word.
+        """Make the drive ready if needed, then write speed and control word.
 
-        To be called again and again while the pump is to run, since many a drive stops by itself
-        unless it is written to.
+        The caller repeats this while the pump must run: many drives stop by themselves unless they
+        are written to.
 
         Args:
-            speed: as share of rated speed, 0 to 1.
-            go_on: asked between the steps; where it says no, the sequence ends there.
+            speed: share of rated speed, 0 to 1.
+            go_on: asked before each step and while waiting; if it returns False, the sequence ends.
 
         Raises:
-            DriveError: no or a wrong answer; a fault stands; a state was not reached in time.
+            DriveError: no or a wrong answer; a fault is active; a state was not reached in time.
             ValueError: the speed is out of range.
         """
         if not 0 <= speed <= 1:
@@ -203,13 +203,13 @@ class Drive:
         self._perform(self.file.sequences.run, go_on, speed, values)
 
     def stop(self) -> None:
-        """Ramp down and switch off; to be called again and again while the pump is to stand.
+        """Ramp down and switch off. The caller repeats this while the pump must be off.
 
-        A step that the drive refuses does not keep the later ones from being written: a speed of 0
-        may get through where the control word does not.
+        If the drive refuses a step, the later steps are still written: a speed of 0 may get through
+        although the control word does not.
 
         Raises:
-            DriveError: no or a wrong answer.
+            DriveError: no answer or a wrong one.
         """
         self.stopped = False
         refused: DriveError | None = None
@@ -228,21 +228,21 @@ class Drive:
         """Stop, and acknowledge a fault.
 
         Raises:
-            DriveError: no or a wrong answer; the fault does not go.
+            DriveError: no answer or a wrong one; the fault remains.
         """
         self.stop()
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
     def intruder(self) -> str:
-        """Return that the control word is not the one written last; empty where nothing is known.
+        """Return that the control word is not the one last written; empty if it is, or if unknown.
 
-        Only those bits count that the drive's file uses, and only on a connection on which the
-        drive has given back a word that was written: there are some whose control word cannot be
-        read, or reads as something else.
+        Only the bits that the drive file uses are compared, and only on a connection on which the
+        drive has returned a word that was written: the control word of some drives cannot be read,
+        or reads as something else.
 
         Raises:
-            DriveError: there is no connection any more.
+            DriveError: the connection is lost.
         """
         if self._word is None:
             return ""
@@ -262,13 +262,13 @@ class Drive:
         )
 
     def why_no_simulator(self) -> str:
-        """Return why it is not, for certain, the drive simulator; empty where it is.
+        """Return why this may not be the drive simulator; empty if it certainly is.
 
-        Nothing is written to it, and nothing at all is sent to one that is not at loopback or a
+        Nothing is written to it. Nothing at all is sent unless the address is at loopback or a
         pseudo-terminal.
 
         Raises:
-            DriveError: nobody answers there, of the kind ``connection``.
+            DriveError: of the kind ``connection``: nobody answers there.
         """
         if not self._address.is_here:
             return f"{self._address} is neither at loopback nor a pseudo-terminal"
@@ -291,13 +291,13 @@ class Drive:
         speed: float = 0.0,
         values: dict[str, int] | None = None,
     ) -> bool:
-        """Do the steps; return whether all were done.
+        """Carry out the steps; return whether all were done.
 
         Args:
             steps: in order.
-            go_on: asked before each; where it says no, the rest is left.
-            speed: what a step that writes the speed writes.
-            values: raw values just read; what they fulfil already is not waited for.
+            go_on: asked before each step and while waiting; if it returns False, the rest is left.
+            speed: written by the step that writes the speed.
+            values: raw values just read; a condition that they already fulfil is not waited for.
         """
         for step in steps:
             if not go_on():
@@ -319,7 +319,7 @@ class Drive:
     def _reached(
         self, step: Step, until: Condition, word: int, go_on: Callable[[], bool]
     ) -> bool:
-        """Wait for a state; return False where the wait was given up because of `go_on`."""
+        """Wait for a state; return False if `go_on` ended the wait."""
         deadline = time.monotonic() + step.within_s
         while not self._fulfils(until, now := dict[str, int]()):
             if not go_on():
@@ -352,7 +352,7 @@ class Drive:
         )
 
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
-        """Return the code, or bits, of a fault or a warning that stands, and its text."""
+        """Return the code, or bits, of the present fault or warning, and its text."""
         raw = 0 if codes is None else self._number(codes.register)
         return raw, (codes and codes.text(raw)) or "the drive names no cause"
 
@@ -362,10 +362,10 @@ class Drive:
         return raw
 
     def _scaled(self, name: str, raw: int | float | str) -> float | None:
-        """Return the value of a register in its unit; None for not available.
+        """Return a register's value in its unit; None if the drive marks it as not available.
 
         Raises:
-            DriveError: it is not believable.
+            DriveError: the value is not believable.
         """
         register = self.file.registers[name]
         assert not isinstance(raw, str)
@@ -382,14 +382,14 @@ class Drive:
         return value
 
     def _available(self, name: str) -> float:
-        """Return the value of a register in its unit, which must be available."""
+        """Return a register's value in its unit; if it is not available, raise a DriveError."""
         value = self._scaled(name, self._raw(name))
         if value is None:
             raise self.line.error("answer", f"its {name} is not available")
         return value
 
     def _factor(self, register: Register) -> float:
-        """Return by what a raw value is multiplied."""
+        """Return the factor from the raw value to the register's unit."""
         full = register.full_scale
         if not full:
             return register.scale
@@ -419,14 +419,14 @@ class PlacedDrive:
     """A make of drive at an address.
 
     Attributes:
-        file: what the drive is like.
-        address: where it is.
+        file: the drive file.
+        address: of the drive.
     """
 
     file: DriveFile
     address: Address
 
-    # One round of requests may follow the other at once (s).
+    # Least time between two rounds of requests (s): none.
     period = 0.0
 
     def __str__(self) -> str:
@@ -434,29 +434,29 @@ class PlacedDrive:
 
     @property
     def guard(self) -> Timeout | None:
-        """Its communication timeout at this address; None where its file tells of none."""
+        """Its communication timeout at this address; None if the drive file has none."""
         return self.file.timeout.over(self.address)
 
     @property
     def is_here(self) -> bool:
-        """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
+        """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
         return self.address.is_here
 
     def place(self) -> str:
-        """Return where it is, by the same name for each way to write the address.
+        """Return a name of the place that is the same however the address is written.
 
-        May wait for the name of a host to be looked up.
+        May block while the host name is resolved.
 
         Raises:
-            OSError: there is no such host, or nobody who knows it answers.
+            OSError: there is no such host, or no name server answers.
         """
         return f"{self._at()}-{self.file.device_id_at(self.address)}"
 
     def place_of_lock(self) -> str:
-        """Return what one driver alone may have: it, or the serial line with all its devices.
+        """Return the place that only one driver may use: the drive, or its whole serial line.
 
         Raises:
-            OSError: likewise.
+            OSError: as in `place`.
         """
         return self._at() if self.address.line else self.place()
 
@@ -464,7 +464,7 @@ class PlacedDrive:
         return self.address.place(self.file.tcp.port).strip("/")
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
-        """Return it, to be connected once; nothing is opened yet.
+        """Return the drive on a new connection, not yet opened; it must be connected only once.
 
         Args:
             timeout_s: longest wait for a connection, and for each answer (s).
@@ -476,15 +476,15 @@ class PlacedDrive:
 
 
 def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
-    """Return that a speed other than real time is refused.
+    """Return the error that refuses a speed other than real time.
 
-    Any other drive than the simulator may turn a real motor, by levels that are made up, and start
-    it as many times more often as time goes faster.
+    A drive other than the simulator may turn a real motor by made-up levels, and start it more
+    often by the factor by which time is faster.
 
     Args:
-        why: it is not the simulator; see `Drive.why_no_simulator`.
-        key: what says the speed, for the message.
-        speed: simulated time per wall time; 0 for as fast as it goes.
+        why: it may not be the simulator; see `Drive.why_no_simulator`.
+        key: the option or parameter that sets the speed, for the message.
+        speed: simulated time per wall time; 0 for as fast as possible.
     """
     return ConfigurationError(
         "is for the drive simulator alone, at loopback or on a pseudo-terminal, since another "

@@ -1,4 +1,4 @@
-"""What a make of drive is like: one YAML file of ``config/drives/``, as frozen dataclasses."""
+"""The description of a make of drive: a YAML file in ``config/drives/``, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from greenroof_ros.drives.modbus_line import (
 
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
-# The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
-# file says it. A pump that is not heard may turn for so long, and one that turns longer after it
-# was forbidden does not obey.
+# Longest ramp down that a drive may have (s), after *stop* or after its own timeout; drive files do
+# not give the ramp. A pump that cannot be read may turn for this long. A pump that turns longer
+# after it was forbidden to run does not obey.
 LONGEST_RAMP_S = 30.0
 
 
@@ -39,7 +39,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Numbering:
-    """How the manual's numbers of registers follow from the addresses on the wire."""
+    """How the register numbers in the manual follow from the addresses on the wire."""
 
     offset: int = entry("manual's number minus address on the wire", 0, 465536)
     meaning: str = entry("the manual's own rule, in a sentence")
@@ -55,10 +55,10 @@ class Tcp:
 
 @dataclass(frozen=True)
 class Register:
-    """A holding register, or two that are one value.
+    """A holding register, or two that form one value.
 
-    The value in the stated unit is scale x raw, divided by the value of the register `full_scale`
-    where it is named.
+    The value in the stated unit is scale x raw. If `full_scale` names a register, the value is
+    also divided by that register's value.
     """
 
     address: int = entry("on the wire, the first register is 0", 0, 65535)
@@ -85,20 +85,20 @@ class Register:
 
 @dataclass(frozen=True)
 class Condition:
-    """True where register & mask == value."""
+    """True if register & mask == value."""
 
     mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
     value: Word = entry("what they must be", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
-        """Tell whether a raw value fulfils it."""
+        """Tell whether a raw value fulfils the condition."""
         return raw & self.mask == self.value
 
 
 @dataclass(frozen=True)
 class Step:
-    """One write, and what the drive must say before the next."""
+    """One write, and what the drive must report before the next step."""
 
     write: str = entry("name of the register that is written")
     value: Word | str = entry(
@@ -110,7 +110,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Sequences:
-    """What is written, in order, to bring the drive from one state to another."""
+    """The writes, in order, that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
         "from any state without fault (power-up, reset, local control) to where `run` works"
@@ -122,7 +122,7 @@ class Sequences:
 
 @dataclass(frozen=True)
 class Status:
-    """What the status word says."""
+    """The meaning of the status word."""
 
     enabled: Condition = entry("`run` works without `ready` before it")
     ready: Condition = entry("no fault, no interlock: it would start")
@@ -137,7 +137,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Codes:
-    """A register of faults or warnings, and its texts."""
+    """A register of faults or warnings, and the texts of its values."""
 
     register: str = entry("its name")
     kind: str = entry("one code, or a bit for each", choices=("code", "bits"))
@@ -146,13 +146,13 @@ class Codes:
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Tell whether a raw value says nothing but what is among some codes or bits."""
+        """Tell whether a raw value reports something, and nothing beyond these codes or bits."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
 
     def text(self, raw: int) -> str:
-        """Return what a raw value says; empty for none."""
+        """Return the text of a raw value; empty for no fault or warning."""
         if raw == 0:
             return ""
         if self.kind == "code":
@@ -163,7 +163,7 @@ class Codes:
 
 @dataclass(frozen=True)
 class Action:
-    """A setting on which it depends whether the communication timeout stops the pump."""
+    """A setting that decides whether the communication timeout stops the pump."""
 
     register: str = entry("its name")
     stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
@@ -201,18 +201,18 @@ class Timeout:
 
 @dataclass(frozen=True)
 class Timeouts:
-    """The drive's own communication timeouts: each interface has one, which guards it alone."""
+    """The drive's own communication timeouts: one per interface, which guards only that one."""
 
     serial: Timeout | None = entry("of its serial port, over a line or a gateway", default=None)
     tcp: Timeout | None = entry("of its own Ethernet port, or its adapter's", default=None)
 
     @property
     def known(self) -> dict[str, Timeout]:
-        """The timeouts that the file has, by interface."""
+        """The timeouts in the file, by interface."""
         return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
     def over(self, address: Address) -> Timeout | None:
-        """Return the timeout that guards a connection; None where the file has none."""
+        """Return the timeout that guards a connection; None if the file has none."""
         return self.known.get(address.interface)
 
 
@@ -253,8 +253,8 @@ class DriveFile:
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
-        It is the address's own where that has one, else the one of the interface that is reached:
-        behind a gateway the slave address.
+        The address's own comes first. Otherwise it is the file's for the interface that is reached;
+        behind a gateway that is the slave address.
         """
         if address.device_id is not None:
             return address.device_id
@@ -264,7 +264,7 @@ class DriveFile:
         """Return a connection to the drive, not yet opened.
 
         Args:
-            address: where it is.
+            address: of the drive.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         return ModbusLine(
@@ -274,7 +274,7 @@ class DriveFile:
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """Those unverified keys by which a pump may run when it must not."""
+        """The unverified keys that, if wrong, could let a pump run when it must not."""
         parts = ("sequences.ready.", "sequences.run.", "sequences.stop.", "timeout.")
         vital = ["numbering.", "sequences.", "timeout.", "registers.status."]
         vital += [
@@ -284,13 +284,13 @@ class DriveFile:
 
 
 def find_drive_file(name: str) -> Path:
-    """Return the file of a drive that an option names.
+    """Return the path of the drive file that an option names.
 
     Args:
-        name: a file, or the name of one in ``config/drives/`` without its ending.
+        name: a path, or the name of a file in ``config/drives/`` without its ending.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: there is no such file.
     """
     shipped = shared_directory() / "config" / "drives"
     names = sorted(path.stem for path in shipped.glob("*.yaml"))
@@ -305,10 +305,10 @@ def find_drive_file(name: str) -> Path:
 
 
 def read_drive_file(path: Path) -> DriveFile:
-    """Read a drive's file and check it.
+    """Read and check a drive file.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown, impossible, or contradicts
+        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
     content = read_yaml(path)
@@ -318,12 +318,12 @@ def read_drive_file(path: Path) -> DriveFile:
     return drive
 
 
-# What each register must be like that is named somewhere, beside its unit.
+# What a register must be if a key names it, besides its unit.
 _BITS, _WORD, _ANY = "bits", "word", "any"
 
 
 def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield each record in a part of a file, with its key."""
+    """Yield each record in a part of a drive file, with its key."""
     below: dict[Any, Any] = {}
     if is_dataclass(part):
         yield key, part
@@ -337,7 +337,7 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
-    """Yield each key that names a register, that name, and what the register must be like."""
+    """Yield each key that names a register, the name, and what that register must be."""
     for name, unit in {"control": "", "reference": "share", "status": "", "speed": "share"}.items():
         yield "registers", name, unit
     if "flow" in drive.registers:
@@ -357,7 +357,7 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
 
 
 def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key that contradicts another, and why; what follows goes by those before."""
+    """Yield each key with a mistake, and the reason; later checks rely on the earlier ones."""
     registers = drive.registers
     for name, register in registers.items():
         for key, why in _register_mistakes(register, drive.numbering.offset):

@@ -1,4 +1,4 @@
-"""A drive kept up with in a thread of its own, which stops it when nobody asks for it any more."""
+"""Controls a drive from its own thread, which stops the drive when nobody asks for it any more."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from greenroof_ros.drives.lock import DriveInUseError, DriveLock
 from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known
 from greenroof_ros.drives.placed import Connection, Placed
 
-# Waits between two attempts to connect (s): the first, and the longest.
+# Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# How long the speed of a drive may stay as it is after *stop* before it counts as one that does not
-# stop (s), and what counts as slower (share of rated speed).
+# While a drive is stopped, its speed must not stay the same for longer than this (s), or it counts
+# as one that does not stop; and the least decrease that counts (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
-# A drive that acknowledges *stop* and whose speed does not fall for so long (s) has a fault, and is
-# left in silence when that fault could be seen for so long (s). Longer than a drive needs to begin
-# its ramp, and than a tick of who asks for it, even where a connection breaks meanwhile; together
-# no longer than the pump control waits, by default, for a speed to follow beyond the ramp.
+# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
+# than a drive needs to begin its ramp. It is left in silence once the fault was visible for SEEN_S
+# (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they are not
+# longer than pump control by default waits for a speed to follow beyond the ramp (follow_time).
 RUNS_ON_S, SEEN_S = 10.0, 2.0
-# The same after a silence that did not help (s): it may be faults that only a person can end.
+# Least time from a silence that did not help to the next (s): the fault may need a person.
 RUNS_ON_AGAIN_S = 60.0
-# For how long orders may still go to a drive whose speed cannot be read (s), before the silence in
-# which its own timeout can fall.
+# A drive whose speed cannot be read may still get orders for this long (s); then follows the
+# silence in which its own timeout can pass.
 UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
-# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: its
-# ramp, and what asking takes. It must fit into the 40 s that bringup gives the pump node to end,
-# and twice, one after the other, into the 120 s that examples/greenroof.service has.
+# Longest time that driver and supervisor each wait for a drive to come to rest (s): its ramp, and
+# the requests. It must fit into the 40 s in which bringup lets the pump node end. Twice, one after
+# the other, it must fit into the 120 s of examples/greenroof.service.
 LEAVE_S = LONGEST_RAMP_S + 3.0
-# After a drive did not come to run, how long it is left off before the next attempt (s).
+# How long a drive that failed to start is left off before the next attempt (s).
 PAUSE_S = 2.0
-# The same after the last sign that somebody else writes to it: longer than a slow writer's period.
+# The same after the last sign of another writer (s): longer than a slow writer's period.
 INTRUDER_PAUSE_S = 10.0
-# How long the drive has to acknowledge its fault before the fault counts again (s).
+# Within this time the drive must acknowledge its fault; after it the fault counts again (s).
 RESET_S = 5.0
-# How often the drive's settings on which safety rests are read again (s).
+# Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
-# By how much a silence is longer than the drive's own communication timeout (s).
+# A silence is longer than the drive's own communication timeout by this much (s).
 SILENCE_MARGIN_S = 1.0
-# Between two attempts to be the only driver of this machine (s).
+# Wait before a new attempt to take the lock of the drive (s).
 LOCK_WAIT_S = 1.0
-# So many cycles without a valid answer, one after the other, are a lost connection.
+# The connection counts as lost after this many consecutive cycles without a valid answer.
 LOST_AFTER = 2
 
 
 class State(enum.Enum):
-    """How the exchange with a drive is; see `DriveExchange`."""
+    """The state of the exchange with a drive; see `DriveExchange`."""
 
     CONNECTING = "connecting"
     STOPPED = "stopped"
@@ -62,25 +62,24 @@ class State(enum.Enum):
 
 @dataclass(frozen=True)
 class Snapshot(Known):
-    """What is known of a drive at one moment.
+    """What is known about a drive at one moment.
 
     Attributes:
-        read_at: when it last said something (s, `boot_time`: of before a suspend is old).
+        read_at: time of its last answer (s, `boot_time`: one from before a suspend is old).
         state: of the exchange; after `close` there is no connection any more.
-        status: what it said last; None while there is no connection. After `close`: what it said
-            when it was left, which may be that it does not stand; None where it was not heard.
+        status: its last report; None without a connection. After `close`: its report when it was
+            released, at which it may not be at rest; None if it could not be read.
         identity: its nameplate; empty until read.
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
-        unguarded: why the drive is kept off although it is connected: its own timeout may not guard
-            yet, or it is not known to be the simulator that it must be; empty for nothing.
-        no_simulator: why it is not, for certain, the drive simulator; empty where it is, None where
-            that is not known.
-        second_master: that somebody else orders the drive about, and since then it is kept off;
-            empty where nobody does.
+        unguarded: why the connected drive is kept off: its own timeout may not guard yet, or it
+            must be the simulator and may not be; empty if neither.
+        no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
+        second_master: that somebody else writes to the drive, which is therefore kept off; empty
+            if nobody does.
         start_failed: why it was stopped although it was to run; empty once *off* is asked for.
-        errors: how often anything went wrong.
+        errors: number of failures so far.
     """
 
     state: State = State.CONNECTING
@@ -97,72 +96,72 @@ class Snapshot(Known):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection, over which answers come."""
+        """Whether there is a connection that gives answers."""
         return self.state in (State.STOPPED, State.RUNNING, State.STOPPING)
 
 
 class RunsOnError(DriveError):
-    """A drive runs on after *stop*, and must be left in silence now."""
+    """A drive runs on after *stop*, and must now be left in silence."""
 
 
 class _Fall:
-    """How the speed of a drive falls after *stop*."""
+    """The fall of a drive's speed after *stop*."""
 
     def __init__(self) -> None:
         self._lowest, self._fell_at = math.inf, -math.inf
 
     def still_s(self, status: DriveStatus, now: float) -> float:
-        """Take in what the drive says now; return for how long its speed has not fallen (s)."""
+        """Take a drive's report; return for how long its speed has not fallen (s)."""
         if abs(status.speed) < self._lowest - SLOWER:
             self._lowest, self._fell_at = abs(status.speed), now
         return now - self._fell_at
 
 
 class Obedience:
-    """Whether a drive obeys *stop*, over connections that break, too.
+    """Whether a drive obeys *stop*, judged across connections that break.
 
-    One whose speed falls, however slowly, obeys. One in local control is a person's at its panel;
-    it is that person's to stop. All times are of `time.monotonic` (s).
+    A drive obeys if its speed falls, however slowly. A drive in local control is left to the
+    person at its panel. All times are of `time.monotonic` (s).
     """
 
     def __init__(self, where: str) -> None:
-        """Know nothing of a drive.
+        """Start without any knowledge of the drive.
 
         Args:
-            where: it is, for messages.
+            where: the place of the drive, for messages.
         """
         self._where = where
-        # Since *stop* is the last word; None where the drive is run, or stands.
+        # The fall since *stop* became the last order; None if the drive runs or is at rest.
         self._fall: _Fall | None = None
-        # For how long it could be seen that the speed does not fall, and when that was said last on
-        # this connection.
+        # For how long reports have shown that the speed does not fall, and the time of the last
+        # such report on this connection.
         self._seen_s, self._said_at = 0.0, math.inf
-        # Since when *stop* is taken, and no speed is read.
+        # Since when *stop* has been written without any speed being read.
         self._unread_from = math.inf
-        # On so many connections, one after the other, *stop* could not be written at last.
+        # The number of consecutive connections on which the last *stop* could not be written.
         self._refusals = 0
-        # Until when the drive was left in silence because it runs on or its speed cannot be read,
-        # since it last stood or ran.
+        # End of the last silence because the drive ran on or its speed could not be read; reset
+        # when it comes to rest or runs.
         self._left_until = -math.inf
 
     def stop_written(self, now: float) -> None:
-        """Note that *stop* was written, and is the last word."""
+        """Note that *stop* was written, and is the last order."""
         self._fall = self._fall or _Fall()
         self._unread_from = min(self._unread_from, now)
 
     def forget(self) -> None:
-        """Note that the last word is not *stop*, or may be somebody else's."""
+        """Note that the last order is not *stop*, or may be somebody else's."""
         self._fall = None
 
     def heard(self) -> None:
-        """Note that the speed was read, or that a person at the drive's panel sees to it."""
+        """Note that the speed was read, or that a person at the panel watches the drive."""
         self._unread_from = math.inf
 
     def judge(self, status: DriveStatus, now: float) -> DriveStatus:
-        """Return what the drive said, with a fault where it runs on after *stop*.
+        """Return a drive's report, with a fault added if it runs on after *stop*.
 
         Raises:
-            RunsOnError: the fault was to be seen for long enough.
+            RunsOnError: the fault has been visible for long enough.
         """
         fall, said_at, self._said_at = self._fall, self._said_at, math.inf
         if fall is None or status.stands or not status.remote:
@@ -183,11 +182,11 @@ class Obedience:
         """Note that the connection is gone.
 
         Args:
-            stopped: whether *stop* was written at last; None where nothing could be.
+            stopped: whether the last *stop* was written; None if none was attempted.
             now: the time.
 
         Returns:
-            Why the drive must be left in silence, after what happened; None where it need not.
+            Why the drive must be left in silence, to be added to the problem; None if it need not.
         """
         self._said_at = math.inf
         if stopped is not None:
@@ -203,21 +202,21 @@ class Obedience:
         return None
 
     def left(self, until: float) -> None:
-        """Note until when the drive is left in silence."""
+        """Note the end of the silence in which the drive is left."""
         if not self._refusals:
             self._left_until = until
 
 
 class DriveExchange(DeviceThread[Snapshot]):
-    """Keeps a drive at the speed that was asked for last, or off, from a thread of its own.
+    """Keeps a drive at the speed asked for last, or off, from its own thread.
 
-    Control word and status go over the line in every period, so that the drive's own communication
-    timeout is kept alive as long as, and only as long as, this thread lives::
+    Every period it writes the control word and reads the status, which keeps the drive's own
+    communication timeout from passing; if this thread dies, that timeout stops the drive::
 
-        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or stands
+        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is at rest
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is asked for, and its timeout guards
+          |    |         RUNNING <---------+        a speed is asked for; its timeout guards
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
@@ -225,15 +224,15 @@ class DriveExchange(DeviceThread[Snapshot]):
           +-------------- SILENT                    *stop* is refused on two connections, or the
                                                     speed does not fall, or cannot be read
 
-    From CONNECTING a drive that stands is STOPPED at once.
+    From CONNECTING a drive at rest becomes STOPPED at once.
 
-    Each connection begins with *stop*. RUNNING ends where off is asked for, `demand` is late, the
-    drive does not come to run, or somebody else writes to it. After a failed start, or a connection
-    that was lost while a speed was asked for, it stays off until `demand` has asked for off: who
-    counts starts and waits between them decides on the next. In silence nothing is sent for longer
-    than the drive's own timeout, which then stops it: it may count any order as a sign of life.
-    `close` leads out of each state and leaves the drive stopped. While this lives, it is the only
-    one on this machine for its drive.
+    Each connection begins with *stop*. RUNNING ends if off is asked for, `demand` is late, the
+    drive fails to start, or somebody else writes to it. After a failed start, or a connection lost
+    while a speed was asked for, the drive stays off until `demand` has asked for off: the caller,
+    which counts starts and waits between them, decides on the next. During a silence nothing is
+    sent for longer than the drive's own timeout, which then stops it: it may count any order as a
+    sign of life. `close` works in every state and leaves the drive stopped. While an exchange
+    exists, no other on this machine can use its drive.
     """
 
     def __init__(
@@ -246,19 +245,19 @@ class DriveExchange(DeviceThread[Snapshot]):
         timeout_limit_s: float = 10.0,
         seeks_simulator: bool = False,
     ) -> None:
-        """Prepare it.
+        """Prepare the exchange.
 
         Args:
             placed: the drive.
             period_s: between two rounds of requests (s); a relay's file may ask for more.
-            dead_man_s: the drive is stopped when `demand` was not called for so long (s).
+            dead_man_s: the drive is stopped if `demand` has not been called for this long (s).
             timeout_s: longest wait for each answer (s).
-            timeout_limit_s: what counts as the drive's own communication timeout while that is
-                unknown, or off (s).
+            timeout_limit_s: used as the drive's own communication timeout while that is unknown or
+                off (s).
             seeks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
-            ConfigurationError: there is no library for it, or a file for the login is wrong.
+            ConfigurationError: its library is missing, or a file for the login is wrong.
         """
         super().__init__("talking to the drive", Snapshot())
         self._placed = placed
@@ -267,17 +266,17 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._period_s = max(period_s, placed.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
-        # Written and read whole, so that no lock is needed.
+        # Read and written as a whole, so no lock is needed.
         self._demand: tuple[float | None, float] = (None, -math.inf)
-        # Until then a fault is to be acknowledged.
+        # Until this time a fault may be acknowledged.
         self._reset_until = -math.inf
         self._leave_by = math.inf
-        # When to connect next, what to wait for after that, and whether it is the last attempt.
+        # When to connect next, how long to wait after that, and whether it is the last attempt.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         self._paused_until = -math.inf
         self._settings_at = -math.inf
-        # So many rounds, one after the other, had no valid answer.
+        # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
         self._obedience = Obedience(str(placed))
         guard = placed.guard
@@ -286,16 +285,16 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._seeks_simulator, self._simulator_only = seeks_simulator, False
 
     def close(self, within_s: float = math.inf) -> bool:
-        """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
+        """Stop the drive, read back that it is at rest, and release it; `snapshot` has the result.
 
-        It goes on for as long as the speed falls, `LEAVE_S` at most; a drive whose speed does not
-        fall, or that does not answer, is left after a few seconds.
+        It waits as long as the speed falls, `LEAVE_S` at most. If the speed does not fall, or the
+        drive does not answer, it is released after a few seconds.
 
         Args:
-            within_s: how long to wait for it at most (s).
+            within_s: longest wait of the caller (s).
 
         Returns:
-            Whether it is over; otherwise it goes on.
+            Whether the drive is released; otherwise the thread continues.
         """
         now = time.monotonic()
         self._demand = (None, -math.inf)
@@ -310,9 +309,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         return True
 
     def demand(self, speed: float | None) -> None:
-        """Ask for a speed (share of rated speed), or for off (None); it counts for `dead_man_s`.
+        """Ask for a speed (share of rated speed), or off (None); valid for `dead_man_s`.
 
-        What is no number between 0 and 1 is refused, as a problem, and means off.
+        Anything but a number from 0 to 1 is refused, reported as a problem, and means off.
         """
         if speed is not None and not 0 <= speed <= 1:
             self._fail(f"refused: {speed} is no share of rated speed")
@@ -323,16 +322,16 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._wake.set()
 
     def reset(self) -> None:
-        """Have a fault acknowledged; the drive is stopped for it.
+        """Have a fault acknowledged; this stops the drive first.
 
-        It is for the faults that can be seen now: without a connection, or when it could not be
-        done for `RESET_S`, nothing comes of it.
+        Only a present fault is acknowledged: the request is dropped if there is no connection, or
+        if it could not be carried out within `RESET_S`.
         """
         self._reset_until = time.monotonic() + RESET_S
         self._wake.set()
 
     def only_simulator(self) -> None:
-        """Run nothing but the drive simulator from now on: the time of the graph is not real."""
+        """From now on run only the drive simulator: the graph does not run in real time."""
         self._seeks_simulator = self._simulator_only = True
 
     # --- in the thread ----------------------------------------------------------------------------
@@ -344,13 +343,13 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _target_speed(self) -> float | None:
         speed, at = self._demand
-        fresh = boot_time() - at <= self._dead_man_s  # a demand from before a suspend is not
+        fresh = boot_time() - at <= self._dead_man_s  # false after a suspend
         return speed if fresh and not self._closing and not self._unguarded() else None
 
     def _unguarded(self) -> str:
         """Return why the drive must not run although it is connected.
 
-        Since the connection before, it may have been without power, which looks like a cut cable.
+        It may have lost power since the last connection; a cut cable looks the same.
         """
         if self._simulator_only and (why := self._snapshot.no_simulator) != "":
             return why or "whether it is the drive simulator is not known yet"
@@ -362,7 +361,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         )
 
     def _step(self) -> None:
-        """Do what the state asks for."""
+        """Do what the present state requires."""
         if self._snapshot.state is State.SILENT:
             self._pause_until(self._connect_at)
             self._update(state=State.CONNECTING)
@@ -374,17 +373,17 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._round()
 
     def _lost(self, error: Exception, problem: str) -> None:
-        """Let go of the connection; be silent, connect again after a while, or end."""
+        """Close the connection; then stay silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
         if self._demand[0] is not None:
             self._update(start_failed=f"the connection was lost: {problem}")
         why = self._obedience.lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
-            why = ""  # it says that itself
+            why = ""  # the error already gives the reason
         self._done = self._last_attempt
         if why is None or self._done:
-            # One that closes its connections gets as much time as one that does not answer: two of
-            # them in a moment must not lead to silence.
+            # A drive that closes its connections gets as much time as one that does not answer: two
+            # closed connections in quick succession must not lead to silence.
             closes = drive.stopped is False and not drive.line.connected
             self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
@@ -405,7 +404,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._let_go()
 
     def _let_go(self) -> None:
-        """Close the connection; at the end, make way for other drivers."""
+        """Close the connection; at the end also release the lock."""
         try:
             self._drive.line.close()
         finally:
@@ -413,7 +412,7 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._only.release()
 
     def _connect(self) -> None:
-        """Stop a drive first, then see what it is and whether it would stop by itself."""
+        """Stop the drive first; then read what it is and whether its own timeout would stop it."""
         self._pause_until(self._connect_at)
         if not self._only.locked:
             self._take()
@@ -425,11 +424,11 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             self._stop()
-            # Another master's word, which takes a while to come, cannot stand there yet.
+            # Learn whether the control word reads back: no other master has had time to write yet.
             drive.intruder()
             status = self._obedience.judge(self._read(), time.monotonic())
         except DriveError as error:
-            # How long a silence must be is worth another question.
+            # Still try to read the timeout: it decides how long a silence must be.
             if error.kind != "connection" and not self._snapshot.timeout_known:
                 self._read_settings()
             raise
@@ -448,7 +447,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         )
 
     def _take(self) -> None:
-        """Become the only one on this machine for the drive, or wait for that, or for the end."""
+        """Try to take the drive's lock; set the time of the next attempt, or end if closing."""
         self._done = self._closing
         if not self._done:
             try:
@@ -459,7 +458,7 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._connect_at = time.monotonic() + LOCK_WAIT_S
 
     def _read_settings(self) -> None:
-        """Read what somebody may change at the panel, and on which safety rests."""
+        """Read the safety-relevant settings, which somebody may change at the panel."""
         try:
             (seconds, note), timeout_known = self._drive.timeout(), True
         except DriveError as error:
@@ -474,7 +473,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         )
 
     def _round(self) -> None:
-        """Write what is asked for, and read what the drive says."""
+        """Write what is asked for, and read the drive's report."""
         started = time.monotonic()
         try:
             runs, problem = self._order()
@@ -487,14 +486,14 @@ class DriveExchange(DeviceThread[Snapshot]):
             if self._unanswered >= LOST_AFTER or not self._drive.line.connected:
                 raise
             self._fail(str(error))
-            # What is still to come of the late answer must not be taken for the next.
+            # The rest of a late answer must not be read as the next answer.
             time.sleep(self._period_s)
             return
         self._unanswered = 0
         status = self._obedience.judge(status, time.monotonic())
         standing = State.STOPPED if status.stands else State.STOPPING
         if not problem and time.monotonic() < self._paused_until:
-            problem = self._snapshot.problem  # it did not come to run, which this does not end
+            problem = self._snapshot.problem  # the reason of the pause, which still lasts
         self._update(
             state=State.RUNNING if runs else standing, status=status, read_at=boot_time(),
             problem=problem, unguarded=self._unguarded(),
@@ -503,22 +502,22 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._pause(self._period_s - (time.monotonic() - started))
 
     def _leave(self) -> None:
-        """Stop the drive, and let go of it when it stands, or does not come to that."""
+        """Stop the drive; release it when it is at rest, or when its speed does not fall."""
         status = _stand(self._drive, self._leave_by)
         self._done = True
         self._update(state=State.CONNECTING, status=status, read_at=boot_time())
         self._let_go()
 
     def _read(self) -> DriveStatus:
-        """Return what the drive says, after acknowledging that its communication timeout passed.
+        """Return the drive's report; first acknowledge a trip of its communication timeout.
 
-        That trip is what a lost connection comes to, and is over when the connection is back.
+        That trip is the consequence of a lost connection, and is over when the connection is back.
         """
         drive = self._drive
         try:
             status = drive.read()
         except DriveError as error:
-            # A person at its panel has it, and sees whether it turns.
+            # In local control a person at the panel sees whether it turns.
             if error.kind != "connection" and drive.local():
                 self._obedience.heard()
             raise
@@ -534,13 +533,13 @@ class DriveExchange(DeviceThread[Snapshot]):
         return status
 
     def _order(self) -> tuple[bool, str]:
-        """Do what is asked for; return whether it runs, and what the drive has against it."""
+        """Carry out the present demand; return whether the drive runs, and why it refuses to."""
         pause_s = PAUSE_S
         try:
             intruder = self._drive.intruder()
             if intruder:
                 pause_s = INTRUDER_PAUSE_S
-                self._obedience.forget()  # it may be the other one whom the drive obeys
+                self._obedience.forget()  # the drive may obey the other writer
                 why = f"{intruder}; stopped until {pause_s:g} s after the last such word"
                 self._update(second_master=why)
                 raise DriveError("drive", why)
@@ -574,7 +573,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             if error.kind == "drive":
                 self._update(start_failed=f"the drive did not come to run: {error}")
             else:
-                self._obedience.forget()  # it may obey an order whose answer was lost
+                self._obedience.forget()  # it may obey although the answer was lost
             raise
         self._obedience.forget()
 
@@ -584,9 +583,9 @@ class DriveExchange(DeviceThread[Snapshot]):
 
 
 def _stand(drive: Connection, until: float) -> DriveStatus:
-    """Stop a drive, and return what it says when it stands, or does not come to that.
+    """Stop a drive; return its report when it is at rest, or when its speed does not fall.
 
-    How long its ramp is, no drive file says; so it is waited for as long as the speed falls.
+    Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
     """
     fall = _Fall()
     while True:
@@ -600,22 +599,22 @@ def _stand(drive: Connection, until: float) -> DriveStatus:
 def stop_drive(
     placed: Placed, *, driver: int | None = None, timeout_s: float = 0.5
 ) -> DriveStatus:
-    """Stop a drive whose driver has died; blocks while its speed falls, `LEAVE_S` at most.
+    """Stop a drive after its driver has died; blocks while its speed falls, `LEAVE_S` at most.
 
-    The lock keeps others off meanwhile, but is not needed: a driver that hangs still has it, and
-    where it cannot be had, or its holder not be known, to stop is safe.
+    The lock keeps other drivers off meanwhile. It is not required: a hung driver still holds it,
+    and stopping is safe if it cannot be taken or its holder is unknown.
 
     Args:
         placed: the drive.
-        driver: the process of that driver, which may have the lock; None where there is none.
+        driver: process id of that driver, which may hold the lock; None if there is none.
         timeout_s: longest wait for each answer (s).
 
     Returns:
-        What the drive said when it was stopped, which may be that it does not stand.
+        The drive's report after *stop*; it may not be at rest.
 
     Raises:
         DriveInUseError: another process runs it, and nothing was sent.
-        DriveError: *stop* could not be written in three attempts; the message says why.
+        DriveError: three attempts to write *stop* and read the drive failed; the message says why.
     """
     only = DriveLock(placed)
     try:

@@ -1,4 +1,4 @@
-"""One driver for a drive at a time, of all programs of this machine."""
+"""A lock: only one program on this machine may drive a drive at a time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.placed import Placed
 
-# Where the locks are.
+# Directories of the lock files.
 _DIRECTORIES = (Path("/run/lock"), Path("/tmp"))
 
 
@@ -20,7 +20,7 @@ class DriveInUseError(DriveError):
     """Another process has the lock.
 
     Attributes:
-        holder: its number; None where it could not write it, on a full disk.
+        holder: its process id; None if it could not be written, because the disk is full.
     """
 
     def __init__(self, message: str, holder: int | None) -> None:
@@ -29,28 +29,28 @@ class DriveInUseError(DriveError):
 
 
 class DriveLock:
-    """One driver for a drive: one process of all users of this machine has it at a time.
+    """The lock of a drive: one process at a time holds it, among all users of this machine.
 
-    A serial line is one driver's, whatever devices are connected to it. A driver on another
-    computer, or in a container with a file system of its own, is not kept off by it.
+    A serial line is locked as a whole, with all devices on it. The lock does not keep off a driver
+    on another computer, or in a container with its own file system.
     """
 
     def __init__(self, drive: Placed) -> None:
-        """Take nothing yet."""
+        """Prepare the lock without taking it."""
         self._drive = drive
         self._lock: tuple[FileIO, Path] | None = None
 
     @property
     def locked(self) -> bool:
-        """Whether this has it."""
+        """Whether this object holds the lock."""
         return self._lock is not None
 
     def take(self) -> None:
-        """Take it; may wait for the name of a host to be looked up.
+        """Take the lock; may block while a host name is resolved.
 
         Raises:
             DriveInUseError: another process has it.
-            DriveError: its file cannot be opened, or the host is not known.
+            DriveError: the lock file cannot be opened, or the host is unknown.
         """
         path = self._path()
         try:
@@ -69,19 +69,19 @@ class DriveLock:
             ) from error
 
     def release(self) -> None:
-        """Give it back, if it was taken."""
+        """Release the lock, if it was taken."""
         if self._lock is not None:
             lock, path = self._lock
-            with contextlib.suppress(OSError):  # another user's file stays
+            with contextlib.suppress(OSError):  # another user's file cannot be removed
                 path.unlink()
             lock.close()
             self._lock = None
 
     def _path(self) -> Path:
-        """Return the file, by the same name for each way to write the address.
+        """Return the lock file; its name does not depend on how the address is written.
 
         Raises:
-            DriveError: the host is not known.
+            DriveError: the host is unknown.
         """
         try:
             name = self._drive.place_of_lock()
@@ -90,7 +90,7 @@ class DriveLock:
                 "connection",
                 f"{self._drive}: cannot connect: the host is not found ({error.strerror})",
             ) from error
-        # Where not everybody may write, two users would each take another directory.
+        # Only directories writable for all users: otherwise two users could use different ones.
         shared = [directory for directory in _DIRECTORIES
                   if directory.is_dir() and directory.stat().st_mode & stat.S_IWOTH]
         return (shared or [_DIRECTORIES[-1]])[0] / (

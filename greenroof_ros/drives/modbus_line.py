@@ -1,11 +1,9 @@
-"""One device on Modbus TCP or RTU: where it is, what is asked of it, and what it answers.
+"""A connection to one device on Modbus TCP or RTU: its address, the requests and their answers.
 
-Every answer is checked, every failure has a name.
-
-Function codes 03 and 04 (read holding registers, input registers), 06 (write single register) and
-43/14 (read device identification) of the Modbus Application Protocol V1.1b3. No request is sent
-twice: who calls decides what a lost one means. Besides, the values of registers, and a thread that
-keeps up with one device.
+Every answer is checked, and every failure is named. The function codes are 03 and 04 (read holding
+registers, input registers), 06 (write single register) and 43/14 (read device identification) of
+the Modbus Application Protocol V1.1b3. No request is sent twice: the caller decides what a lost one
+means. The module also codes the values of registers, and has a thread that serves one device.
 """
 
 from __future__ import annotations
@@ -32,13 +30,13 @@ if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
     from pymodbus.pdu import ModbusPDU
 
-# How many registers a number takes.
+# The number of registers that a value takes.
 WIDTHS = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2}
 WORD_ORDERS = ("", "high first", "low first")
-# By what the drive simulator names itself, function 43/14: maker and product.
+# The maker and product that the drive simulator reports (function 43/14).
 SIMULATOR = ("greenroof_ros", "drive simulator")
 
-# Its messages are ours in other words; without a handler they would go to the terminal.
+# Its messages repeat ours; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 # Section 7 of the specification.
@@ -55,7 +53,7 @@ _EXCEPTIONS = {
 }
 
 
-# --- where a device is ----------------------------------------------------------------------------
+# --- addresses of devices -------------------------------------------------------------------------
 
 _TCP_ADDRESS = re.compile(
     r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
@@ -76,20 +74,20 @@ class Serial:
     device_id: int = entry("slave address", 1, 247)
 
     def parity_letter(self, line: str) -> str:
-        """Return E, O or N for a line; a pseudo-terminal knows no parity and refuses it."""
+        """Return E, O or N for a line; a pseudo-terminal has no parity and refuses one."""
         return "N" if _is_pseudo(line) else self.parity[0].upper()
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a device is reached.
+    """The address of a device.
 
     Attributes:
-        host: of Modbus TCP; empty for a serial line.
-        port: of Modbus TCP; None for the one that the device's file names.
+        host: for Modbus TCP; empty for a serial line.
+        port: for Modbus TCP; None for the port in the device's file.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
-        gateway: host and port are of a gateway to the device's serial port.
-        device_id: unit identifier or slave address; None for the one that the device's file names.
+        gateway: host and port belong to a gateway to the device's serial port.
+        device_id: unit identifier or slave address; None for the one in the device's file.
     """
 
     host: str = ""
@@ -110,14 +108,14 @@ class Address:
     def interface(self) -> str:
         """Return which interface of the device is reached.
 
-        ``tcp`` is its own Ethernet port, ``serial`` its serial port, be it through a gateway. A
-        drive has a communication timeout for each, and only the one in use guards.
+        ``tcp`` is its own Ethernet port; ``serial`` is its serial port, also through a gateway. A
+        drive has a communication timeout for each, and only the timeout of the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
     @property
     def is_here(self) -> bool:
-        """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
+        """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
         if self.line:
             return _is_pseudo(self.line)
         with contextlib.suppress(OSError):
@@ -125,31 +123,31 @@ class Address:
         return False
 
     def shares_line(self, other: Address) -> bool:
-        """Whether both are on one serial line, by whatever name; one program alone can open it."""
+        """Whether both are on one serial line, under any name; only one program can open it."""
         return bool(self.line and other.line) and (
             Path(self.line).resolve() == Path(other.line).resolve()
         )
 
     def place(self, port: int) -> str:
-        """Return where it leads, by the same name for each way to write it, but for the device.
+        """Return a name for the host or line that is the same however the address is written.
 
-        May wait for the name of a host to be looked up.
+        It does not include the device id. May block while the host name is resolved.
 
         Args:
             port: the TCP port, unless the address has one.
 
         Raises:
-            OSError: there is no such host, or nobody who knows it answers.
+            OSError: there is no such host, or no name server answers.
         """
         if self.line:
             return str(Path(self.line).resolve())
         return f"{min(self._hosts())}-{self.port or port}"
 
     def _hosts(self) -> set[str]:
-        """Return the addresses of the host."""
+        """Return the IP addresses of the host."""
         try:
             return {str(info[4][0]) for info in socket.getaddrinfo(self.host, None)}
-        except UnicodeError as error:  # no name that a host can have
+        except UnicodeError as error:  # not a valid host name
             raise OSError(None, str(error)) from error
 
 
@@ -179,11 +177,11 @@ def parse_address(text: str, key: str = "address") -> Address:
 
 
 def parse_drive_address(text: str, key: str) -> Address:
-    """Return the address of a drive that a user wrote: as any, and perhaps its device id.
+    """Return the address of a drive that a user wrote, which may include its device id.
 
     Args:
-        text: see `parse_address`; after a comma the unit identifier or slave address, where that is
-            not the one of the drive's file.
+        text: see `parse_address`; a comma and the unit identifier or slave address may follow, if
+            it differs from the one in the drive file.
         key: the option or parameter, for messages.
 
     Raises:
@@ -201,15 +199,15 @@ def parse_drive_address(text: str, key: str) -> Address:
     return replace(address, device_id=int(device_id))
 
 
-# --- what is asked of it --------------------------------------------------------------------------
+# --- requests and answers -------------------------------------------------------------------------
 
 
 class DriveError(Exception):
-    """What went wrong with a drive, or another device on Modbus; the message says what and where.
+    """A failure of a drive, or another device on Modbus; the message says what and where.
 
     Attributes:
-        kind: ``connection`` (there is none, or no answer came), ``answer`` (one came that cannot
-            be right, or says no) or ``drive`` (it works as it should, but the drive does not run).
+        kind: ``connection`` (there is none, or no answer came), ``answer`` (the answer is invalid
+            or a refusal) or ``drive`` (communication works, but the drive does not run).
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -218,13 +216,13 @@ class DriveError(Exception):
 
 
 def check_installed() -> None:
-    """See that there is a Modbus library.
+    """Check that the Modbus library is installed.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: it is not.
     """
     with in_extra("pump"):
-        import pymodbus.client  # noqa: F401 - only whether it is there
+        import pymodbus.client  # noqa: F401 - only to see if it is there
 
 
 class ModbusLine:
@@ -238,10 +236,10 @@ class ModbusLine:
         self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
         timeout_s: float,
     ) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the connection without opening it.
 
         Args:
-            address: where the device is.
+            address: of the device.
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line; not needed over TCP.
@@ -266,7 +264,7 @@ class ModbusLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the connection stands, as far as this end knows."""
+        """Whether the connection is open, as this end sees it."""
         return self._client.connected
 
     def connect(self) -> None:
@@ -281,9 +279,8 @@ class ModbusLine:
     def close(self) -> None:
         """Close the connection.
 
-        One over which a request was not answered is reset, instead of closed in good order: so a
-        device with one socket or two has a free one at once, and no request that is still on its
-        way arrives later.
+        If a request went unanswered, the connection is reset instead of closed normally: a device
+        with only one or two sockets then has one free at once, and a late request cannot arrive.
         """
         self._client.close()  # type: ignore[no-untyped-call]
 
@@ -291,7 +288,7 @@ class ModbusLine:
         """Read holding registers, or input registers.
 
         Raises:
-            DriveError: no answer, or a wrong one.
+            DriveError: no answer or a wrong one.
         """
         action = f"reading register {address}"
         client = self._client
@@ -306,7 +303,7 @@ class ModbusLine:
         """Write one holding register.
 
         Raises:
-            DriveError: no answer, or one that does not say that it was written.
+            DriveError: no answer, or one that does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
         answer = self._ask(action, 6, self._client.write_register, address, word)
@@ -317,10 +314,10 @@ class ModbusLine:
             )
 
     def identification(self) -> tuple[str, str]:
-        """Return the maker and the product that the device names, by function 43/14.
+        """Return the maker and product that the device reports, by function 43/14.
 
         Raises:
-            DriveError: no answer, or a wrong one.
+            DriveError: no answer or a wrong one.
         """
         answer = self._ask("reading its identification", 43, self._client.read_device_information)
         objects = getattr(answer, "information", {})
@@ -331,7 +328,7 @@ class ModbusLine:
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Return the answer to a request, if it has that function and is no exception."""
+        """Return the answer to a request if its function is right and it is no exception."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -362,21 +359,20 @@ class ModbusLine:
         return self.error("connection", f"{action}: no valid answer within {self._timeout_s:g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return what went wrong, with where."""
+        """Return the error of a problem, with the place of the device."""
         return DriveError(kind, f"{self.where}: {problem}")
 
 
 def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
-    """Return a client of a serial line, which is not opened yet."""
+    """Return a client for a serial line, not yet opened."""
     from pymodbus.client import ModbusSerialClient
     from pymodbus.exceptions import ConnectionException
 
     class Client(ModbusSerialClient):
         def recv(self, size: int | None) -> bytes:
-            """Return what comes; the wait is pyserial's.
+            """Return what arrives; pyserial does the waiting.
 
-            Pymodbus waits by a clock that can be set, and so for an hour where it is set back by
-            one.
+            Pymodbus waits by the wall clock: set back by an hour, it would wait an hour longer.
             """
             assert self.socket is not None
             try:
@@ -396,7 +392,7 @@ def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSeria
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
-    """Yield that a file says an order of two words where there are none, or does not say it."""
+    """Yield a mistake in ``word_order``: missing for two words, or given for another type."""
     if WIDTHS.get(kind) == 2 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind) != 2:
@@ -404,7 +400,7 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
 
 
 def limits(kind: str) -> tuple[float, float]:
-    """Return the least and the greatest value of a type."""
+    """Return the least and the greatest value of a register type."""
     if kind == "float32":
         return -math.inf, math.inf
     bits = 16 * WIDTHS[kind]
@@ -412,7 +408,7 @@ def limits(kind: str) -> tuple[float, float]:
 
 
 def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float | str:
-    """Return the value in some registers: a text for the type ``text``, else a number."""
+    """Return the value of some registers: text for the type ``text``, otherwise a number."""
     from pymodbus.client.mixin import ModbusClientMixin
 
     types = ModbusClientMixin.DATATYPE
@@ -425,7 +421,7 @@ def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | f
 
 
 def encode(value: float, kind: str, word_order: str = "") -> list[int]:
-    """Return the registers of a number, rounded and limited to the range of the type."""
+    """Return the registers for a number; integers are rounded and limited to their range."""
     from pymodbus.client.mixin import ModbusClientMixin
 
     if kind != "float32":
@@ -442,11 +438,11 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a device at one moment.
+    """What is known about a device at one moment.
 
     Attributes:
-        read_at: when it last said something (s, `time.monotonic`).
-        problem: what went wrong last and is not over; empty for nothing.
+        read_at: time of its last answer (s, `time.monotonic`).
+        problem: the last problem if it persists; empty if there is none.
     """
 
     read_at: float = -math.inf
@@ -457,18 +453,18 @@ K = TypeVar("K", bound=Known)
 
 
 class DeviceThread(ABC, Generic[K]):
-    """Does one step after another with a device until it is closed.
+    """Carries out steps with a device, one after another, until it is closed.
 
-    Whatever a step comes to, another one follows. Nothing here raises into the caller: what went
-    wrong is in `snapshot`.
+    A failed step does not end the thread. Nothing here raises into the caller: `snapshot` has the
+    problem.
     """
 
     def __init__(self, name: str, snapshot: K) -> None:
-        """Prepare it.
+        """Prepare the thread.
 
         Args:
             name: of its task, for messages.
-            snapshot: of the device, before anything is.
+            snapshot: what is known at first.
         """
         self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
         self._closing = self._done = False
@@ -481,11 +477,11 @@ class DeviceThread(ABC, Generic[K]):
         return self._snapshot
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def _end(self, within_s: float) -> bool:
-        """Have it end; tell whether it has within a time (s)."""
+        """Ask the thread to end; tell whether it has ended within this time (s)."""
         self._closing = True
         self._wake.set()
         if self._thread.ident is not None:
@@ -496,7 +492,7 @@ class DeviceThread(ABC, Generic[K]):
 
     @abstractmethod
     def _step(self) -> None:
-        """Do what is to be done now, and wait until the next is due.
+        """Do what is due now, and wait until the next step is due.
 
         Raises:
             DriveError: it failed.
@@ -504,7 +500,7 @@ class DeviceThread(ABC, Generic[K]):
 
     @abstractmethod
     def _lost(self, error: Exception, problem: str) -> None:
-        """Take in that a step failed, and let go of the connection."""
+        """Handle a failed step, and close the connection."""
 
     def _work(self) -> None:
         while not self._done:
@@ -513,7 +509,7 @@ class DeviceThread(ABC, Generic[K]):
                     self._step()
                 except DriveError as error:
                     self._lost(error, str(error))
-                except Exception as error:  # whatever it is, another step follows
+                except Exception as error:  # any error: the next step follows
                     logging.getLogger(__name__).exception("%s failed", self._name)
                     self._lost(error, f"{self._name} failed: {error!r}")
             except Exception as error:
@@ -524,11 +520,11 @@ class DeviceThread(ABC, Generic[K]):
             self._snapshot = replace(self._snapshot, **changes)
 
     def _pause(self, seconds: float) -> None:
-        """Wait, at most until something is asked for."""
+        """Wait for this long (s), or until woken."""
         self._wake.wait(max(0.0, seconds))
         self._wake.clear()
 
     def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`), whatever is asked for but the end."""
+        """Wait until a time (s, `time.monotonic`); only closing ends the wait early."""
         while not self._closing and (remaining := due - time.monotonic()) > 0:
             self._pause(remaining)

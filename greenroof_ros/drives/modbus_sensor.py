@@ -10,19 +10,19 @@ from greenroof_ros.drives.sensor_file import ModbusSensor
 
 
 class ModbusReader(DeviceThread[Reading]):
-    """Reads a sensor once a period. It connects when it must, and again after every failure.
+    """Reads a sensor once per period. It connects if needed, and again after every failure.
 
-    A value that is refused, a failure, or a suspend of the machine empties the filter: the next
-    value comes from new readings alone.
+    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
+    comes from new readings only.
     """
 
     def __init__(self, sensor: ModbusSensor, unit: str, timeout_s: float = 0.5) -> None:
-        """Connect to nothing yet.
+        """Prepare the reader without connecting.
 
         Args:
             sensor: what to read.
             unit: of the quantity, for messages.
-            timeout_s: longest wait for a connection, and for an answer (s).
+            timeout_s: longest wait for a connection, and for each answer (s).
 
         Raises:
             ConfigurationError: there is no Modbus library.
@@ -34,14 +34,14 @@ class ModbusReader(DeviceThread[Reading]):
         self._due = time.monotonic()
 
     def close(self) -> None:
-        """End; at most a timeout or two later the connection is closed."""
+        """End the thread; wait up to four timeouts for it to close the connection."""
         self._end(4 * self._timeout_s)
 
     def read(self) -> float | None:
-        """Return the quantity after one more reading.
+        """Read once more, and return the filtered quantity.
 
         Raises:
-            DriveError: there is no answer, a wrong one, or a value out of range.
+            DriveError: no answer, a wrong one, or a value out of range.
         """
         sensor, line = self._sensor, self._line
         try:
@@ -51,7 +51,7 @@ class ModbusReader(DeviceThread[Reading]):
                 sensor.register, sensor.registers, inputs=sensor.kind == "input"
             )
         except DriveError:
-            line.close()  # a late answer must not meet the next question
+            line.close()  # a late answer must not be read as the next
             raise
         bits = decode(registers, "uint32" if len(registers) == 2 else "uint16", sensor.word_order)
         if bits == sensor.missing:
@@ -67,7 +67,7 @@ class ModbusReader(DeviceThread[Reading]):
 
     def _step(self) -> None:
         self._pause_until(self._due)
-        # Not one reading after another to catch up with what a pause has cost.
+        # After a pause, missed readings are not made up for.
         self._due = max(self._due + self._sensor.period, time.monotonic())
         if self._closing:
             self._done = True
@@ -79,5 +79,5 @@ class ModbusReader(DeviceThread[Reading]):
     def _lost(self, error: Exception, problem: str) -> None:
         self._readings.clear()
         self._update(value=None, read_at=time.monotonic(), problem=problem)
-        if not isinstance(error, DriveError):  # after those it has closed what it must
+        if not isinstance(error, DriveError):  # `read` has closed it after a DriveError
             self._line.close()

@@ -1,4 +1,4 @@
-"""Hears a sensor on MQTT."""
+"""Receives the readings of a sensor on MQTT."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from greenroof_ros.common.mqtt import make_client
 from greenroof_ros.drives.readings import Reading, Readings
 from greenroof_ros.drives.sensor_file import MqttSensor
 
-# No sensor says more at once (bytes).
+# Longest message of a sensor that is accepted (bytes).
 _LONGEST = 65_536
-# For so long after a suspend (s) what comes may have waited.
+# Messages are refused for this long after a suspend (s): they may have been waiting.
 _DEAF_S = 1.0
 
 
@@ -22,11 +22,11 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     """Return the number in a message.
 
     Args:
-        payload: JSON; a plain number is that, too.
-        sensor: that says where the number is.
+        payload: JSON; a plain number is JSON, too.
+        sensor: its description, which says where the number is.
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is no number.
     """
     if len(payload) > _LONGEST:
         raise ValueError(f"a message of {len(payload)} bytes, which is more than {_LONGEST}")
@@ -48,18 +48,18 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 
 
 class MqttReader:
-    """Takes what a sensor publishes. Its client connects by itself, again after each failure.
+    """Receives what a sensor publishes. The client reconnects by itself after each failure.
 
-    A message is a reading when it arrives. One that the broker kept, a retained one, is none: it
-    may be from any time. Each loss, refusal or suspend empties the filter.
+    A message is a reading of the moment when it arrives. A retained message is no reading: it may
+    be of any age. Each loss, refusal or suspend empties the filter.
     """
 
     def __init__(self, name: str, sensor: MqttSensor, unit: str) -> None:
-        """Connect to nothing yet.
+        """Prepare the reader without connecting.
 
         Args:
-            name: of the quantity, for the client's id.
-            sensor: what to hear.
+            name: of the quantity, for the client id.
+            sensor: what to receive.
             unit: of the quantity, for messages.
 
         Raises:
@@ -87,11 +87,11 @@ class MqttReader:
             return self._reading
 
     def start(self) -> None:
-        """Begin."""
+        """Connect, and start the client's thread."""
         self._client.loop_start()
 
     def close(self) -> None:
-        """End."""
+        """Disconnect."""
         self._client.disconnect()
 
     # --- in the client's thread -------------------------------------------------------------------
@@ -116,7 +116,7 @@ class MqttReader:
                     self._take(payload, retained)
             except ValueError as error:
                 self._lose(str(error))
-            except Exception as error:  # whatever it is, the next message is heard
+            except Exception as error:  # any error: the next message is still read
                 logging.getLogger(__name__).exception("%s failed", self._sensor.address)
                 self._lose(f"reading failed: {error!r}")
 

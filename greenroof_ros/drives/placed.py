@@ -1,4 +1,4 @@
-"""A drive at an address, of either kind: on Modbus, or a relay on MQTT."""
+"""A drive at an address, of either kind: a drive on Modbus, or a relay on MQTT."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Connection: TypeAlias = Drive | Relay
 def place_drive(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
 ) -> Placed:
-    """Return the drive of a file at an address; the key ``protocol`` makes the file a relay's.
+    """Return the drive of a file at an address; a file with the key ``protocol`` is a relay's.
 
     Args:
-        file: what the drive is like.
-        at: its address: ``mqtt://HOST[:PORT]/DEVICE`` of a relay, with ``mqtts`` over TLS; else see
+        file: the drive file or relay file.
+        at: its address. For a relay ``mqtt://HOST[:PORT]/DEVICE``, ``mqtts`` over TLS; else see
             :func:`greenroof_ros.drives.modbus_line.parse_drive_address`.
-        key: what the address is called in an error.
-        login: of a relay's broker: file with ``username`` and ``password``; empty for none.
-        authority: of it: file of the certificates that are trusted (PEM); empty for the system's.
+        key: the name of the address in error messages.
+        login: for a relay's broker: file with ``username`` and ``password``; empty for none.
+        authority: for a relay's broker: file of trusted certificates (PEM); empty for the system's.
 
     Raises:
         ConfigurationError: the file or the address is wrong.

@@ -1,4 +1,4 @@
-"""What a sensor says, as the quantity that it measures: scaled, checked, filtered."""
+"""The readings of a sensor as the quantity that it measures: scaled, checked, filtered."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from greenroof_ros.common.times import suspended_time
 from greenroof_ros.drives.modbus_line import Known
 from greenroof_ros.drives.sensor_file import Sensor
 
-# A suspend so long (s) makes old what came before.
+# After a suspend longer than this (s), earlier readings are too old.
 _SUSPEND_S = 1.0
 
 
 @dataclass(frozen=True)
 class Reading(Known):
-    """What is known of a quantity.
+    """What is known about a quantity.
 
     Attributes:
-        value: in the unit of its topic. None if the last attempt gave none, and `problem` says why;
-            or if it gave the first of two totals.
+        read_at: when the last attempt ended or the sensor was lost (s, `time.monotonic`).
+        value: in the unit of its topic; None after a failure, or after the first of two totals.
         code: of the problem.
     """
 
@@ -31,27 +31,27 @@ class Reading(Known):
 
 
 class Readings:
-    """The last values of a sensor, whose median counts.
+    """The last readings of a sensor; the quantity is their median.
 
-    A median, not a first-order filter: it leaves single wrong readings out, where the other spreads
-    them over many; and it follows a level that moves steadily, later by half its readings, without
-    rounding off where it begins to move. Levels of tanks are slow enough for that.
+    A median leaves single wrong readings out; a first-order filter would spread them over many
+    readings. It follows a steady movement of the level, late by half its readings, and keeps the
+    start of the movement sharp. Levels of tanks are slow enough for that delay.
     """
 
     def __init__(self, sensor: Sensor, unit: str) -> None:
-        """Begin with none.
+        """Start without readings.
 
         Args:
-            sensor: how its values are scaled, checked and filtered.
+            sensor: how its readings are scaled, checked and filtered.
             unit: of the quantity, for messages.
         """
         self._sensor, self._unit = sensor, unit
         self._values: deque[float] = deque(maxlen=sensor.median)
-        self._total: tuple[float, float] | None = None  # the last one, and when it came
+        self._total: tuple[float, float] | None = None  # the last one, and its time (s)
         self._suspended = suspended_time()
 
     def clear(self) -> None:
-        """Forget all: the next value comes from new readings alone."""
+        """Forget all readings: the next value then comes from new ones only."""
         self._values.clear()
         self._total = None
 
@@ -64,14 +64,13 @@ class Readings:
         return True
 
     def add(self, raw: float) -> float | None:
-        """Take in what the sensor says now, and return the quantity by it and those before.
+        """Add a reading; return the quantity, filtered with the earlier readings.
 
         Returns:
-            None where it is a total, and there is none before it or a greater one: the sensor
-            has started again.
+            None for a total without an earlier one, or below it: the sensor has restarted.
 
         Raises:
-            ValueError: it is no number, or out of range.
+            ValueError: the reading is not a number, or out of range.
         """
         sensor = self._sensor
         value = sensor.scale * raw + sensor.offset
@@ -91,7 +90,7 @@ class Readings:
         return statistics.median_low(self._values)
 
     def _rate(self, total: float) -> float | None:
-        """Return by how much a total has grown in a second since the one before."""
+        """Return the growth of a total per second since the previous one; None if not known."""
         before, self._total = self._total, (total, time.monotonic())
         if before is None or total < before[0] or self._total[1] == before[1]:
             return None

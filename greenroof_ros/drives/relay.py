@@ -1,9 +1,9 @@
-"""One relay on MQTT, switched as its file says; its own timer is its communication timeout.
+"""One relay on MQTT, operated as its file describes; its own timer is its communication timeout.
 
-Each *on* lasts no longer than that timer, and is published again after at most a third of it, each
-time only after the relay has answered: an *on* that waits on a stalled connection is the only such,
-and is followed there by the *off* with which the connection is given up. All is of quality of
-service 0 and not retained, so that nobody keeps it for later.
+Each *on* ends with that timer, and is published again after at most a third of it, but only once
+the relay has answered the previous one. So at most one *on* waits in a stalled connection, followed
+by the *off* that is published when the connection is closed. Every message has quality of service 0
+and is not retained, so the broker does not keep it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError
 from greenroof_ros.drives.relay_file import Message, RelayFile, Timer, Value
 
-# How long the broker is waited for (s).
+# Longest wait for the broker (s).
 _CONNECT_S = 3.0
-# How long the relay may take to be on after *on*, and how often it is asked meanwhile (s).
+# How long the relay may take to be on after *on*, and the interval of the questions (s).
 _ON_S, _LOOK_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
-# So much of an answer that is none is shown (characters), and so many messages wait at most.
+# Characters shown of an invalid answer, and the greatest number of messages that wait.
 _SHOWN, _KEPT = 120, 1000
 
 
@@ -40,8 +40,8 @@ class PlacedRelay:
     """A make of relay at an address.
 
     Attributes:
-        file: what the relay is like.
-        broker: that it is connected to.
+        file: the relay file.
+        broker: to which it is connected.
         device: its own topic there.
     """
 
@@ -59,37 +59,37 @@ class PlacedRelay:
 
     @property
     def guard(self) -> Timer:
-        """What switches it off when nobody is heard."""
+        """The timer that switches it off if no *on* arrives."""
         return self.file.timer
 
     @property
     def is_here(self) -> bool:
-        """Whether its broker is at loopback; may wait for a host to be looked up."""
+        """Whether its broker is at loopback; may block while the host is resolved."""
         return Address(self.broker.host).is_here
 
     def place(self) -> str:
-        """Return where it is, by the same name for each way to write the address.
+        """Return a name of the place that is the same however the address is written.
 
-        May wait for the name of a host to be looked up.
+        May block while the host name is resolved.
 
         Raises:
-            OSError: there is no such host, or nobody who knows it answers.
+            OSError: there is no such host, or no name server answers.
         """
         return f"{Address(self.broker.host).place(self.broker.port)}-{self.device}"
 
     def place_of_lock(self) -> str:
-        """Return what one driver alone may have: the relay.
+        """Return the place that only one driver may use: the relay.
 
         Raises:
-            OSError: likewise.
+            OSError: as in `place`.
         """
         return self.place()
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
-        """Return it, to be connected once; nothing is opened yet.
+        """Return the relay on a new connection, not yet opened; it must be connected only once.
 
         Args:
-            timeout_s: longest wait for an answer (s), where its file does not ask for more.
+            timeout_s: longest wait for an answer (s), unless its file asks for a longer one.
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
@@ -98,18 +98,18 @@ class PlacedRelay:
 
 
 class RelayLine:
-    """One connection to the broker, and questions to the relay over it.
+    """One connection to the broker, with questions to the relay over it.
 
     Attributes:
-        where: the relay is, for messages.
-        parting: published before the connection is closed; None for nothing.
+        where: the place of the relay, for messages.
+        parting: the message to publish before the connection is closed; None for none.
     """
 
     def __init__(self, relay: PlacedRelay, timeout_s: float) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the connection without opening it.
 
         Args:
-            relay: that is asked.
+            relay: the relay to ask.
             timeout_s: longest wait for an answer (s).
 
         Raises:
@@ -118,8 +118,8 @@ class RelayLine:
         self.where = str(relay)
         self.parting: Message | None = None
         self._file, self._timeout_s = relay.file, timeout_s
-        # One name for all connections, so that a broker can limit who may publish on it; where
-        # answers have numbers, an answer to another connection does not count.
+        # All connections use this name, so a broker can limit who may publish on it. If answers are
+        # numbered, an answer to another connection does not count.
         self._known = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
@@ -133,14 +133,14 @@ class RelayLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the broker has let it in, and the connection has not ended since."""
+        """Whether the broker has accepted the connection and it has not ended since."""
         return self._connected and not self._closed_by
 
     def connect(self) -> None:
         """Connect to the broker.
 
         Raises:
-            DriveError: nobody answers there, or does not let this in.
+            DriveError: nobody answers there, or the broker refuses the connection.
         """
         self._client.loop_start()
         with self._changed:
@@ -150,20 +150,20 @@ class RelayLine:
             raise self.error("connection", f"cannot connect: {why}")
 
     def close(self) -> None:
-        """Part from the relay, and close the connection."""
+        """Publish the parting message, and close the connection."""
         if self.parting is not None and self.connected:
-            with suppress(DriveError):  # it has just been lost
+            with suppress(DriveError):  # the connection was just lost
                 self.publish(self.parting)
         self._closed_by = self._closed_by or "closed here"
         self._client.disconnect()
         self._client.loop_stop()
 
     def publish(self, message: Message, **values: str) -> None:
-        """Publish a message once, if there is a connection.
+        """Publish a message once.
 
         Args:
             message: to the relay.
-            values: of names with a $ in it, besides the connection's own.
+            values: for the ``$`` names in it, besides those of the connection.
 
         Raises:
             DriveError: there is no connection any more.
@@ -171,14 +171,14 @@ class RelayLine:
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
     def ask(self, name: str) -> Any:
-        """Return the relay's answer to a question, as JSON has it.
+        """Return the relay's answer to a question, parsed from JSON.
 
         Raises:
             DriveError: no answer in time, or none that can be understood.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
         if not self._awaited.total():
-            self._heard.clear()  # what came unasked answers nothing
+            self._heard.clear()  # earlier messages answer no question
         self._awaited[name] += 1
         self._publish(question.topic, question.payload, number, {})
         topic, until = self._filled(question.answer), time.monotonic() + self._timeout_s
@@ -209,11 +209,11 @@ class RelayLine:
         ))
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return what went wrong, with where."""
+        """Return the error of a problem, with the place of the relay."""
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _next(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None where none comes until a time, or the connection ends."""
+        """Return the next message; None if none comes in time, or the connection ends."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._heard or self._closed_by, max(0.0, until - time.monotonic())
@@ -231,7 +231,7 @@ class RelayLine:
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
-        if not self._closed_by:  # the client connects again by itself
+        if not self._closed_by:  # after the end the client reconnects by itself
             topics = {self._filled(question.answer) for question in self._file.questions.values()}
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
             with self._changed:
@@ -251,19 +251,19 @@ class RelayLine:
 
 
 class Relay:
-    """One relay; one connection, which who uses it opens and closes.
+    """One relay on one connection, which the caller opens and closes.
 
     Attributes:
-        file: what the relay is like.
+        file: the relay file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was written; None where there was none.
+        stopped: whether the last `stop` on this connection was written; None if there was none.
     """
 
     def __init__(self, placed: PlacedRelay, timeout_s: float) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the relay without opening a connection.
 
         Args:
-            placed: what it is like, and where.
+            placed: the relay and its address.
             timeout_s: longest wait for an answer (s).
 
         Raises:
@@ -272,16 +272,16 @@ class Relay:
         self.file, self.line = placed.file, RelayLine(placed, timeout_s)
         self.stopped: bool | None = None
         self._placed = placed
-        # What it was switched to last, None where that is not known; and what it has said since
-        # *on* was published last, None for nothing.
+        # The state it was last switched to, None if unknown; and the state it has reported since
+        # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None
         self._is_on: bool | None = None
-        # Its timer as read last, None where that does not guard; and when *on* was published (s).
+        # Its timer as last read, None if it does not guard; and when *on* was published (s).
         self._timer_s: float | None = None
         self._on_at = 0.0
 
     def identify(self) -> str:
-        """Return what it says that it is, for people.
+        """Return make, model and the relay's own name as text.
 
         Raises:
             DriveError: it cannot be read.
@@ -289,10 +289,10 @@ class Relay:
         return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its timer (s); where it does not guard None, and why.
+        """Return its timer (s); if that does not guard, None and the reason.
 
-        It does not where it is off or too short to be renewed in time, or where another setting
-        would have the relay on by itself.
+        It does not guard if it is off or too short to be renewed in time, or if another setting
+        could switch the relay on by itself.
 
         Raises:
             DriveError: it cannot be read.
@@ -301,7 +301,7 @@ class Relay:
             setting.question: self.line.ask(setting.question)
             for setting in (self.file.timer, *self.file.must)
         }
-        self._timer_s = None  # what was read before holds until there are answers
+        self._timer_s = None  # the earlier value was valid until now
         for setting in self.file.must:
             if (value := _text(self._value(setting, answers))) != setting.value:
                 return None, (
@@ -326,10 +326,10 @@ class Relay:
         return seconds, ""
 
     def read(self) -> DriveStatus:
-        """Return what it says of itself.
+        """Return the relay's report.
 
         Raises:
-            DriveError: it cannot be read, or says what cannot be.
+            DriveError: it cannot be read, or reports an impossible value.
         """
         on = self._read()
         return DriveStatus(
@@ -337,21 +337,21 @@ class Relay:
         )
 
     def local(self) -> bool:
-        """Return that nobody can be seen to have it in local control."""
+        """Return False: local control of a relay cannot be seen."""
         return False
 
     def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Switch it on, or keep it on; to be called again and again while it is to be on.
+        """Switch it on, or keep it on. The caller repeats this while the relay must be on.
 
-        Nothing is published where the relay has not answered since the last *on*, and where it is
-        off although it was switched on: see `intruder`.
+        *On* is published again only after the relay has answered since the last *on*, and not if it
+        is off although it was switched on: see `intruder`.
 
         Args:
-            speed: share of rated speed; a relay has no other than 1.
-            go_on: asked while it is waited for; where it says no, the wait ends there.
+            speed: share of rated speed, above 0; a relay always runs at 1.
+            go_on: asked before switching on and while waiting for it; False ends the call.
 
         Raises:
-            DriveError: no or a wrong answer; its timer does not guard; it does not switch on.
+            DriveError: no answer or a wrong one; its timer does not guard; it does not switch on.
             ValueError: the speed is out of range.
         """
         if not 0 < speed <= 1:
@@ -361,7 +361,7 @@ class Relay:
             raise self.line.error("drive", "it is not switched on: its own timer does not guard")
         is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
-            # The next round might be too late.
+            # Renew a period early: the next round might be too late.
             due = self._on_at + _RENEWED * timer_s - self.file.period
             if is_on and time.monotonic() >= due:
                 self._switch_on(timer_s)
@@ -370,7 +370,7 @@ class Relay:
             self._until_on(go_on)
 
     def stop(self) -> None:
-        """Switch it off; to be called again and again while it is to be off.
+        """Switch it off. The caller repeats this while the relay must be off.
 
         Raises:
             DriveError: there is no connection any more.
@@ -389,12 +389,12 @@ class Relay:
         self.stop()
 
     def intruder(self) -> str:
-        """Return that it is not as it was switched last; empty where it is, or that is unknown.
+        """Return that its state is not the one last ordered; empty if it is, or if unknown.
 
-        Its own timer, a loss of power, and a person or a program may have switched it.
+        Its own timer, a power failure, a person or another program may have switched it.
 
         Raises:
-            DriveError: no or a wrong answer.
+            DriveError: no answer or a wrong one.
         """
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
@@ -407,12 +407,12 @@ class Relay:
         )
 
     def why_no_simulator(self) -> str:
-        """Return why it is not, for certain, the relay simulator; empty where it is.
+        """Return why this may not be the relay simulator; empty if it certainly is.
 
-        Nothing is published to switch it, and nothing at all where the broker is not at loopback.
+        Nothing is published to switch it. Nothing at all is sent unless the broker is at loopback.
 
         Raises:
-            DriveError: nobody answers there, of the kind ``connection``.
+            DriveError: of the kind ``connection``: nobody answers there.
         """
         if not self._placed.is_here:
             return f"the broker of {self.line.where} is not at loopback"
@@ -427,7 +427,7 @@ class Relay:
         )
 
     def _read(self) -> bool:
-        """Return whether it is on, as it says."""
+        """Return whether the relay reports that it is on."""
         self._is_on, state = None, self.file.state
         answer = _text(self._value(state))
         if answer not in (state.is_on, state.is_off):
@@ -444,7 +444,7 @@ class Relay:
         self.line.publish(self.file.switch_on, seconds=f"{timer_s:g}")
 
     def _until_on(self, go_on: Callable[[], bool]) -> None:
-        self._ordered = None  # what comes of it is not known
+        self._ordered = None  # unknown until it has answered
         while not self._read():
             if not go_on():
                 return
@@ -456,7 +456,7 @@ class Relay:
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value of an answer; the relay is asked where there are no answers yet."""
+        """Return a value of an answer; without answers, ask the relay first."""
         answer = self.line.ask(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)
@@ -465,10 +465,10 @@ class Relay:
 
 
 def value_at(answer: Any, path: str) -> Any:
-    """Return what an answer has at a path such as ``result.output``.
+    """Return the value in an answer at a path such as ``result.output``.
 
     Raises:
-        LookupError: nothing.
+        LookupError: there is none.
     """
     for name in path.split("."):
         if not isinstance(answer, dict):
@@ -478,5 +478,5 @@ def value_at(answer: Any, path: str) -> Any:
 
 
 def _text(value: Any) -> str:
-    """Return a value as JSON writes it, a text without its quotes."""
+    """Return a value as JSON text; a string without its quotes."""
     return value if isinstance(value, str) else json.dumps(value)

@@ -1,7 +1,7 @@
-"""What a make of relay on MQTT is like: one YAML file of ``config/drives/``, as frozen dataclasses.
+"""The description of a make of MQTT relay: a file in ``config/drives/``, as frozen dataclasses.
 
-Topics and payloads may have ``$device``, the topic of the relay's own in its address; ``$me``, the
-name of who asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer.
+Topics and payloads may contain ``$device``, the relay's own topic as in its address; ``$me``, the
+name of the client that asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from greenroof_ros.common.parameter import entry, error_at, find, read_record
 from greenroof_ros.drives.drive_file import Source
 
 MQTT = "mqtt"
-# A timer shorter than so many rounds of questions cannot be renewed in a third of its time.
+# A timer shorter than this many rounds of questions cannot be renewed within a third of its time.
 _ROUNDS = 6
 
 
@@ -30,7 +30,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Question:
-    """What the relay is asked, and how its answer is known among all that it publishes."""
+    """A question to the relay, and how its answer is recognized among all that it publishes."""
 
     topic: str = entry("where it is asked")
     answer: str = entry("topic of the answer, which is a JSON object")
@@ -48,7 +48,7 @@ class Value:
 
 @dataclass(frozen=True)
 class State(Value):
-    """Whether the relay is on."""
+    """The state of the relay, on or off."""
 
     is_on: str = entry("the value, as in JSON, with which it is on", default="true")
     is_off: str = entry("the value with which it is off", default="false")
@@ -56,7 +56,7 @@ class State(Value):
 
 @dataclass(frozen=True)
 class Setting(Value):
-    """A setting without which the relay may be on, or stay on, by itself."""
+    """A setting that must have this value, or the relay may switch or stay on by itself."""
 
     value: str = entry("what it must be, as in JSON")
     meaning: str = entry("what that is, for people")
@@ -64,7 +64,7 @@ class Setting(Value):
 
 @dataclass(frozen=True)
 class Scale:
-    """How a range of raw values gives seconds."""
+    """How a range of raw values converts to seconds."""
 
     low: float = entry("least raw value of the range", 0)
     high: float = entry("greatest raw value of the range", 0)
@@ -80,12 +80,12 @@ class Timer(Value):
     how_to_set: str = entry("for people: where and to what")
     traps: str = entry("when it does not guard", default="")
 
-    # As other drives' communication timeouts may have, and none of these has.
+    # Drives on Modbus may have these; no relay has.
     unguarded_after_power_up_s = 0.0
     local_settings_decide = False
 
     def seconds(self, raw: float) -> float | None:
-        """Return the time that a raw value stands for (s); None for off."""
+        """Return the time for a raw value (s); None for off."""
         return next((
             scale.scale * raw + scale.offset for scale in self.scales
             if scale.low <= raw <= scale.high
@@ -119,25 +119,25 @@ class RelayFile:
     answer_within: float = entry("longest wait for an answer (s)", 0.1, 10, default=1.0)
     path: Path = Path()
 
-    # It is on or off, and nothing between.
+    # A relay is on or off, with no speed in between.
     least_speed = 1.0
 
     @property
     def least_timer(self) -> float:
-        """The shortest timer that is renewed in time (s)."""
+        """The shortest timer that can be renewed in time (s)."""
         return _ROUNDS * self.period
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """Those unverified keys by which a pump may run when it must not: of a relay, all."""
+        """The unverified keys that, if wrong, could let a pump run when it must not: all."""
         return self.unverified
 
 
 def read_relay_file(path: Path) -> RelayFile:
-    """Read a relay's file and check it.
+    """Read and check a relay file.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown, impossible, or contradicts
+        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
     content = read_yaml(path)
@@ -148,7 +148,7 @@ def read_relay_file(path: Path) -> RelayFile:
 
 
 def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key that contradicts another one, and why."""
+    """Yield each key with a mistake, and the reason."""
     values = {
         "state": relay.state, "timer": relay.timer, "name": relay.name,
         **{f"must.{number}": setting for number, setting in enumerate(relay.must, start=1)},

@@ -27,7 +27,7 @@ from greenroof_ros.drives.modbus_line import (
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
-# A pump that stands and whose meter shows a flow for 12 s (follow_time) has a fault.
+# A flow shown for 12 s (follow_time) while the pump is at rest is a fault.
 _LONGEST_AFTERFLOW_S = 10.0
 _MODBUS_PORT = 502
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
@@ -35,12 +35,12 @@ _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
 
 
 class Quantity(NamedTuple):
-    """What a sensor measures.
+    """A quantity that a sensor measures.
 
     Attributes:
         node: name of the node that publishes it.
-        topic_name: in the interface, where its unit and range are.
-        limit: the parameter that is its greatest age.
+        topic_name: in the interface, which has its unit and range.
+        limit: the parameter for its greatest age.
     """
 
     node: str
@@ -53,7 +53,7 @@ class Quantity(NamedTuple):
         return read_topics()[self.topic_name]
 
 
-# By the section of the file.
+# By section of the file.
 QUANTITIES = {
     "cistern": Quantity("cistern_sensor", "/cistern/level", "level_limit"),
     "roof": Quantity("roof_sensor", "/roof/level", "level_limit"),
@@ -65,7 +65,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """What every sensor has. The value is scale x raw + offset, the median of some readings."""
+    """What all sensors have. The value is the median of readings, each scale x raw + offset."""
 
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
     low: float = entry("least value that is accepted, in the quantity's unit", -100, 100)
@@ -82,7 +82,7 @@ class Sensor:
 
 @dataclass(frozen=True, kw_only=True)
 class ModbusSensor(Sensor):
-    """A sensor that is asked over Modbus."""
+    """A sensor that is read over Modbus."""
 
     address: str = entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")
     device_id: int = entry("unit identifier or slave address", 0, 255)
@@ -108,7 +108,7 @@ class ModbusSensor(Sensor):
 
     @property
     def place(self) -> tuple[object, ...]:
-        """What no other sensor has."""
+        """Its register: no two sensors may have the same."""
         return self.address, self.device_id, self.kind, self.register
 
     @property
@@ -135,7 +135,7 @@ class ModbusSensor(Sensor):
 
 @dataclass(frozen=True, kw_only=True)
 class MqttSensor(Sensor):
-    """A sensor whose messages a broker hands on."""
+    """A sensor that publishes to an MQTT broker."""
 
     address: str = entry("mqtt://HOST[:PORT]/TOPIC; mqtts:// over TLS")
     value: str = entry(
@@ -159,21 +159,21 @@ class MqttSensor(Sensor):
 
     @staticmethod
     def fits(section: Mapping[str, Any]) -> bool:
-        """Whether a section of the file is of such a sensor: its address says so."""
+        """Whether a section of the file describes such a sensor, by its address."""
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
     def place(self) -> tuple[object, ...]:
-        """What no other sensor has."""
+        """Its topic and the value's path: no two sensors may have the same."""
         try:
             broker, topic = self.broker_and_topic()
-        except ConfigurationError:  # which is said by itself
+        except ConfigurationError:  # another check reports it
             return (self.address,)
         return broker.host, broker.port, topic, self.value
 
     @property
     def steps(self) -> list[str | int]:
-        """The names and numbers by which the value is reached."""
+        """The path to the value in the JSON: names and indices."""
         return [int(index) if index else name for index, name in _STEP.findall(self.value)]
 
     def broker_and_topic(self) -> tuple[Broker, str]:
@@ -199,25 +199,25 @@ class Sensors:
 
     @property
     def by_section(self) -> dict[str, ModbusSensor | MqttSensor]:
-        """Return those that there are."""
+        """Return the sensors that exist."""
         return {name: sensor for name in QUANTITIES if (sensor := getattr(self, name)) is not None}
 
 
 def default_sensors() -> Path:
-    """Return the file of the package's own."""
+    """Return the sensor file that is shipped with the package."""
     return shared_directory() / "config" / "sensors.yaml"
 
 
 def read_sensors(path: Path, greatest_ages: Mapping[str, float] | None = None) -> Sensors:
-    """Read a file of sensors and check it.
+    """Read and check a sensor file.
 
     Args:
         path: the file.
-        greatest_ages: ages beyond which nobody takes a quantity (s), as far as they are known, by
-            the names of their parameters; two readings must fit into it.
+        greatest_ages: age beyond which a quantity is not used (s), if known, by the name of its
+            parameter. Two periods must fit into it, or one ``max_age``.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown, impossible, or contradicts
+        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
     content = read_yaml(path)
@@ -230,7 +230,7 @@ def read_sensors(path: Path, greatest_ages: Mapping[str, float] | None = None) -
 def _mistakes(
     sensors: Sensors, greatest_ages: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each key that contradicts another one, and why; what follows goes by those before."""
+    """Yield each key with a mistake, and the reason; later checks rely on the earlier ones."""
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         greatest_age = greatest_ages.get(quantity.limit, math.inf)

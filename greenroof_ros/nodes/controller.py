@@ -1,6 +1,6 @@
-"""The controller node, whichever controller it runs: levels and forecasts in, one command out.
+"""The controller node, for any controller: levels and forecasts in, one command out.
 
-On a live site a controller that needs a forecast and has none is replaced by on/off meanwhile.
+On a live site on/off replaces a controller that needs a forecast, for the time it has none.
 
 ``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
 class as ``package.module:Class``; the node is named after it.
@@ -42,39 +42,39 @@ from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.plant import pump_flow
 
-# The inputs that it needs; live the forecasts may be missing, and two more are looked at.
+# Needed inputs. In a live graph the forecasts may be missing, and two more inputs are optional.
 _INPUTS = (
     "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
     "/weather/frost",
 )
 _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
-# On/off takes over where a forecast is missing for so many times recovery_time: what is missing for
-# a moment, as after a pause of the node's own, starts no pump.
+# On/off takes over once a forecast has been missing for this multiple of recovery_time. A short
+# gap, as after a pause of the node itself, then starts no pump.
 _GIVEN_UP = 3
-# So many changes of parameters a live node keeps, the newest; all are counted.
+# A live node keeps this many of the newest parameter changes; all are counted.
 _LIVE_CHANGES = 20
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="a file that keeps what the controller has learned of its forecasts "
     "over restarts, live; empty for none",
 )
-# So often what was learned is kept (s).
+# How often learned values are saved (s).
 _KEEP_S = 600.0
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
-    """Return the parameters of a controller's node; without a controller, what all have."""
+    """Return the parameters of a controller's node; without a controller, the common ones."""
     of_class = [] if choice is None else choice.kind.parameters
     return [LIVE, site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
 
 
 class ControllerNode(LinkedNode):
-    """Runs one controller in the graph; it commands 0 where an input is not good, and in frost.
+    """Runs one controller in the graph; commands 0 in frost, in quiet hours and on bad inputs.
 
-    On a live site a forecast that is missing, too old or refused is no reason to stop: on/off, with
-    its defaults, commands until there is one again. Where it pumped, the controller then begins
-    afresh: what it knew of the roof and of its plan is of before. What it has learned of its
-    forecasts stays, over restarts of the node too, in the file ``state_file``.
+    On a live site a forecast that is missing, too old or refused does not stop the pump: on/off,
+    with its defaults, commands until there is a good one. If on/off has pumped, the controller then
+    restarts, since its knowledge of the roof and its plan are outdated. What it has learned about
+    its forecasts is kept, also across restarts of the node, in ``state_file``.
     """
 
     def __init__(self, controller: str) -> None:
@@ -87,7 +87,7 @@ class ControllerNode(LinkedNode):
             ConfigurationError: there is no such controller.
         """
         choice = find_controller(controller)
-        _ = choice.kind  # before there is a node
+        _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
         self._choice = choice
         self._site = site = self.declare_site()
@@ -95,7 +95,7 @@ class ControllerNode(LinkedNode):
         live = declare(self, LIVE_PARAMETERS)
         self._controller = choice.make(site, self._values)
         self._tick = 0
-        # A live site runs for months.
+        # Limited, since a live site runs for months.
         self._parameter_changes: deque[dict[str, Any]] = deque(
             maxlen=_LIVE_CHANGES if self.live else None
         )
@@ -112,22 +112,22 @@ class ControllerNode(LinkedNode):
         if self.live:
             self._without_forecast = OnOff(site, FRACTION.default)
             self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
-            self._missing_since = math.inf  # the forecast (steady clock, s)
-            self._without_since = ""  # on/off commands, in words; empty while it does not
+            self._missing_since = math.inf  # forecast missing since (steady clock, s)
+            self._without_since = ""  # when on/off took over, in words; empty if not
             self._without_pumped = False
             self._flow = self.subscribe(_FLOW, optional=True)
             self._gauge = self.subscribe(_GAUGE, optional=True)
             self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
             self._kept_at = time.monotonic()
         else:
-            # At a site with quiet hours no tick begins before its time is known.
+            # With quiet hours, a tick must wait for its time.
             self._tick_time = self.subscribe(CLOCK, None if site.quiet else self.set_time)
         self._optional = list(optional_topics(choice.outputs))
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def on_inputs(self) -> None:
-        """Command, and publish what the controller says beside it."""
+        """Publish the command and the controller's optional outputs."""
         allowed = self.good and not self._frost.value
         if self._site.quiet is not None:
             if not self.live:
@@ -157,13 +157,13 @@ class ControllerNode(LinkedNode):
         )
 
     def _command_live(self, allowed: bool) -> bool:
-        """Command: the controller's, or on/off's without a forecast; 0 of inputs that are too old.
+        """Publish the command: the controller's, or on/off's without a forecast; 0 on bad inputs.
 
         Args:
             allowed: whether it may pump.
 
         Returns:
-            Whether the controller did decide.
+            Whether the controller decided.
         """
         if self._without_pumped and allowed and not self._forecast_problem():
             learned = learned_by(self._controller)
@@ -198,9 +198,9 @@ class ControllerNode(LinkedNode):
         return decides
 
     def _learned_before(self, file: str) -> Kept | None:
-        """Let the controller know what it had learned; return where that is kept, None for nowhere.
+        """Give the controller what it had learned; return the file, or None if none is kept.
 
-        What is there but not understood is said, and the controller starts afresh.
+        If the file cannot be understood, the node warns and the controller begins from the start.
         """
         if not file or learned_by(self._controller) is None:
             return None
@@ -214,7 +214,7 @@ class ControllerNode(LinkedNode):
         return memory
 
     def _keep_learned(self, every: float) -> None:
-        """Keep what the controller has learned, if it was last kept so long ago (s)."""
+        """Save what the controller has learned, if the last time was at least ``every`` s ago."""
         now = time.monotonic()
         if self._kept is None or now - self._kept_at < every:
             return
@@ -227,13 +227,13 @@ class ControllerNode(LinkedNode):
             self._kept.write(learned)
 
     def on_stop(self) -> None:
-        """Keep what the controller has learned."""
+        """Save what the controller has learned."""
         if self.live and self._kept is not None:
             self._keep_learned(0.0)
             self._kept.close()
 
     def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
-        """Return a command, and whether the controller did decide; refuse a forecast of no use.
+        """Return a command, and whether the controller decided; refuse a forecast it cannot use.
 
         Raises:
             ConfigurationError: the controller cannot command.
@@ -249,10 +249,10 @@ class ControllerNode(LinkedNode):
         return self._decide(decides), decides
 
     def _expect(self, command: float) -> None:
-        """Expect of the levels what a command does in a tick; a flow that is heard knows better.
+        """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
 
-        Nothing is expected of a pump that has fallen silent: it may stand, and a level that does
-        not move then is not frozen. A forecast of rain says nothing here: it need not fall.
+        The flow is the pump's, or follows from the command if none was ever heard. If it is not
+        good now, it counts as 0: the pump may be at rest, and a still level is then not frozen.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.heard:
@@ -262,12 +262,12 @@ class ControllerNode(LinkedNode):
         self._levels.expect(flow, self._measured_rain())
 
     def _measured_rain(self) -> float:
-        """Return what the gauge measures (m/s); 0 without a good reading."""
+        """Return the gauge's rain (m/s); 0 without a good reading."""
         rain: float = self._gauge.value if self._gauge.good else 0.0
         return rain
 
     def _forecast_problem(self) -> str:
-        """Return what is wrong with the forecasts; empty where the controller can decide."""
+        """Return what is wrong with the forecasts; empty if the controller can decide."""
         return self._bad_forecasts() if self._choice.needs_forecast else ""
 
     def _bad_forecasts(self) -> str:
@@ -277,10 +277,10 @@ class ControllerNode(LinkedNode):
         )
 
     def _say_forecast(self) -> None:
-        """Say what is wrong with the forecasts, and let on/off command where that lasts.
+        """Report what is wrong with the forecasts, and let on/off command if that lasts.
 
-        A controller that can do without one commands on. Of a site that never had any, nothing is
-        wrong then.
+        A controller that can do without a forecast continues to command; if the site never had a
+        forecast, nothing is reported then.
         """
         needs = self._choice.needs_forecast
         if not needs and not (self._choice.uses_forecast and self._rain.heard):
@@ -306,7 +306,7 @@ class ControllerNode(LinkedNode):
         """Return the forecast of rain in the shape that the controller takes.
 
         Raises:
-            ConfigurationError: it is of several members, and the controller takes one.
+            ConfigurationError: it has several members, and the controller takes one.
         """
         rain = self._rain.value
         if self._choice.ensemble:
@@ -319,12 +319,12 @@ class ControllerNode(LinkedNode):
         return rain
 
     def progress(self) -> dict[str, Any]:
-        """Return the parameters that changed and, live, what bringup shows."""
+        """Return the parameter changes and, live, the values that bringup shows."""
         count = {"parameter_change_count": self._parameter_change_count} if self.live else {}
         return {"parameter_changes": list(self._parameter_changes), **count, **self._shown}
 
     def summary(self) -> dict[str, Any]:
-        """Return the solver's figures."""
+        """Return the solver's statistics."""
         return {"solver": self._controller.statistics()}
 
     def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
@@ -347,7 +347,7 @@ class ControllerNode(LinkedNode):
 
 
 def _finite(value: float) -> float | None:
-    """Return a parameter's value as a summary has it, in which null stands for no limit."""
+    """Return a parameter's value for a summary, in which null means no limit."""
     return value if math.isfinite(value) else None
 
 

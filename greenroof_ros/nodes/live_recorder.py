@@ -1,9 +1,9 @@
-"""The recorder node of a live site: every message that comes, as it comes, for months.
+"""The recorder node of a live site: records every message as it arrives, for months.
 
-Into a bag's files by size and by day (UTC), with the time at which it came. The oldest files go
-when the bag reaches its limit. What came is on the disk after 10 s. A full disk ends the recording
-and is an alarm, and nothing else: the node lives on, and tries again every minute. So is a disk
-that hangs: what comes waits in memory, up to 32 MB, and is written when the disk goes on.
+Messages go into the files of a bag, split by size and by day (UTC), with their times of arrival,
+and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
+disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
+If the disk hangs, messages wait in memory, up to 32 MB, until it responds; that is an alarm, too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
 _MB = 1e6
-# How often it is looked whether it is time to flush (s), and how long the end waits for the disk.
+# How often the node checks whether a flush is due, and how long its end waits for the disk (s).
 _LOOK_S, _WRITTEN_S = 1.0, 4.0
 
 
@@ -44,13 +44,13 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 
 
 class LiveRecorderNode(LinkedNode):
-    """Writes the topics of a live graph, and /diagnostics, under their names on the wire.
+    """Records the topics of a live graph, and /diagnostics, under their full names.
 
-    The disk's thread writes; this node's own takes messages and reports, and waits for no disk.
+    The disk's thread writes. This node's own thread receives and reports, and waits for no disk.
     """
 
     def __init__(self) -> None:
-        """Declare the parameters, look at the bag and open the topics."""
+        """Declare the parameters, read the existing bag and open the topics."""
         super().__init__("recorder", "recorder", live=True)
         values = declare(self, parameters())
         file, total = values["file_limit"], values["total_limit"]
@@ -68,19 +68,19 @@ class LiveRecorderNode(LinkedNode):
             file_bytes=int(file * _MB),
             total_bytes=int(total * _MB),
         )
-        self._unwritten = 0  # messages for which there was no room in memory
+        self._unwritten = 0  # messages that found no room in memory
         self._looked_at = time.monotonic()
         for name, topic in topics.items():
             self.record(topic.name, partial(self._take, name))
 
     def _take(self, name: str, message: bytes) -> None:
-        """Have a message written, with the time at which it came."""
+        """Queue a message for writing, with its time of arrival."""
         write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
         if not DISK.do(write, len(message)):
             self._unwritten += 1
 
     def on_idle(self) -> None:
-        """Flush when it is time to, and say how recording goes."""
+        """Flush if it is due, and report the state of the recording."""
         now = time.monotonic()
         if now - self._looked_at > _LOOK_S:
             self._looked_at = now
@@ -94,14 +94,14 @@ class LiveRecorderNode(LinkedNode):
         )
 
     def progress(self) -> dict[str, Any]:
-        """Return where the bag is, and how many messages came into it since this start, or not."""
+        """Return the bag's path, and the numbers of messages recorded and lost since this start."""
         return {
             "bag": str(self._bag.directory), "recorded": self._bag.recorded,
             "lost": self._bag.lost + self._unwritten,
         }
 
     def on_stop(self) -> None:
-        """Close the bag, unless the disk hangs: then it is as a kill leaves it."""
+        """Close the bag, unless the disk hangs: then it stays as after a kill."""
         problem = ""
         if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
             problem = f"{self._bag.directory}: the disk takes nothing; the bag is not closed"

@@ -1,8 +1,8 @@
-"""The plant node: simulates cistern and roof, and is the heartbeat of the graph.
+"""The plant node: simulates cistern and roof, and sets the pace of the graph.
 
-Tick k: it publishes ``/clock`` and the levels, waits for the weather, the command and, with an
-external pump, the flow, steps the exact model, and publishes clock and levels of tick k + 1, then
-the flows of tick k.
+In tick k it publishes ``/clock`` and the levels; waits for the weather, the command and, with an
+external pump, the flow; steps the exact model; and publishes the clock and levels of tick k + 1,
+then the flows of tick k.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, Pump, RoofSensor, SensorPumpErrors
 from greenroof_ros.model.site import Site
 
-# How far the plant may run ahead of what the recorder has safely written (ticks).
+# How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
 _AHEAD = 32
-# What a tick is late by more than this (s) is not caught up with.
+# If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
-# An identity of a run has so many bits: a double holds it exactly.
+# A run's identity has this many bits: a double holds it exactly.
 _IDENTITY_BITS = 53
 
 
@@ -63,7 +63,7 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class PlantNode(LinkedNode):
-    """Holds the plant and drives the ticks."""
+    """Simulates the plant, and paces the ticks."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
@@ -91,7 +91,7 @@ class PlantNode(LinkedNode):
         self._tick = 0
         self._written = 0
         self._running = False
-        self._paused = False  # the tick is due, but not yet allowed: pace or recorder
+        self._paused = False  # the tick waits for the pace or the recorder
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
@@ -100,7 +100,7 @@ class PlantNode(LinkedNode):
         )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
-        # Frost ends a minimum time on; without one there is nothing but the command to obey.
+        # Frost ends a minimum time on. Without a minimum time the pump only follows the command.
         self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
         self._command = self.subscribe("/pump/command")
         if self._external:
@@ -116,25 +116,25 @@ class PlantNode(LinkedNode):
         self._written = int(ticks)
 
     def _behind(self) -> bool:
-        """Whether the recorder is as far behind as it may be."""
+        """Whether the recorder is as far behind as allowed."""
         return self._record and self._tick >= self._written + _AHEAD
 
     def all_arrived(self) -> bool:
-        """Whether all that the node said has come to who hears it, the recorder's bag included."""
+        """Whether all messages have arrived at their readers, and are flushed to the bag."""
         recorded = not self._record or self._written > self._run_length
         return recorded and super().all_arrived()
 
     def _pause(self) -> float:
-        """How long the present tick must still wait for its time at this pace (s)."""
+        """Return the time until the present tick is due at the set speed (s)."""
         if not self._speed:
             return 0.0
         wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
         if wait < -_LATE_S:
-            self._began -= wait  # a real pump's least times must not pass faster to make up for it
+            self._began -= wait  # a real pump's least times must not pass faster
         return max(0.0, wait)
 
     def _levels(self) -> tuple[float, float]:
-        """Return what the sensors of cistern and roof read in the present tick (m)."""
+        """Return the readings of the level sensors of cistern and roof in the present tick (m)."""
         cistern, roof = self._plant.levels()
         return cistern, self._sensor.reading(self._tick, roof)
 
@@ -155,14 +155,14 @@ class PlantNode(LinkedNode):
         self.set_time(now)
 
     def on_inputs(self) -> None:
-        """Step the plant: weather and command, or flow, of this tick are here."""
+        """Step the plant: all inputs of this tick have arrived."""
         if not self._running or self._paused:
             raise OccupiedError(
                 f"answers to tick {self._tick} came before it was published: nodes of an earlier "
                 "run are in this graph; end them"
             )
         if self._tick == 0:
-            self._began = time.monotonic()  # before that the others were still joining
+            self._began = time.monotonic()  # before, the other nodes were still joining
         rain = self._rain.value
         command = self._command.value
         if self._external:
@@ -187,8 +187,8 @@ class PlantNode(LinkedNode):
         self._metrics.step(command, rain, self._evapotranspiration.value, flows)
         self._plant.step(rain, flows)
         self._tick += 1
-        # The next tick first where it may go: the others start on it while this node still
-        # publishes what moved in the last one. Each topic keeps its own order.
+        # Publish the next tick first, if allowed: the other nodes begin it while this node still
+        # publishes the flows of the last tick. The order within each topic does not change.
         if not self._behind() and not self._pause():
             self._publish_tick()
         else:
@@ -203,7 +203,7 @@ class PlantNode(LinkedNode):
             self.publish("/pump/flow", flows.pump)
 
     def on_idle(self) -> None:
-        """Start when the graph is whole, let a tick go that waits, and watch the clock."""
+        """Start the run once all nodes are there, publish a waiting tick, and check timeouts."""
         now, self.lockstep.due_in = time.monotonic(), math.inf
         if self.reports.state == FINISHED:
             return
@@ -225,7 +225,7 @@ class PlantNode(LinkedNode):
             else:
                 self._publish_tick()
             return
-        # Who has not answered yet may still be joining: on a busy machine that takes seconds.
+        # Nodes that have not answered yet may still be joining: seconds on a busy machine.
         answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
@@ -235,7 +235,7 @@ class PlantNode(LinkedNode):
             raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
 
     def progress(self) -> dict[str, Any]:
-        """Return tick, levels (m) and command."""
+        """Return the tick, the levels (m) and the command."""
         cistern, roof = self._levels()
         return {
             "tick": self._tick,
@@ -245,7 +245,7 @@ class PlantNode(LinkedNode):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the metrics of the run and of its weeks, and how long it took (s of wall time)."""
+        """Return the metrics of the run and its weeks, and its duration (s of wall time)."""
         return {
             "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
             "wall_s": self._wall_s,

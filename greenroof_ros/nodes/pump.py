@@ -1,16 +1,16 @@
-"""The pump node: /pump/command in, a drive on Modbus or a relay on MQTT run, /pump/flow out.
+"""The pump node: turns /pump/command into orders to a drive (Modbus) or relay (MQTT).
 
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
-unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
-off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. The
-page has services of its own: ``~/page_stop`` stops the pump, and releases what it stopped itself;
-``~/page_clear`` clears the fault speed_not_followed, once in 24 h. The parameter ``pause_until``
-keeps the pump off until a date, over restarts. Where the site file allows it, ``~/dose``
-(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, now, in s since 1970)
-has a volume delivered once, or says why not. In any state the flow is
-published: in lockstep once a tick, when command, levels and frost are there, live every tau.
-Between them the drive is stopped by wall time, and /pump/state says why the pump stands.
+unreadable; *deactivate* ramps down; *cleanup* stops and disconnects. ``~/stop`` (std_srvs/SetBool)
+keeps the pump off, whatever is commanded, also after a restart; ``~/reset`` (std_srvs/Trigger)
+clears a latched fault. The page has its own services: ``~/page_stop`` stops the pump, and releases
+only this stop; ``~/page_clear`` clears the fault speed_not_followed, once in 24 h. The parameter
+``pause_until`` keeps the pump off until a date, also after a restart. If the site file allows it,
+``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present
+time in s since 1970) delivers a volume once, or says why not. /pump/flow is published in every
+state: in lockstep once per tick, after command, levels and frost have arrived; live every tau. In
+between, the drive can be stopped by wall time. /pump/state says why the pump is at rest.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 
-# The inputs that it acts on; for the greatest age of each it has a parameter.
+# The inputs that it needs; a parameter limits the age of each.
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
-# Without a call for so long the drive's thread stops the drive: this node hangs (s).
+# The drive's thread stops the drive after this time without a call (s): this node hangs.
 _DEAD_MAN_S = 1.0
-# How long *configure* and *cleanup* wait for the drive at most: no command is answered meanwhile,
-# and who watches this node takes a longer silence for a failure (s).
+# Longest wait of *configure* and *cleanup* for the drive (s): no command is handled meanwhile, and
+# a supervisor takes a longer silence for a failure.
 _WAIT_S = 1.0
-# How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
-# lost connection is noticed by the exchange, sooner.
+# Greatest age of the drive's status (s). During a start none comes for some seconds; the exchange
+# notices a lost connection sooner.
 _DRIVE_AGE_S = 10.0
-# For how long it is said that the whole machine was suspended (s).
+# How long a suspend of the machine is reported (s).
 _SAID_S = 60.0
-# How often a node that is to start by itself tries to, and how often the drive is looked at (s).
+# How often the node tries to start by itself, and how often it reports on the drive (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
 PAUSE_UNTIL = Parameter(
@@ -127,15 +127,15 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class _Drive:
-    """The drive of the parameters, and what speaks against using it.
+    """The drive that the parameters choose, and the reasons against using it.
 
     Attributes:
-        placed: what it is like, and where it is.
-        exchange: with it.
+        placed: its drive file and its address.
+        exchange: the communication with it.
     """
 
     def __init__(self, values: dict[str, Any], node_name: str) -> None:
-        """Read its file.
+        """Read the drive file.
 
         Raises:
             ConfigurationError: a parameter or the file is wrong.
@@ -157,7 +157,7 @@ class _Drive:
         self._renew()
 
     def _renew(self) -> None:
-        """Have an exchange that has not begun."""
+        """Make a new exchange, not yet started."""
         self.exchange = DriveExchange(
             self.placed, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
             seeks_simulator=not self._live,
@@ -166,11 +166,11 @@ class _Drive:
 
     @property
     def snapshot(self) -> Snapshot:
-        """What is known of it."""
+        """What is known of the drive."""
         return self.exchange.snapshot
 
     def connect(self) -> None:
-        """Begin to keep it stopped, once it is let go of."""
+        """Start the exchange, which keeps the drive stopped; a closing one must end first."""
         if self._leaving and self.exchange.close(0.0):
             self._renew()
         if not self._begun:
@@ -178,15 +178,14 @@ class _Drive:
             self._begun = True
 
     def let_go(self, within: float) -> str:
-        """Stop it, and return what it says then.
+        """Stop the drive and disconnect; return its last status, empty if there was no exchange.
 
         Args:
-            within: how long to wait for that at most (s); the longest ramp and a few seconds are
-                enough for any drive.
+            within: longest wait (s); the longest ramp plus a few seconds is enough for any drive.
 
         Raises:
-            RefusedError: it takes longer, and goes on.
-            OSError: it was not heard at the end, or does not stand.
+            RefusedError: it takes longer; stopping continues.
+            OSError: the drive was not heard at the end, or is not at rest.
         """
         if not self._begun:
             return ""
@@ -198,7 +197,7 @@ class _Drive:
         self._renew()
         problem = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
-            # A thread that still talks to it has not read that it stands.
+            # If still connected, the thread has not read that the drive is at rest.
             problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
         elif status.stands:
             return f"let go of the drive: {status}"
@@ -209,9 +208,10 @@ class _Drive:
         raise OSError(f"{problem}; {ending}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
-        """Return why it is not run in lockstep before the plant has said at what speed; or empty.
+        """Return why, in lockstep, the drive must not run before /run gives the speed; or empty.
 
-        Levels without a plant are made up, and may pass at any speed.
+        Levels without a plant are invented and may change at any speed. Only the drive simulator,
+        once it is known to be that, may run on them.
         """
         why = self.snapshot.no_simulator
         if run is not None or why == "":
@@ -222,7 +222,7 @@ class _Drive:
         )
 
     def keep_to_speed_of(self, run: RunIdentity | None) -> None:
-        """Take part in a run that is not in real time with the drive simulator alone.
+        """Refuse a run that is not in real time, unless the drive is the drive simulator.
 
         Raises:
             ConfigurationError: it is another drive.
@@ -233,12 +233,12 @@ class _Drive:
                 raise no_real_time(why, "the plant's speed", run.speed)
 
     def status(self, now: float) -> DriveStatus | None:
-        """Return what it said last, unless that is too old."""
+        """Return the drive's last status; None if too old."""
         snapshot = self.snapshot
         return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
 
     def absence(self, now: float) -> str:
-        """Return why it cannot be heard; empty where it can."""
+        """Return why the drive is not heard; empty if it is."""
         if self._leaving:
             return "no connection to the drive: it is being let go of; clean up first"
         if self.status(now) is not None:
@@ -247,7 +247,7 @@ class _Drive:
         return f"no connection to the drive: {problem}"
 
     def timeout_problem(self, snapshot: Snapshot) -> str:
-        """Return what is wrong with its own communication timeout; empty where nothing is."""
+        """Return what is wrong with the drive's own communication timeout; empty if nothing is."""
         guard, seconds = self.placed.guard, snapshot.timeout_s
         if not snapshot.timeout_known:
             why = f" could not be read ({snapshot.timeout_note})"
@@ -271,7 +271,7 @@ class _Drive:
 
 
 class PumpNode(Lifecycle, LinkedNode):
-    """Turns the pump as commanded, while nothing speaks against it."""
+    """Runs the pump as commanded, unless an interlock is active."""
 
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services."""
@@ -293,7 +293,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._settings = PumpSettings(**settings)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
-        # Within which time a drive that is not heard stands (s).
+        # Time after which a drive that is not heard is at rest (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._without_timeout:
             self._drive_stops_after = math.inf
@@ -306,7 +306,7 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         self._state = ""
         self._reasons: tuple[object, ...] = ()  # as of the last decision
-        # All that is measured from now on; none of it is on the wire.
+        # Internal times, measured from now on; none is published.
         self._simulated = 0.0
         self._stepped = boot_time() if self.live else 0.0
         self._watched = time.monotonic()
@@ -334,18 +334,18 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
         paused_until = values[PAUSE_UNTIL.name]
         ends = read_start(paused_until, key=PAUSE_UNTIL.name).timestamp() if paused_until else 0.0
-        # A pause that is over by now, or shorter than the one that is kept, changes nothing. Where
-        # it cannot be kept yet, the pump stays off for that, too.
+        # A pause that is over, or shorter than the kept one, changes nothing. If the state file
+        # cannot be written yet, the pump stays off for that reason, too.
         if ends > max(time.time(), self._ledger.record.pause_until):
             self._control.pause(ends)
         self._show_pause()
         self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())
 
-    # --- what is kept over restarts ---------------------------------------------------------------
+    # --- state kept across restarts ---------------------------------------------------------------
 
     def _begin(self) -> None:
-        """Control the pump with what is known of before."""
+        """Make the pump control, with the state kept in the ledger."""
         self._control = PumpControl(
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
@@ -354,13 +354,13 @@ class PumpNode(Lifecycle, LinkedNode):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
-        """Take the state file over, if another one had it or it could not be made."""
+        """Take over the state file, if another process had it or it could not be made."""
         if self._ledger.take():
             self._begin()
             self._reasons = ()  # decide again
 
     def _show_pause(self) -> None:
-        """Let the parameter have the pause that is kept."""
+        """Set the parameter to the kept pause."""
         shown = ""
         if self._ledger.paused:
             ends = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
@@ -380,8 +380,8 @@ class PumpNode(Lifecycle, LinkedNode):
         """Pause the pump until a time, or end the pause (empty).
 
         Raises:
-            ConfigurationError: it is no time to come, or a restart would not know of the pause; it
-                is as it was then.
+            ConfigurationError: the time is not in the future, or the pause cannot be kept across a
+                restart; the pause is then unchanged.
         """
         self._take_state()
         before, ends = self._ledger.record.pause_until, 0.0
@@ -403,19 +403,19 @@ class PumpNode(Lifecycle, LinkedNode):
 
     @transition
     def on_configure(self) -> None:
-        """Connect to the drive, and read what it is."""
+        """Connect to the drive, and read its nameplate."""
         self._drive.connect()
         until = boot_time() + _WAIT_S
         while absence := self._drive.absence(boot_time()):
             if boot_time() > until:
-                # It is tried on: a drive that comes is stopped.
+                # The exchange keeps trying: a drive that appears is stopped.
                 raise RefusedError(f"not configured: {absence}; it is tried on, ask again")
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
     @transition
     def on_activate(self) -> None:
-        """Let the pump run, unless the drive would run on alone, or a stop could not be kept."""
+        """Let the pump run, unless the drive would run on unattended or a stop cannot be saved."""
         problem = self._drive.absence(boot_time())
         if not problem and not self._without_timeout:
             problem = self._drive.timeout_problem(self._drive.snapshot)
@@ -440,23 +440,23 @@ class PumpNode(Lifecycle, LinkedNode):
 
     @transition
     def on_cleanup(self) -> None:
-        """Stop the drive, read that it stands, and let go of it; refused while it slows down."""
+        """Stop the drive, confirm that it is at rest, and disconnect; refused until it is."""
         self._let_go(_WAIT_S)
 
     @transition
     def on_shutdown(self) -> None:
-        """Do the same, for good."""
+        """Do the same as *cleanup*, for good."""
         self._let_go(_WAIT_S)
 
     def on_asked(self) -> None:
-        """Leave the lifecycle to who asked."""
+        """End the autostart: somebody else now controls the lifecycle."""
         self._autostart = False
 
     def on_stop(self) -> None:
-        """Stop the drive and read that back, whatever ends the node.
+        """Stop the drive and confirm that it is at rest, whatever ends the node.
 
         Raises:
-            OSError: it could not be read; the node's exit code says so, too.
+            OSError: that could not be confirmed; the node's exit code also says so.
         """
         try:
             self._let_go(math.inf)
@@ -471,7 +471,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.get_logger().info(message)
 
     def _start_by_itself(self, now: float) -> None:
-        """Go towards *active* where that is possible, again and again."""
+        """Try to become *active*; called repeatedly."""
         if now - self._tried < _AGAIN_S or self.lifecycle_state == ACTIVE:
             return
         self._tried = now
@@ -521,7 +521,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
-        self._step(boot_time())  # what speaks against it may have come just now
+        self._step(boot_time())  # a reason against it may have just arrived
         if fields.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
         else:
@@ -533,7 +533,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return response
 
     def _kept(self, response: Any, message: str) -> Any:
-        """Answer a service, by whether a restart would know of it."""
+        """Fill in a service's response: success only if the state is saved for a restart."""
         problem = self._ledger.why_not_kept()
         response.success = not problem
         response.message = f"{message}; but {problem}" if problem else message
@@ -542,11 +542,11 @@ class PumpNode(Lifecycle, LinkedNode):
     # --- inputs -----------------------------------------------------------------------------------
 
     def _on_command(self, value: float) -> None:
-        """Note that a command came, in a live graph; in lockstep the node acts on each."""
+        """Note the arrival of a command in a live graph; in lockstep :meth:`on_inputs` does."""
         self._commanded = boot_time()
 
     def on_inputs(self) -> None:
-        """Act on the inputs of a tick, in lockstep; in a live graph, act because it is time to."""
+        """Act: in lockstep on the inputs of a tick, live once per period."""
         now = boot_time()
         if not self.live:
             self._drive.keep_to_speed_of(self.lockstep.run)
@@ -558,7 +558,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.publish("/pump/flow", self._decision.flow)
 
     def on_idle(self) -> None:
-        """Stop where something speaks against running, whether or not commands come."""
+        """Decide again if the reasons against running change, even if no commands arrive."""
         now = boot_time()
         if not self.live:
             self._drive.keep_to_speed_of(self.lockstep.run)
@@ -567,7 +567,7 @@ class PumpNode(Lifecycle, LinkedNode):
         reasons = (
             self._reasons_against(now), _fault(status),
             status is not None and status.stands,
-            # Once a second, whether a drive that is not heard must stand by now.
+            # Decide again every second, since a drive that is not heard comes to rest at some time.
             status is None and not self._decision.stands and now // 1,
         )
         if reasons != self._reasons:
@@ -583,7 +583,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._diagnose(now)
 
     def _look_for_suspend(self, now: float) -> None:
-        """Say, for a minute, that the machine was suspended while the pump was on."""
+        """Report, for a minute, that the machine was suspended while the pump was on."""
         before, self._suspended = self._suspended, suspended_time()
         seconds = self._suspended - before
         if seconds > PAUSE_S and not self._decision.stands:
@@ -600,10 +600,10 @@ class PumpNode(Lifecycle, LinkedNode):
     # --- the pump ---------------------------------------------------------------------------------
 
     def _reasons_against(self, now: float) -> dict[str, str]:
-        """Return what this node has against running the pump, by interlock."""
+        """Return this node's own reasons against running the pump, by interlock."""
         status, absence = self._drive.status(now), self._drive.absence(now)
         if self.lifecycle_state != ACTIVE:
-            # A refusal for a drive that is not heard may name what was wrong with it before.
+            # While the drive is not heard, the refusal may be out of date.
             refusal = "" if absence else self.refusal
             return {"not_active": refusal or "the node is not active", "drive_lost": absence}
         reasons = {"drive_lost": absence}
@@ -621,13 +621,13 @@ class PumpNode(Lifecycle, LinkedNode):
         reasons["no_permit"] = self._permit.missing(boot_time())
         reasons["two_controllers"] = self._command.publishers.sentence(time.monotonic())
         if self.live:
-            # Another pump node may have the same drive: neither runs it then.
+            # Another pump node may have the same drive: then neither runs it.
             reasons["two_pumps"] = self._own_flow.publishers.sentence(time.monotonic())
         reasons["no_command"] = self._silence()
         return reasons
 
     def _silence(self) -> str:
-        """Return that commands are missing, by the steady clock alone."""
+        """Return that commands are missing, by the steady clock alone; empty if they are not."""
         now = boot_time()
         if self._commanded < 0:
             return "no command has come yet"
@@ -638,10 +638,10 @@ class PumpNode(Lifecycle, LinkedNode):
         return ""
 
     def _step(self, now: float) -> None:
-        """Decide on what is known, and say it.
+        """Decide on what is known now, order it from the drive, and publish the state.
 
         Args:
-            now: by the steady clock (s). In lockstep the site has the simulated time instead.
+            now: steady clock (s). In lockstep the control counts simulated time instead.
         """
         self._look_for_suspend(now)
 
@@ -656,7 +656,7 @@ class PumpNode(Lifecycle, LinkedNode):
             roof_level=value(self._roof),
             displacements=self._levels.displacements,
             frost=None if frost is None else frost > 0,
-            time_ns=self.get_clock().now().nanoseconds or None,  # 0 before a plant has said it
+            time_ns=self.get_clock().now().nanoseconds or None,  # 0 until a plant publishes it
             speed=None if status is None else status.speed,
             flow=value(self._meter),
             drive_flow=None if status is None else status.flow,
@@ -667,11 +667,11 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         time_now = now if self.live else self._simulated
         dt, self._stepped = time_now - self._stepped, time_now
-        # The drive is watched while the machine is awake only, and by the clock that says so.
+        # The drive is watched only while the machine is awake; this clock counts only that time.
         awake = time.monotonic()
         drive_dt, self._watched = awake - self._watched, awake
         if self.live and dt > self._site.tau + PAUSE_S:
-            # Nobody was there at the ticks since, but for the present one.
+            # All ticks since the last step were missed, except the present one.
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
         self._decision = decision = self._control.step(dt, observation, drive_dt)
@@ -683,10 +683,10 @@ class PumpNode(Lifecycle, LinkedNode):
             if re.sub(r"[\d.]+", "", state) != re.sub(r"[\d.]+", "", before):
                 self.get_logger().info(state)
 
-    # --- what is said -----------------------------------------------------------------------------
+    # --- reports ----------------------------------------------------------------------------------
 
     def progress(self) -> dict[str, Any]:
-        """Return what bringup shows, and waits for."""
+        """Return the values that bringup shows and waits for."""
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
         return {
             "pump": self._state, "pump_state": decision.state,
@@ -709,7 +709,7 @@ class PumpNode(Lifecycle, LinkedNode):
         }
 
     def _diagnose(self, now: float) -> None:
-        """Say how each part is; what has numbers in it changes too often for the log."""
+        """Report each part; texts with numbers are not logged, since they change too often."""
         decision, diagnose = self._decision, self.reports.diagnose
         self.reports.numbers |= self._numbers()
         code = next(iter(decision.interlocks), "")
@@ -745,12 +745,12 @@ class PumpNode(Lifecycle, LinkedNode):
             frost, code = "there is frost" if self._frost.value > 0 else "", "frost"
         self.say("frost", frost, "there is no frost", code, WARN)
         if self._permit.given:
-            missing = self._permit.missing(boot_time())  # one may have come since `now`
+            missing = self._permit.missing(boot_time())  # a permit may have come since `now`
             self.say("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
         self._diagnose_drive(now)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
-        """Return the numbers behind what is said of each part, in the units of the topics."""
+        """Return the numbers behind the report of each part, in the units of the topics."""
         decision = self._decision
         flow = decision.flow if decision.flow_known else None
         inputs = {"cistern_level": self._cistern, "roof_level": self._roof}
@@ -764,7 +764,7 @@ class PumpNode(Lifecycle, LinkedNode):
         }
 
     def _cause(self, code: str) -> str:
-        """Return the code from which an interlock follows; empty where that is not known."""
+        """Return the code that caused an interlock; empty if unknown."""
         inputs = {
             "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
             "frost_unknown": self._frost, "command_unknown": self._command,
@@ -774,7 +774,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return "temperature_unknown" if unknown else cause
 
     def _diagnose_dose(self) -> None:
-        """Say how far a dose is, and for a minute that one ended early."""
+        """Report the progress of a dose and, for a minute, how it ended."""
         dose = self._control.dose
         if dose is None:
             self.reports.diagnose("dose", OK, "no dose is under way", "", "")
@@ -833,7 +833,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
 
 def _fault(status: DriveStatus | None) -> str:
-    """Return a drive's fault, but not that its own timeout has stopped it: that heals."""
+    """Return a drive's fault, except a stop by its own timeout, which clears by itself."""
     return "" if status is None or status.timed_out else status.fault
 
 

@@ -1,4 +1,4 @@
-"""The recorder node of a simulation: every message of every tick into a bag, once."""
+"""The recorder node of a simulation: writes every message of every tick into a bag, once."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 
 
 class RecorderNode(LinkedNode):
-    """Writes ticks whole, in the order of the interface, stamped with their simulated time.
+    """Writes complete ticks, in the order of the interface, with their simulated time.
 
-    The k-th message of a topic belongs to tick k. The bag has the names on the wire, with the
-    namespace in which the graph runs.
+    The k-th message of a topic belongs to tick k. The bag has the topics' full names, including the
+    namespace of the graph.
     """
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class RecorderNode(LinkedNode):
             self.record(name, partial(self._take, queue))
 
     def _take(self, queue: deque[bytes], message: bytes) -> None:
-        """Keep a message of a topic, and write every tick that is whole by it."""
+        """Queue a message of a topic, and write each tick that is now complete."""
         queue.append(message)
         while all(self._every_queue):
             self.acted = True
@@ -80,21 +80,21 @@ class RecorderNode(LinkedNode):
             try:
                 self._bag.write_tick(now, [queue.popleft() for queue in self._every_queue])
             except OSError as error:
-                self._closed = True  # closing would only fail again
+                self._closed = True  # to close it would only fail again
                 raise self._damaged(error) from error
             if self._bag.safe == self._bag.written:
                 self._report_written()
             self.set_time(now)
 
     def progress(self) -> dict[str, Any]:
-        """Return where the bag is, an absolute path."""
+        """Return the bag's absolute path."""
         return {"bag": str(self._bag.directory.resolve())}
 
     def _report_written(self) -> None:
         self.publish("/recorder/written", float(self._bag.safe))
 
     def on_idle(self) -> None:
-        """End the bag when the last tick is in it, or does not come whole."""
+        """Close the bag after the last tick; fail if that stays incomplete beyond the limit."""
         now = time.monotonic()
         if self._closed or self.run_length is None or now - self._looked_at < LISTEN_S:
             return
@@ -119,7 +119,7 @@ class RecorderNode(LinkedNode):
             )
 
     def summary(self) -> dict[str, Any]:
-        """Return how many messages of each topic are in the bag."""
+        """Return the number of messages of each topic in the bag."""
         return {"messages": {topic.name: self._bag.written for topic in self._in_bag}}
 
     def _close(self) -> None:
@@ -137,7 +137,7 @@ class RecorderNode(LinkedNode):
         )
 
     def on_stop(self) -> None:
-        """Close the bag with the ticks that are whole."""
+        """Close the bag, with the complete ticks."""
         if not self._closed:
             self._close()
 

@@ -1,9 +1,9 @@
-"""The node of a sensor: what it measures is published.
+"""The node of a sensor: publishes its readings.
 
-``python -m greenroof_ros.nodes.sensor --of cistern`` publishes /cistern/level, and so on for each
-section of ``config/sensors.yaml``: once in the period of a sensor on Modbus, with each message of
-one on MQTT. Where a reading is bad nothing is published, and /diagnostics says why: who acts on it
-finds it too old.
+``python -m greenroof_ros.nodes.sensor --of cistern`` publishes /cistern/level, and likewise for
+each section of ``config/sensors.yaml``: once per period for a sensor on Modbus, at each message for
+a sensor on MQTT. A bad reading is not published, and /diagnostics says why; the last value then
+becomes too old for its readers.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
 
-# After so many periods without any reading, good or bad, the reader of a device hangs.
+# After this many periods without a reading, good or bad, the reader of a device counts as hung.
 _PERIODS = 5
-# After so long without any reading it is said what is waited for (s).
+# After this time without a first reading, the node reports what it waits for (s).
 _AWAITED_S = 5.0
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:
-    """Return the parameters of all such nodes, which are the same at every site."""
+    """Return the parameters of sensor nodes, which are the same at every site."""
     sensors = Parameter(
         "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where"
     )
@@ -47,13 +47,13 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 
 
 class SensorNode(LinkedNode):
-    """Publishes what a sensor measures."""
+    """Publishes the readings of a sensor."""
 
     def __init__(self, section: str) -> None:
         """Read the sensors' file, and begin to read the sensor.
 
         Args:
-            section: of the file, such as ``cistern``.
+            section: section of the file, such as ``cistern``.
 
         Raises:
             ConfigurationError: the file is wrong, or has no such section.
@@ -68,7 +68,7 @@ class SensorNode(LinkedNode):
                 "is missing: it says where the sensor is", file=file, key=section
             )
         self._topic, unit = quantity.topic_name, quantity.topic.unit
-        # Without a level the pump stands, without the others it need not.
+        # A missing level stops the pump; other missing quantities need not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
         self._value: float | None = None
@@ -82,7 +82,7 @@ class SensorNode(LinkedNode):
         self._reader.start()
 
     def on_idle(self) -> None:
-        """Publish a new reading that is good; say why another one is not."""
+        """Publish each new good reading; report why a reading is bad."""
         reading, now = self._reader.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
@@ -103,11 +103,11 @@ class SensorNode(LinkedNode):
             )
 
     def progress(self) -> dict[str, Any]:
-        """Return what bringup shows."""
+        """Return the value that bringup shows."""
         return {"value": self._value}
 
     def on_stop(self) -> None:
-        """Let go of the sensor."""
+        """Close the connection to the sensor."""
         self._reader.close()
 
 

@@ -1,7 +1,7 @@
-"""The weather node: the weather now, and the forecast of the look-ahead.
+"""The weather node: publishes the present weather, and the forecast over the look-ahead.
 
-In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from
-the site's gauges and a file of forecasts, if there is one.
+In a simulation it answers each ``/clock`` from records. Live it publishes every tick, from the
+site's gauges and a file of forecasts, if there is one.
 """
 
 from __future__ import annotations
@@ -143,10 +143,10 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 def _forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the forecasts that the parameters choose.
+    """Return the choice of forecasts that the parameters make.
 
     Raises:
-        ConfigurationError: they choose none.
+        ConfigurationError: a parameter is wrong.
     """
     name = "forecast"
     try:
@@ -173,7 +173,7 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
 
 
 class _Records:
-    """The weather of a simulated run, from records."""
+    """Weather and forecasts of a simulated run, from records."""
 
     def __init__(self, site: Site, values: dict[str, Any]) -> None:
         """Read the records and prepare the forecasts.
@@ -183,7 +183,7 @@ class _Records:
         """
         self.run_length = values["run_length"]
         weather = read_weather(
-            # rclpy makes None of an empty list.
+            # rclpy turns an empty list into None.
             find_files(values["weather_files"] or [], "parameter weather_files of weather"),
             site, values["evapotranspiration"] or None, values["gaps"],
         )
@@ -200,7 +200,7 @@ class _Records:
         """Return the tick that begins at a time.
 
         Raises:
-            LockstepError: none does.
+            LockstepError: no tick of the run begins then.
         """
         tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
         if remainder or not 0 <= tick <= self.run_length:
@@ -212,7 +212,7 @@ class _Records:
 
 
 class WeatherNode(LinkedNode):
-    """Holds the weather: of a run, or live what the site's gauges and a file of forecasts say."""
+    """Publishes weather from records or, live, from gauges and a file of forecasts."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
@@ -234,29 +234,29 @@ class WeatherNode(LinkedNode):
                 )
                 self._live_forecast.file.look()
                 self._fetcher = self._fetch(values, file) if values["fetch"] else None
-            self._gauges: set[str] = set()  # that were good once
+            self._gauges: set[str] = set()  # that have been good
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
             )
         else:
             self._records = _Records(site, values)
             self._time = self.subscribe(CLOCK)
-        # In front of each forecast: when it was issued, which is not said of one from records, and
-        # when its steps end (s from now).
+        # Prefix of each forecast: its issue time, NaN for a forecast from records, and the ends of
+        # its steps (s from now).
         self._front = array("d", [math.nan, *look_ahead_ends(site, values["horizon"])[1:]])
         self.open_outputs(
             _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
         )
 
     def on_inputs(self) -> None:
-        """Publish the weather of the tick, and the forecasts that are known at it."""
+        """Publish the weather of the tick, and the forecasts known at that time."""
         if self.live:
             self._publish_live()
             return
         records = self._records
         tick = records.tick(self._time.value)
         hour = records.series.at(tick)
-        # What the controller waits for comes first: it needs longest.
+        # The controller's inputs come first, since it takes the longest.
         front, forecast = self._front, records.forecast
         self.publish(_FROST, hour.frost)
         self.publish(_RAIN_FORECAST, WithFront(front, forecast.precipitation(tick)))
@@ -268,7 +268,7 @@ class WeatherNode(LinkedNode):
         self.set_time(self._time.value)
 
     def _publish_live(self) -> None:
-        """Publish what is known now; what is not is not published, and so its readers find out."""
+        """Publish what is known now; readers notice a missing value by its age."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._dressing is not None:
@@ -304,7 +304,7 @@ class WeatherNode(LinkedNode):
         )
 
     def _record(self, file: str) -> LiveDressing | None:
-        """Return by what forecasts are dressed; a file that is no use is said, and does no harm."""
+        """Return what the forecasts are dressed with; None, with a warning, if it is unusable."""
         try:
             return LiveDressing(Path(file), self._site.tau) if file else None
         except ConfigurationError as error:
@@ -313,8 +313,8 @@ class WeatherNode(LinkedNode):
             return None
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
-        """Begin to fetch the forecast, on a thread of its own."""
-        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC, used for an issue_limit
+        """Begin to fetch forecasts on a separate thread."""
+        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(self._site, ServiceRequest(
             values["fetch"] == ENSEMBLE, values["fetch_model"], min(days, MOST_DAYS),
             values["fetch_url"],
@@ -324,11 +324,11 @@ class WeatherNode(LinkedNode):
         return fetcher
 
     def _month(self, now: datetime) -> int:
-        """Return the month at the site, for which it says what is usual."""
+        """Return the month at the site, for its usual evapotranspiration."""
         return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
 
     def _learn(self, dressing: LiveDressing, now: datetime, rain: float | None) -> None:
-        """Add what the gauge says (m/s) to what is known of forecasts, and say if that is lost."""
+        """Add the gauge's rain (m/s) to the record of forecasts, and report its state."""
         dressing.measure(now, rain)
         code, why = "record_not_kept", dressing.problem and f"is not kept: {dressing.problem}"
         if dressing.few:
@@ -338,11 +338,11 @@ class WeatherNode(LinkedNode):
         self.say("record of forecasts", why, well, code, WARN)
 
     def progress(self) -> dict[str, Any]:
-        """Return whose forecast is used, which its licence wants said where it is shown."""
+        """Return the source of the forecast, which its licence requires to be shown."""
         return {} if self._fetcher is None else {"forecast_by": ATTRIBUTION}
 
     def on_stop(self) -> None:
-        """Let what was learned be written."""
+        """End the fetching, and close the record of forecasts."""
         if self._fetcher is not None:
             self._fetcher.end()
         if self.live and self._dressing is not None:
@@ -351,12 +351,12 @@ class WeatherNode(LinkedNode):
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
     ) -> Outlook | None:
-        """Return what is forecast now, if anything, and say of when, or why nothing is.
+        """Return the outlook (from the record if no forecast), and report its issue or problem.
 
         Args:
-            forecast: from its file.
+            forecast: reads the file of forecasts.
             now: the time.
-            rain: that the gauge measures (m/s).
+            rain: from the gauge (m/s); None if unknown.
         """
         self._reader.do(forecast.file.look)
         if forecast.file.count != self._files_read:
@@ -385,7 +385,7 @@ class WeatherNode(LinkedNode):
         return outlook
 
     def _frost(self, temperature: float) -> float:
-        """Return 1 in frost, 0 where there is none, and say where it is unknown."""
+        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed."""
         if not math.isnan(temperature):
             self.diagnose("frost", OK, "the temperature is known")
             return float(temperature <= 0)
@@ -399,7 +399,7 @@ class WeatherNode(LinkedNode):
         return self._unknown_frost
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
-        """Say how a gauge is that has a publisher, or was good once; a site may do without."""
+        """Report the state of a gauge, if it was ever heard; a site may do without."""
         if gauge.good:
             self._gauges.add(part)
         if not gauge.heard:

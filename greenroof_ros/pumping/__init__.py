@@ -1,1 +1,1 @@
-"""What keeps a real pump safe, without ROS and without a clock: time is an argument."""
+"""Safety of a real pump, without ROS and without a clock: time is an argument."""

@@ -1,54 +1,54 @@
-"""The delivery check: what was pumped against what the levels did.
+"""The delivery check: compares the pumped volume with the change of both levels.
 
-Three balances are kept, each of water (m3) that the levels do not account for:
+It keeps three balances, each of water (m3) that the levels do not explain:
 
-- *missing on the roof*: a share ``least_delivery`` of the pumped volume (as measured, or as the
-  speed should deliver it where that is more: a closed valve has no flow), less the rise of the
-  roof, less ``greatest_loss`` for evapotranspiration. It grows where a pump runs and the roof does
-  not rise: burst pipe, closed valve. Rain only lets it fall.
-- *lost from the cistern*: the fall of the cistern, less the pumped volume and what a low outlet may
-  have taken over ``least_delivery``, less ``greatest_loss`` for a drifting sensor. It grows where
-  water leaves and the pump stands: leak, stuck contactor. Rain only lets it fall, and what the
-  outlet takes does not count, since the cistern counts up to the outlet only. While the level is
-  above a low outlet, or unknown, what leaves beside must be more than that outlet takes, or it is
-  not seen: not before the level has fallen to where the outlet takes less. That a low outlet is
-  clogged is no fault.
-- *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
-  cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in
-  while the reading was below the level of their valve, or unknown. It grows where a pump runs and
-  the cistern does not fall: its sensor is stuck, with some noise perhaps, or drifts up, and the
-  pump would run dry. It is never more than that share of what was pumped, so that rain on a pump
-  that stands is no fault; rain meanwhile explains ``a_in / a2`` of what the roof rose beyond that
-  share, as if all of it ran off: a storm's runoff coefficient may be above the mean. Where a_in
-  is not less than a2 that is so much that only the first balance is left.
+- *missing on the roof*: a share ``least_delivery`` of the pumped volume (the measured volume, or
+  what the speed should deliver if that is more: a closed valve has no flow), minus the rise of the
+  roof, minus ``greatest_loss`` for evapotranspiration. It grows if a pump runs and the roof does
+  not rise: burst pipe, closed valve. Rain can only lower it.
+- *lost from the cistern*: the fall of the cistern, minus the pumped volume and what a low outlet
+  may have taken, both divided by ``least_delivery``, minus ``greatest_loss`` for a drifting sensor.
+  It grows if water leaves while the pump is at rest: leak, stuck contactor. Rain can only lower it.
+  The outlet itself does not matter, since the cistern counts only up to it. While the level is
+  above a low outlet, or unknown, another loss is seen only if it exceeds what that outlet takes, so
+  perhaps only after the level has fallen and the outlet takes less. A clogged low outlet is not a
+  fault.
+- *not from the cistern*: a share ``least_delivery`` of the pumped volume, minus the fall of the
+  cistern, minus ``greatest_loss`` for a drifting sensor, minus what the mains may have let in
+  while the reading was below the level of their valve, or unknown. It grows if a pump runs and the
+  cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts up, and the pump
+  would run dry. It is at most that share of the pumped volume, so rain while the pump is at rest is
+  not a fault. Rain while it runs explains ``a_in / a2`` times the roof's rise beyond that share, as
+  if all rain ran off: a storm's runoff coefficient may be above the mean. If a_in is at least a2,
+  this explains so much that only the first balance remains effective.
 
-Water is counted while a level is unknown, too, and the balances go on when it is known again: a
-sensor that is silent now and then hides nothing. By how much a level has jumped, as no water can,
-does not count; but a jump down of the cistern is a fall to the third balance, so that a drift that
-is over by a jump back is no fault later.
+Water is also counted while a level is unknown, and the balances resume when it is known again: a
+sensor that is silent now and then hides nothing. Jumps of a level that water cannot cause do not
+count, except that the third balance treats a downward jump of the cistern as a fall. So a drift
+that ends with a jump back does not become a fault later.
 
-Of a measured roof the pumped volume counts in what its soil keeps of it at the target, the least
-share that it keeps while anything is pumped: the rest percolates. What is rain to the third balance
-is counted with the share that the soil keeps as wet as it is: a drier roof keeps more of what was
-pumped, and that is no rain.
+For a measured roof only the share of the pumped volume counts that its soil retains at the target,
+the smallest share while anything is pumped; the rest percolates. To infer rain, the third
+balance instead uses the share that the soil retains at its present wetness: a drier roof retains
+more of the pumped water, and that is not rain.
 
-Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
-them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
-ever was is a fault (Page's test, E. S. Page, Biometrika 41, 1954: nothing that went well before
-hides what goes wrong now); on the roof only if the share of what was pumped since is as much, so
-that no heat wave is a burst pipe. A level counts up to the roof's target and the cistern's outlet
-only, plus or less ``level_offset``, by which a sensor may be wrong for good.
+Levels and volumes are averaged alike over ``averaging_time``, so that neither lags the other. A
+balance that rises by more than ``level_tolerance`` times the area above its minimum so far is a
+fault (Page's test, E. S. Page, Biometrika 41, 1954: a good past does not hide a present fault). On
+the roof the counted share of the volume pumped since then must also be that much, so that a heat
+wave does not look like a burst pipe. Levels count only up to the roof's target plus, and the
+cistern's outlet minus, ``level_offset``, the permanent error that a sensor may have.
 
-A level that does not change at all needs no averaging and no share: a quiet sensor's roof is a
-fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and cistern
-that both stand still are one once the tolerance times the cistern's area was. Otherwise the rule
-that a level is frozen, which heals, would stop the pump before the balance does, again and again.
+A level that does not change at all needs no averaging and no ``least_delivery``: an unchanged roof
+is a fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and
+cistern both unchanged once the tolerance times the cistern's area was (net of ``greatest_loss``).
+Otherwise the frozen-level rule, which clears by itself, would repeatedly stop the pump first.
 
-Why it is no false alarm: readings each second with independent errors of 5 mm (standard deviation)
-have, averaged over 60 s, one of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs two means that are
-6 mm apart the wrong way, 9 standard deviations of their difference: less than 1e-19 for a pair, and
-a year has some 1e8 pairs that are near enough in time to count. Ticks of 10 s have means with three
-times the error: there the tolerance must be three times as large.
+Why there are no false alarms: readings each second with independent errors of 5 mm (standard
+deviation), averaged over 60 s, have an error of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs
+two means 6 mm apart in the wrong direction, 9 standard deviations of their difference: less than
+1e-19 for a pair, and a year has some 1e8 pairs close enough in time to count. With ticks of 10 s
+the means have three times the error, and the tolerance must be three times as large.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.pumping.limits import PumpSettings
 
 _M_PER_S = 1e-3 / 3600
-"""of a mm/h"""
+"""m/s per mm/h"""
 
 
 class _Sums(NamedTuple):
-    """Since the check began, or what was added to that."""
+    """Totals since the check began, or a change of them."""
 
     elapsed: float = 0.0
     """s"""
@@ -75,38 +75,38 @@ class _Sums(NamedTuple):
     most_pumped: float = 0.0
     """m3"""
     cistern: float = 0.0
-    """what it holds (m3)"""
+    """volume, counted up to the outlet (m3)"""
     roof: float = 0.0
-    """what it holds (m3)"""
+    """volume, counted up to the target (m3)"""
     overfull_cistern: float = 0.0
-    """what it holds, above its outlet too, less what jumps up have added (m3)"""
+    """volume, also above the outlet, less what upward jumps have added (m3)"""
     kept: float = 0.0
-    """of what was pumped at least, what the roof's soil keeps as wet as it is (m3)"""
+    """share of ``least_pumped`` that the roof's soil retains at its present wetness (m3)"""
     mains: float = 0.0
     """what the mains may have let in (m3)"""
     drained: float = 0.0
-    """what the low outlet may have taken, by the site file (m3)"""
+    """what the low outlet may have taken, according to the site file (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
 
 
 class _Balance:
-    """Water that is unaccounted for, above the least that it ever was."""
+    """Unexplained water, above its minimum so far."""
 
     def __init__(self) -> None:
         self.rise = 0.0
         """m3"""
         self.over = _Sums()
-        """what was added to the sums since it was least"""
+        """change of the sums since that minimum"""
 
     def add(self, unaccounted: float, change: _Sums, share: float | None = None) -> float:
-        """Add what cannot be accounted for (m3) of a change, and return the rise.
+        """Add unexplained water, and return the rise above the minimum (m3).
 
         Args:
-            unaccounted: of the change (m3).
+            unaccounted: unexplained part of the change (m3).
             change: of the sums.
-            share: of what was pumped, beyond which the balance cannot rise.
+            share: the balance cannot rise above this share of the pumped volume.
         """
         self.rise, self.over = self.rise + unaccounted, self.over.plus(change)
         if share is not None:
@@ -125,21 +125,21 @@ class DeliveryCheck:
         self._loss = settings.greatest_loss * _M_PER_S
         self._kept_share = self._soil.kept_share(site.x2_star)
         self._share_on_roof = settings.least_delivery * self._kept_share
-        self._keeps = self._kept_share  # the soil, as wet as it was last known
+        self._keeps = self._kept_share  # share retained at the last known wetness
         self._sums = _Sums()
         self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
-        # Of cistern and roof the newest level (m), and the sums when it last changed.
+        # For cistern and roof: the newest level (m), and the sums when it last changed.
         self._still = [(math.nan, _Sums()), (math.nan, _Sums())]
         self._mean: _Sums | None = None
         self._watched = 0.0
-        self._displaced: tuple[float, float] | None = None  # at the first reading (m)
-        # By jumps of the cistern's reading: so far, and up (m).
+        self._displaced: tuple[float, float] | None = None  # by jumps, at the first reading (m)
+        # Displacement of the cistern's reading by all jumps so far, and upward only (m).
         self._jumped = self._raised = 0.0
-        self._rain_on_roof = 0.0  # the most that it showed since the third balance was least (m3)
+        self._rain_on_roof = 0.0  # most since the minimum of the third balance (m3)
 
     @property
     def watches(self) -> bool:
-        """Whether there are enough readings for a mean."""
+        """Whether there were enough readings for a mean."""
         return self._watched >= self._settings.averaging_time
 
     def step(
@@ -151,15 +151,15 @@ class DeliveryCheck:
         most_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
     ) -> str:
-        """Take what the sensors read, and return the fault, empty where there is none.
+        """Take the sensors' readings, and return the fault; empty if there is none.
 
         Args:
             dt: time since the last step (s).
-            cistern_level: m; None is unknown.
-            roof_level: m; None is unknown.
-            least_pumped: what was pumped since the last step, or should have been (m3).
-            most_pumped: the same at most; more only where the speed was unknown.
-            displacements: by how much jumps have moved the readings of cistern and roof so far (m).
+            cistern_level: m; None if unknown.
+            roof_level: m; None if unknown.
+            least_pumped: volume that was or should have been pumped since the last step (m3).
+            most_pumped: most that can have been pumped (m3); worst case if the speed was unknown.
+            displacements: how far jumps have moved the readings of cistern and roof so far (m).
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
@@ -211,7 +211,7 @@ class DeliveryCheck:
         return self._kept_in_cistern(change)
 
     def _kept_in_cistern(self, change: _Sums) -> str:
-        """Return the fault of a cistern that does not fall though water is pumped out of it."""
+        """Return the fault of a cistern that does not fall although it is pumped from."""
         site, share = self._site, self._settings.least_delivery
         kept = share * change.least_pumped + change.overfull_cistern
         kept -= self._loss * site.a1 * change.elapsed + change.mains
@@ -219,7 +219,7 @@ class DeliveryCheck:
         over = self._kept.over
         rain_on_roof = over.roof - share * over.kept
         rain_on_roof += self._loss * site.a2 * over.elapsed
-        # What fell stays in the cistern when it has drained off the roof.
+        # Rain stays in the cistern even after it has drained off the roof.
         self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
         if not self._keeps:
             return ""  # a soil that keeps nothing does not show how much it rains
@@ -236,9 +236,9 @@ class DeliveryCheck:
         )
 
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
-        """Return by how much the moving mean changes.
+        """Return the change of the moving mean.
 
-        Until there are enough readings for it, it is the plain one, and its changes do not count.
+        Until there are enough readings it is the plain mean, and its changes do not count.
         """
         before, averaging = self._mean, self._settings.averaging_time
         if before is None or self._watched == 0:
@@ -249,7 +249,7 @@ class DeliveryCheck:
         return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
 
     def _stands_still(self, now: _Sums) -> str:
-        """Return the fault of a roof, or of both tanks, that did not change while water came."""
+        """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
         site = self._site
         (_, cistern), (_, roof) = self._still
         longer = roof if roof.elapsed > cistern.elapsed else cistern

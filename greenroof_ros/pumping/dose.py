@@ -1,7 +1,7 @@
-"""A dose: a volume that a person asks for, delivered once in place of the controller's command.
+"""A dose: a volume that a person requests, delivered once in place of the controller's command.
 
-It is given up for any reason that would stop the pump, and forgotten with the node: who asked asks
-again. So no dose begins later than somebody expects it, and none goes on that nobody watches.
+Anything that would stop the pump ends the dose, and a restart of the node forgets it; the person
+must ask again. So no dose starts later than expected, and none continues unwatched.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from greenroof_ros.model.site import Site
 
 EXPIRES_S = 60.0
-"""A request counts for so long (s): until it comes here, and until its dose begins."""
-# So far may the asker's clock be ahead of this machine's (s).
+"""A request expires at this age (s), both on arrival and while its dose waits to begin."""
+# The requester's clock may be ahead of this machine's by at most this (s).
 _AHEAD_S = 5.0
-# The flow falls with what is left, so that this would take so long (s), and the end is exact.
+# Near its end a dose flows at its remaining volume per this time (s), so that it ends exactly.
 _SLOWS_S = 30.0
-# For how long an end is said (s).
+# How long the end of a dose is reported (s).
 _SAID_S = 60.0
 
 DONE, EXPIRED, FULL, INTERLOCK, UNSEEN = "done", "expired", "full", "interlock", "unseen"
-"""How a dose ends, for programs."""
+"""How a dose ends, as machine-readable words."""
 
 
 @dataclass
@@ -28,14 +28,14 @@ class Dose:
     """One dose.
 
     Attributes:
-        id: when it was asked for, by the system clock of who did (s since 1970).
-        volume: that was asked for (m3).
-        age: since it was asked for, and once it is over since then (s).
-        delivered: so far (m3).
+        id: time of the request, by the requester's system clock (s since 1970).
+        volume: requested volume (m3).
+        age: time since the request, or, once the dose is over, since its end (s).
+        delivered: volume delivered so far (m3).
         begun: whether the pump has run for it.
-        over: how it ended, a word for programs; empty while it has not.
-        why: what the pump does for it, or why it waits, or ended.
-        cause: the code of the interlock that ended it.
+        over: how it ended, a machine-readable word; empty until it ends.
+        why: what the pump does for it, or why it waits or ended.
+        cause: code of the interlock that ended it.
     """
 
     id: float
@@ -49,7 +49,7 @@ class Dose:
 
     @property
     def said(self) -> str:
-        """How it is, as a sentence."""
+        """State of the dose, as a sentence."""
         progress = f"{self.delivered:.3f} of {self.volume:g} m3"
         if not self.over:
             return f"a dose: {progress}; {self.why}" if self.begun else f"a dose waits: {self.why}"
@@ -59,22 +59,22 @@ class Dose:
 
 
 class Doses:
-    """Takes requests, and follows the dose of the last one.
+    """Accepts requests, and tracks the newest dose.
 
-    A request is known by the time at which it was made, and each must be newer than the one before
-    and than this object: so none is carried out twice, whoever repeats it, and none after a
+    A request is identified by the time at which it was made. It must be newer than the previous
+    request and than this object. So a repeated request is not carried out twice, nor after a
     restart.
 
     Attributes:
-        last: the last one, for a while after its end; None without one.
+        last: the newest dose, until a while after its end; None if there is none.
     """
 
     def __init__(self, site: Site, now: float) -> None:
-        """Begin without one.
+        """Begin without a dose.
 
         Args:
-            site: which says whether there are doses, and how large.
-            now: by the system clock (s since 1970).
+            site: says whether doses are allowed, and how large they may be.
+            now: system time (s since 1970).
         """
         self._most = site.greatest_dose
         self._newest = now
@@ -82,14 +82,14 @@ class Doses:
 
     @property
     def present(self) -> Dose | None:
-        """The dose that waits or runs; None without one."""
+        """The dose that waits or runs; None if there is none."""
         return None if self.last is None or self.last.over else self.last
 
     def refusal(self, against: str) -> str:
-        """Return why any request would be refused; empty where none would.
+        """Return why any request would be refused now; empty if it would not.
 
         Args:
-            against: why the pump may not run now; empty where it may.
+            against: why the pump must not run now; empty if it may.
         """
         if self._most is None:
             return "the site file allows no dose (greatest_dose)"
@@ -98,14 +98,14 @@ class Doses:
         return against and f"the pump may not run: {against}"
 
     def ask(self, request: float, volume: float, now: float, least: float, against: str) -> str:
-        """Take a request, or return why it is refused.
+        """Accept a request (returns an empty string), or return why it is refused.
 
         Args:
-            request: when it was made (s since 1970), which is its id.
-            volume: that is asked for (m3).
-            now: by the system clock (s since 1970).
-            least: volume that can be delivered (m3).
-            against: why the pump may not run now; empty where it may.
+            request: time at which it was made (s since 1970), which is its id.
+            volume: requested volume (m3).
+            now: system time (s since 1970).
+            least: smallest volume that can be delivered (m3).
+            against: why the pump must not run now; empty if it may.
         """
         if self._most is None:
             return self.refusal(against)
@@ -119,7 +119,7 @@ class Doses:
             )
         if request <= self._newest:
             return "the request was made before the last one, or before the pump node was started"
-        self._newest = request  # whether it is carried out or not
+        self._newest = request  # even if it is refused below
         if refusal := self.refusal(against):
             return refusal
         if volume < least:
@@ -128,11 +128,11 @@ class Doses:
         return ""
 
     def pass_time(self, dt: float, delivered: float) -> None:
-        """Count what passed.
+        """Count time and delivered volume; end the dose when it is delivered or has expired.
 
         Args:
-            dt: by a clock that nobody sets (s).
-            delivered: in it (m3).
+            dt: elapsed time by a steady clock (s).
+            delivered: volume delivered in that time (m3).
         """
         dose = self.last
         if dose is None:
@@ -149,7 +149,7 @@ class Doses:
             self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, greatest_flow: float) -> float:
-        """Return the share of the greatest flow (m3/s) that the present dose asks for."""
+        """Return the share of the greatest flow (m3/s) that the present dose calls for."""
         dose = self.present
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * greatest_flow))
@@ -158,8 +158,8 @@ class Doses:
         """End the present dose, if there is one.
 
         Args:
-            how: a word of this module.
-            why: a clause.
+            how: one of this module's constants, such as ``DONE``.
+            why: the reason, as a clause.
             cause: code of the interlock that ended it.
         """
         if (dose := self.present) is not None:

@@ -1,6 +1,6 @@
 """Whether a live input may be acted on: its age, its publishers, and what water cannot do.
 
-Who calls gives the time, in s of a steady clock.
+The caller passes the time of a steady clock (s).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from greenroof_ros.model.plant import (
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
-# For how long an input that has not come since the start is only awaited (s).
+# An input that has not arrived since the start counts as silent after this time (s).
 _START_S = 10.0
-# Pumps, rain and pipes of a site differ from its file; its water may be faster by this factor.
+# Real water levels may change faster than the site file implies, by up to this factor.
 _MARGIN = 1.5
-# A jump's way back counts for so long as the interval of the time before it is no wider than so
-# many tolerances: some minutes.
+# A jump back is recognised while the interval from before the jump, which widens with time, is
+# narrower than this many tolerances: some minutes.
 _SPIKE = 4.0
-# More than the world's record of an hour's rain, and of a day's evapotranspiration (m/s).
+# Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
 
@@ -37,9 +37,8 @@ class Verdict(NamedTuple):
     """What is wrong with an input.
 
     Attributes:
-        code: names the rule that it breaks, in :mod:`greenroof_ros.common.interface`; empty where
-            it is good.
-        why: what it does, for a sentence that begins with its name.
+        code: of the broken rule, see :mod:`greenroof_ros.common.interface`; empty if it is good.
+        why: what the input does, as the rest of a sentence that begins with its name.
     """
 
     code: str = ""
@@ -47,22 +46,22 @@ class Verdict(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether it may be acted on."""
+        """Whether the input may be acted on."""
         return not self.code
 
     @property
     def alarming(self) -> bool:
-        """Whether it breaks a rule now, and is not only awaited."""
+        """Whether a rule is broken now; false while the input is only awaited or recovering."""
         return self.code not in ("", _WAITING, _RECOVERING)
 
 
 class Reach(NamedTuple):
-    """What the water in a tank can do.
+    """How fast the level of a tank can change, and its highest plausible value.
 
     Attributes:
-        rise: how fast it can rise at most, at a level (m): m/s, not negative.
-        fall: how fast it can fall at most.
-        highest: level (m).
+        rise: fastest rise at a level in m (m/s, not negative).
+        fall: fastest fall, likewise.
+        highest: highest plausible level (m).
     """
 
     rise: Callable[[float], float]
@@ -71,7 +70,7 @@ class Reach(NamedTuple):
 
 
 def cistern_reach(site: Site) -> Reach:
-    """Return the reach of the cistern: rain and mains into it, and pumps and outlets out of it.
+    """Return the reach of the cistern: rain and mains fill it; pumps and outlets empty it.
 
     All rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
@@ -85,7 +84,7 @@ def cistern_reach(site: Site) -> Reach:
 
 
 def roof_reach(site: Site) -> Reach:
-    """Return the reach of the roof: rain and full pumps, and evapotranspiration and drainage."""
+    """Return the reach of the roof: rain and pumps; evapotranspiration and drainage."""
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
@@ -97,15 +96,15 @@ def roof_reach(site: Site) -> Reach:
 def expected_rise(
     site: Site, flow: float, rain: float, cistern_level: float, roof_level: float
 ) -> tuple[float, float]:
-    """Return how fast the levels must be rising (m/s), negative where they must fall.
+    """Return how fast the levels of cistern and roof must rise (m/s), negative if they must fall.
 
-    A tank that spills is expected to do nothing, since what enters it leaves it: the cistern at its
-    outlet, the roof at the depth of its soil, a measured one where that keeps nothing more. What
-    enters the cistern above its low outlet may leave by it; what that takes beside is not expected,
-    since a narrow outlet clogs.
+    No change is expected of a tank that spills, since what enters it leaves it: the cistern at its
+    outlet, the roof at the depth of its soil, a measured roof when its soil retains no more water.
+    Inflow to the cistern above its low outlet may leave by that outlet. A further fall through the
+    low outlet is not expected, since a narrow outlet clogs.
 
     Args:
-        site: with the tanks.
+        site: the site.
         flow: from the cistern to the roof (m3/s).
         rain: m/s.
         cistern_level: m.
@@ -121,28 +120,28 @@ def expected_rise(
 
 
 class LevelRule:
-    """What a level cannot do: stand still while its tank is filled or emptied, jump, or be absurd.
+    """What a level cannot do: stay unchanged while its tank fills or empties, jump, or be absurd.
 
-    A value above the highest is refused, and else counts for nothing: its unit is wrong.
+    A value above the highest plausible level is refused and otherwise ignored: its unit is wrong.
 
-    For the jump it keeps the interval in which the true level must be: it widens as fast as water
-    can rise and fall, and each value narrows it to within half the tolerance of that value. Where
-    nothing is left of it the value has jumped, and the interval begins again with it. So neither
-    one step nor many small ones, however quickly they come, go unseen; noise within half the
-    tolerance is never a jump.
+    To detect jumps, the rule keeps the interval that must contain the true level. The interval
+    widens as fast as water can rise and fall, and each value narrows it to within half the
+    tolerance of that value. If the interval becomes empty, the value has jumped, and the interval
+    restarts from it. This detects a single step as well as many small, rapid ones; noise within
+    half the tolerance is never a jump.
 
     Attributes:
-        displacement: by how much jumps have moved the readings (m). What comes back to where water
-            can be since before a jump was a spike, and moved nothing.
+        displacement: how far jumps have moved the readings (m). If a value returns to the interval
+            from before a jump, that jump was a spike and its displacement is undone.
     """
 
     def __init__(self, reach: Reach, frozen_movement: float, jump_tolerance: float) -> None:
-        """Know no value yet.
+        """Begin without a value.
 
         Args:
-            reach: of the tank's water.
-            frozen_movement: how far the level must have moved to be called frozen (m), if it does
-                not; more than the sensor resolves.
+            reach: of the tank.
+            frozen_movement: a reading that does not change although the level must have moved by
+                more than this (m) is frozen; more than the sensor's resolution.
             jump_tolerance: how far two values may be apart beyond what water can do (m).
         """
         self.displacement = 0.0
@@ -151,7 +150,7 @@ class LevelRule:
         self._tolerance = jump_tolerance
         self._value = math.nan
         self._low = self._high = math.nan
-        # The same interval without the last jump, and the displacement then.
+        # The interval as if the last jump had not happened, and the displacement before that jump.
         self._old_low = self._old_high = math.nan
         self._old_displacement = 0.0
         self._at = 0.0
@@ -159,12 +158,12 @@ class LevelRule:
         self._frozen = False
 
     def expect(self, rise: float) -> None:
-        """Note that the level must have risen (m; negative: fallen) since this was last said."""
+        """Note how far the level must have risen since the last call (m; negative: fallen)."""
         self._expected += rise
         self._frozen = self._frozen or abs(self._expected) > self._frozen_movement
 
     def came(self, now: float, value: float) -> Verdict:
-        """Take a value (m), and say whether water can have moved to it."""
+        """Take a value (m), and judge whether water can have reached it."""
         if value > self._reach.highest:
             return Verdict(
                 "input_refused", f"is {value:.4g} m, and here no level is above "
@@ -200,7 +199,7 @@ class LevelRule:
         )
 
     def stands(self) -> Verdict:
-        """Say whether the level stands still though it must have moved."""
+        """Judge whether the reading is unchanged although the level must have moved."""
         if not self._frozen:
             return Verdict()
         return Verdict(
@@ -210,20 +209,20 @@ class LevelRule:
 
 
 class InputRules:
-    """The rules of one input; it is good again once it has kept them for a time."""
+    """The rules of one input; after breaking one it must keep all for a time to be good again."""
 
     def __init__(
         self, now: float, limit: float, recovery: float, *, limit_name: str = "limit",
         level: LevelRule | None = None,
     ) -> None:
-        """Wait for its first value.
+        """Wait for the first value.
 
         Args:
             now: s.
-            limit: its greatest age (s).
-            recovery: for how long it must have kept all rules (s).
-            limit_name: of the parameter that is the limit, for messages.
-            level: the rule that a level must keep besides.
+            limit: greatest age (s).
+            recovery: how long all rules must have been kept (s).
+            limit_name: name of the limit's parameter, for messages.
+            level: an additional rule, if the input is a level.
         """
         self._limit = limit
         self._limit_name = limit_name
@@ -231,7 +230,7 @@ class InputRules:
         self.level = level
         self._begun = now
         self._came: float | None = None
-        # Of the newest value, or why there is none; and what it must recover from.
+        # Verdict on the newest value, or why there is none; and the broken rule to recover from.
         self._newest = self._broken = Verdict(_WAITING, "has not come yet")
         self._good_since: float | None = None
 
@@ -240,10 +239,10 @@ class InputRules:
 
         Args:
             now: s.
-            value: that came.
-            refused: why it counts for nothing; empty where it counts.
+            value: the value.
+            refused: why it is ignored; empty if it counts.
         """
-        self.judge(now)  # it may have been silent
+        self.judge(now)  # the input may have been silent until now
         self._came = now
         if refused:
             self._newest = Verdict("input_refused", refused)
@@ -254,12 +253,12 @@ class InputRules:
         return self.judge(now)
 
     def refuse(self, now: float, why: str) -> Verdict:
-        """Refuse the newest value: who acts on it cannot."""
+        """Refuse the newest value, because its reader cannot use it."""
         self._newest = Verdict("input_refused", why)
         return self.judge(now)
 
     def paused(self, seconds: float) -> None:
-        """Forget what came: the process itself stood still for so long (s)."""
+        """Forget all values, since this process itself was paused for this long (s)."""
         if self._came is not None:
             self._came = None
             self._newest = Verdict(
@@ -267,11 +266,11 @@ class InputRules:
             )
 
     def judge(self, now: float, publishers: str = "") -> Verdict:
-        """Say whether the input may be acted on.
+        """Return whether the input may be acted on, and why not.
 
         Args:
             now: s.
-            publishers: what is wrong with them; empty where there is but one.
+            publishers: what is wrong with them; empty if there is only one.
         """
         verdict = self._present(now, publishers)
         if not verdict.good:
@@ -287,7 +286,7 @@ class InputRules:
         return verdict
 
     def _present(self, now: float, publishers: str) -> Verdict:
-        """Return the first rule that is broken now."""
+        """Return the first rule that is broken now, ignoring recovery."""
         if publishers:
             return Verdict("input_publishers", publishers)
         if self._came is None:

@@ -1,22 +1,21 @@
-"""What keeps the pump off: one table, evaluated from top to bottom.
+"""The interlocks that keep the pump off: one table, evaluated from top to bottom.
 
-An interlock is active as long as there is a reason for it, and no pump runs while one is. Its kind
-says what follows:
+An interlock is active while there is a reason for it. The pump does not run while any interlock is
+active. There are three kinds:
 
-- *latched*: a fault of pump, pipes or drive. It stays until somebody resets it, and is kept over
+- *latched*: a fault of the pump, pipes or drive. It stays until somebody resets it, even across
   restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping.
 - *enable*: a condition for running the pump at all is missing.
 
-Inhibits and enables clear by themselves when their cause has gone, but for those whose row says
-otherwise.
+Inhibits and enables clear by themselves when their cause is gone, unless their row says otherwise.
 
 What each code means, and what to do about it, is in ``msg_defs/conditions.yaml``
 (:mod:`greenroof_ros.common.interface`).
 
-To add an interlock, add its row here and its words there, and give a reason under its code in
-:mod:`.limits` (levels, weather, how long and how much), :mod:`.pump_control` (what the drive shows,
-and all that latches) or the pump node (what it knows itself). doc/development.md lists the rest.
+To add an interlock, add its row here and its wording there, and give a reason under its code in
+:mod:`.limits` (levels, weather, run time and volume), :mod:`.pump_control` (state of the drive, and
+everything that latches) or the pump node (what only it knows). doc/development.md lists the rest.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ class Interlock(NamedTuple):
     """One row of the table.
 
     Attributes:
-        kind: what it does, and how it clears.
+        kind: latched, inhibit or enable.
         source: the module that gives the reason.
-        limit: the parameters that set when; empty where there is none.
-        follows: whether it is left out where an earlier one of its kind is active, as it may only
-            follow from that.
-        by: what clears it, where that is not as for its kind: a person, a service or a transition.
-        on_page: whether the page can clear it, too.
+        limit: the parameters that set its threshold; empty if there are none.
+        follows: whether it is left out if an earlier interlock of its kind is active, because it
+            may merely be a consequence of that one.
+        by: what clears it, if that differs from its kind: a person, a service or a transition.
+        on_page: whether the page can also clear it.
     """
 
     kind: str
@@ -105,17 +104,17 @@ INTERLOCKS = {
     "drive_speed_unknown": Interlock(ENABLE, _CONTROL, follows=True),
     "drive_not_ready": Interlock(ENABLE, _CONTROL, follows=True),
 }
-"""by their codes, which are short and stable"""
+"""The table, by code. Codes are short and do not change."""
 
 
 def evaluate(reasons: Mapping[str, str]) -> dict[str, str]:
-    """Return why each interlock is active that is, by its code, in the order of the table.
+    """Return the active interlocks, in the order of the table: the reason of each, by code.
 
     Args:
-        reasons: why, by code; empty where it is not active.
+        reasons: the reason by code; empty if the interlock is not active.
 
     Raises:
-        KeyError: a code is none of the table.
+        KeyError: a code is not in the table.
     """
     unknown = reasons.keys() - INTERLOCKS.keys()
     if unknown:

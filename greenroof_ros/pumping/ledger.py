@@ -1,17 +1,16 @@
-"""What must survive a restart of the pump node: stop, fault, starts, and the day's use.
+"""State of the pump node that must survive a restart: stop, pause, fault, starts, the day's use.
 
-A file of two lines of fixed length, padded with blanks, in turn written over in place. Its room on
-the disk is taken when it is made, so that a disk that is full later takes a stop or a fault all the
-same (not one that never writes in place: btrfs, zfs). Each line begins with its checksum, and is a
-page long, which a kill does not tear; a power cut may. Then the other line is whole, but the torn
-one may have been a stop or a fault: the pump is stopped until somebody releases it.
+The file has two lines of fixed length, padded with blanks and overwritten in place in turn. Its
+space is allocated when it is made, so a stop or a fault can be saved even if the disk is full later
+(except on file systems that never write in place: btrfs, zfs). Each line begins with its checksum
+and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
+intact, but the torn one may have held a stop or a fault: the pump stays off until it is released.
 
-The disk's thread writes: a slow disk keeps the pump's control from nothing. A lock, on a file
-beside, lets only one ledger write: the record of another would erase a stop or a fault.
+The disk's thread writes, so a slow disk does not delay the control of the pump. A lock on a file
+beside it lets only one ledger write: the record of a second one would erase a stop or a fault.
 
-The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
-site: of the steady clock, or simulated. Time for which the node was down counts by the system
-clock, if that did not go back.
+A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
+(steady clock, or simulated). Downtime is added by the system clock, unless that was set back.
 """
 
 from __future__ import annotations
@@ -34,37 +33,36 @@ from greenroof_ros.common.processes import LockedError, take_lock
 
 DAY_S = 86_400.0
 PAGE_STOPPED = "somebody stopped it on the page or over MQTT"
-# Length of a line (bytes): a page, a block of most disks.
+# Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
-# So much of a text (bytes), and so many starts, have room in it, whatever is in the text.
+# Most bytes of each text, and most starts, that fit in a line, whatever the text contains.
 _TEXT, _STARTS = 350, 100
-# No pump may start more often than so in the hour that counts.
+# Starts to remember: no pump may start more often in the hour that counts.
 _MOST_STARTS = 3600
-# At most so much of the use is not on the disk while the pump is on (s).
+# While the pump is on, at most this much of its use is not yet on the disk (s).
 SAVE_EVERY_S = 10.0
-# So long a service waits for the disk, well below the time after which a node that says nothing is
-# killed (s).
+# A service waits this long for the disk (s), well below the silence after which a node is killed.
 _WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
 class Record:
-    """What is kept.
+    """The state that is kept.
 
     Attributes:
-        operator_stop: why the pump is stopped by somebody by the service; empty where it is not.
-        pause_until: until when the pump is paused, by the system clock (s since 1970).
-        page_stop: whether somebody stopped it on the page or over MQTT, which the page may release.
+        operator_stop: why the pump was stopped through the service; empty if it was not.
+        pause_until: end of the pause, by the system clock (s since 1970).
+        page_stop: whether it was stopped on the page or over MQTT; the page may release this.
         page_clears_from: when the page may clear a fault again (s, as ``elapsed``).
-        unknown: why it is not known whether there was a stop or a fault; empty where it is.
-        fault: the latched fault; empty where there is none.
-        fault_code: its interlock's code.
-        elapsed: since the ledger's first step (s).
+        unknown: why it is unknown whether there was a stop or a fault; empty if it is known.
+        fault: the latched fault; empty if there is none.
+        fault_code: code of its interlock.
+        elapsed: time since the ledger's first step (s).
         day_run: how long the pump was on in the present day (s).
-        day_volume: what it pumped in it (m3).
-        starts: when it was last started (s, as ``elapsed``); the file has the last hundred.
+        day_volume: volume that it pumped in the present day (m3).
+        starts: times of its last starts (s, as ``elapsed``); the file keeps the last hundred.
         on: whether it was on when this was written.
-        written_at: by the system clock (s since 1970).
+        written_at: time of writing by the system clock (s since 1970).
     """
 
     operator_stop: str = ""
@@ -83,39 +81,39 @@ class Record:
 
     @property
     def stop(self) -> str:
-        """Why the pump is stopped until somebody releases it; empty where it is not."""
+        """Why the pump stays stopped until somebody releases it; empty if it is not stopped."""
         return self.operator_stop or self.unknown or (PAGE_STOPPED if self.page_stop else "")
 
     @property
     def day_elapsed(self) -> float:
-        """How much of the present day is over (s)."""
+        """Elapsed time of the present day (s)."""
         return self.elapsed % DAY_S
 
 
 def state_directory() -> Path:
-    """Return where state is kept that nobody gave a place: the user's, by the XDG's rules."""
+    """Return the default directory for state files: the user's, by the XDG rules."""
     directory = os.environ.get("XDG_STATE_HOME")
     return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 class Ledger:
-    """Keeps the record, in a file if there is one.
+    """Keeps the record, in a file if one is given.
 
-    A missing file is a fresh record, and is made at once. A broken one stops the pump until
-    somebody releases it: what it said, be it a fault, is not known. It is kept beside, as
-    ``.broken``. The first ledger of a file has it, until it is closed or its process ends; another
-    one knows what was in it when it was made, and writes nothing.
+    A missing file means a fresh record, and is made at once. A broken file stops the pump until
+    somebody releases it, because it may have held a fault; it is kept as ``.broken``. The first
+    ledger of a file owns it until the ledger is closed or its process ends. A second ledger
+    reads the file at its own start, and writes nothing until it can take over (:meth:`take`).
 
     Attributes:
-        record: the present one.
+        record: the present record.
     """
 
     def __init__(self, file: Path | None, system_clock: Callable[[], float]) -> None:
         """Read the file.
 
         Args:
-            file: where the record is kept; None keeps it in memory only.
-            system_clock: gives s since 1970, such as :func:`time.time`.
+            file: of the record; None keeps it in memory only.
+            system_clock: returns s since 1970, such as :func:`time.time`.
         """
         self._file = file
         self._clock = system_clock
@@ -130,10 +128,10 @@ class Ledger:
             self._begin(file)
 
     def take(self) -> bool:
-        """Take the file, if another had it or it could not be made; return whether that is new.
+        """Take over the file if another ledger had it or it could not be made; return whether so.
 
-        What it says by now counts, and what was stopped or found here meanwhile. A release of
-        before was not one of what it says now, or of its not being readable.
+        Its present content counts, plus the stops, pauses and faults that came here meanwhile. An
+        earlier release does not apply to it, nor to its being unreadable.
         """
         if self._file is None or self._only is not None or not self._lock(self._file):
             return False
@@ -150,10 +148,10 @@ class Ledger:
         return True
 
     def _lock(self, file: Path) -> bool:
-        """Become the only one that writes the file, and return whether that was possible."""
+        """Become the only writer of the file, and return whether that was possible."""
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            # Not of the file itself, in whose place another is put where it is broken or removed.
+            # Not a lock on the file itself, which is replaced if it is broken or removed.
             self._only = take_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError, ValueError) as error:
             self._newest.problem = _why(file, error)
@@ -162,7 +160,7 @@ class Ledger:
         return True
 
     def _begin(self, file: Path) -> None:
-        """Begin with what the file says, and the time since that was written."""
+        """Begin with the content of the file, and add the time since it was written."""
         self.record, self._lines.sequence, intact = _read(file)
         self._at_start = self.record
         down = self._clock() - self.record.written_at
@@ -176,7 +174,7 @@ class Ledger:
 
     @property
     def problem(self) -> str:
-        """Why the file could not be written; empty where it could. Control goes on."""
+        """Why the file could not be written; empty if it could. Control continues regardless."""
         if self._file is None:
             return ""
         if self._only is not None and DISK.late:
@@ -184,20 +182,20 @@ class Ledger:
         return self._newest.problem
 
     def stop(self, reason: str) -> None:
-        """Keep the pump off, or release it (empty), whoever stopped it, and what is unknown."""
+        """Keep the pump off; or (empty) release every stop, also the page's and an unknown one."""
         self.record = replace(self.record, operator_stop=reason)
         if not reason:
             self.record = replace(self.record, page_stop=False, unknown="")
         self._save()
 
     def stop_on_page(self, on: bool) -> None:
-        """Keep the pump off, or release what was stopped so, and nothing else."""
+        """Keep the pump off for the page, or release the page's stop and no other."""
         self.record = replace(self.record, page_stop=on)
         self._save()
 
     @property
     def now(self) -> float:
-        """The time by the system clock (s since 1970)."""
+        """The system time (s since 1970)."""
         return self._clock()
 
     @property
@@ -206,12 +204,12 @@ class Ledger:
         return self.now < self.record.pause_until
 
     def pause(self, until: float) -> None:
-        """Keep the pump off until a time of the system clock (s since 1970); 0 ends that."""
+        """Keep the pump off until a system time (s since 1970); 0 ends the pause."""
         self.record = replace(self.record, pause_until=until)
         self._save()
 
     def clear_on_page(self) -> None:
-        """Clear the latched fault, as the page may once in a day."""
+        """Clear the latched fault from the page, which may do so once in 24 h."""
         self.record = replace(self.record, page_clears_from=self.record.elapsed + DAY_S)
         self.fault("", "")
 
@@ -229,24 +227,24 @@ class Ledger:
         self._save()
 
     def count(self, dt: float, run: float, volume: float) -> None:
-        """Count the time that passed (s), in how much of it the pump was on (s), and m3 pumped."""
+        """Count elapsed time (s), the pump's time on in it (s), and the pumped volume (m3)."""
         self._pass(dt)
         self.record = replace(
             self.record,
             day_run=self.record.day_run + run, day_volume=self.record.day_volume + volume,
         )
-        # While nothing is used nothing needs to be written, but for a file that could not be.
+        # Without use nothing needs writing, unless the file could not be written.
         if run or volume or self.problem:
             self._unsaved += dt
         if self._unsaved >= SAVE_EVERY_S:
             self._save()
 
     def count_unseen(self, most: float, flow: float) -> None:
-        """Count what the pump may have done at worst since a node did not live to see it off.
+        """Count the worst-case use after a node that ended without seeing the pump off.
 
         Args:
-            most: how long it may have run at most since the record was written (s).
-            flow: the greatest (m3/s).
+            most: longest time that it may have run since the record was written (s).
+            flow: greatest flow (m3/s).
         """
         if self.record.on:
             run = min(self._unseen, most, DAY_S)
@@ -254,10 +252,10 @@ class Ledger:
             self.switch(False)
 
     def why_not_kept(self, within: float = _WAIT_S) -> str:
-        """Write the record, and return why it is not kept; it is written on, if that is late.
+        """Write the record, and return why it is not on the disk; empty if it is.
 
         Args:
-            within: how long to wait for the disk at most (s).
+            within: longest wait for the disk (s); the write continues after that.
         """
         self._save()
         if not DISK.wait(within):
@@ -265,7 +263,7 @@ class Ledger:
         return self.problem
 
     def close(self) -> str:
-        """Write the record, let go of the file, and return why the record is not kept."""
+        """Write the record and release the file; return why the record is not on the disk."""
         problem = self.why_not_kept(PATIENCE_S)
         if self._only is not None and DISK.wait(0.0):
             self._only.close()
@@ -279,7 +277,7 @@ class Ledger:
         self.record = replace(self.record, elapsed=now)
 
     def _save(self) -> None:
-        """Have the record written, after the one that is being written."""
+        """Queue the record for writing, after any write in progress."""
         self._unsaved = 0.0
         if self._only is not None:
             self._newest.give(replace(self.record, written_at=self._clock()))
@@ -289,7 +287,7 @@ class _Lines:
     """The two lines of the file.
 
     Attributes:
-        sequence: number of the newest; 0 where the file must be made.
+        sequence: number of the newest line; 0 if the file must be made.
     """
 
     def __init__(self, file: Path) -> None:
@@ -307,7 +305,7 @@ class _Lines:
 
 
 def _why(file: Path, error: Exception) -> str:
-    """Return why a file is not written, in words."""
+    """Return why a file cannot be written, in words."""
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} has it already; end "
@@ -341,10 +339,10 @@ def _line(sequence: int, record: Record) -> bytes:
 
 
 def _make(file: Path, record: Record) -> None:
-    """Make the file whole beside, and give it its name; what has the name is moved away.
+    """Write the file under another name, then rename it; an existing file is moved away.
 
     Raises:
-        OSError: there is no room for it, for instance.
+        OSError: for instance, there is no room.
     """
     if file.exists() and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it is there and no file")
@@ -382,8 +380,8 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     """Read the file.
 
     Returns:
-        The newest record; its number, 0 where the file must be made; and whether all was whole. A
-        broken record is one that stops the pump.
+        The newest record; its number, 0 if the file must be made; and whether the file was intact.
+        If a line is broken, the record stops the pump.
     """
     numbered, problems = [], []
     try:
@@ -402,7 +400,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
         return Record(), 0, False
     except (OSError, ValueError) as error:
         problems = [str(error)]
-    # The broken line's turn is next, so that the file is whole again then.
+    # The broken line is written next, which repairs the file.
     sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, Record()))
     if problems:
         unknown = (
@@ -414,19 +412,19 @@ def _read(file: Path) -> tuple[Record, int, bool]:
 
 
 def _parse(line: bytes, number: int) -> tuple[int, Record]:
-    """Return what a line says.
+    """Return a line's sequence number and record.
 
     Raises:
-        ValueError: it is broken.
+        ValueError: the line is broken.
     """
     checksum, _, text = line.rstrip().partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         raise ValueError("its checksum is wrong")
     content: dict[str, Any] = json.loads(text)
     sequence, names = content.pop("sequence"), asdict(Record()).keys()
-    if "held" in content:  # as an older version called it
+    if "held" in content:  # the name in an older version
         content["operator_stop"] = content.pop("held")
-    # An older version knew fewer of them.
+    # An older version wrote fewer fields.
     if content.keys() - names or (sequence + 1) % 2 != number:
         raise ValueError(f"it must hold sequence, {', '.join(names)}")
     return sequence, Record(**content | {"starts": tuple(content["starts"])})

@@ -1,6 +1,6 @@
-"""The limits of a pump: what a user sets, whether it may run by them, and pulses below the least.
+"""The limits of a pump: its settings, whether they allow it to run, and pulses below least flow.
 
-Whatever a limit forbids heals by itself.
+Every inhibit that comes from a limit clears by itself.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.pumping.ledger import DAY_S, Ledger
 
 _HOUR_S = 3600.0
-# Time in which a pump that runs at length makes up for the outstanding volume (s).
+# A pump that runs continuously makes up the outstanding volume in this time (s).
 _CATCH_UP = 60.0
 _LEAST_FLOW = 0.2
 # More than the reference evapotranspiration of any climate in FAO-56, Table 2 (m/day).
 _GREATEST_EVAPOTRANSPIRATION = 0.010
-# Room for a flow that is only estimated, in what a day may need.
+# Margin of the daily volume, since the flow is only estimated.
 _MARGIN = 1.5
 
 
 def _volume_per_day(site: Site) -> float:
-    """Fill an empty roof to its target and replace a day's evapotranspiration, with the margin.
+    """Return the volume (m3) of filling an empty roof and of a day's loss, with the margin.
 
-    Of a measured roof that is more: its soil keeps only a share of what is pumped.
+    The loss is the greatest evapotranspiration. A measured roof needs more: it keeps only a share.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).kept_share(site.x2_star)
@@ -38,12 +38,12 @@ def _volume_per_day(site: Site) -> float:
 
 
 def _filling(site: Site) -> float:
-    """Return what fills an empty roof to its target (m3)."""
+    """Return the volume that fills an empty roof to its target (m3)."""
     return float(soil_of(site).water_to_fill(site.x2_star))
 
 
 def _time_for(site: Site, volume: float) -> float:
-    """Return the time in which the least flow by default delivers a volume (m3), in s."""
+    """Return the time (s) in which the default least flow delivers a volume (m3); at most a day."""
     least_flow = _LEAST_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
     return min(DAY_S, round(volume / least_flow) + 1.0)
 
@@ -52,9 +52,8 @@ def _time_for(site: Site, volume: float) -> float:
 class PumpSettings:
     """The limits of a pump, and the thresholds of its checks.
 
-    Unit, range, default and meaning of each stand beside it, but for the defaults that follow from
-    the site; :func:`pump_parameters` lists them all, and :func:`settings_for` fills in what is not
-    given.
+    Each field has its meaning, range, unit and default. Some defaults depend on the site:
+    :func:`pump_parameters` lists them all, and :func:`settings_for` fills in the missing ones.
     """
 
     least_speed: float = entry(
@@ -131,10 +130,10 @@ class PumpSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself.
+        """Refuse contradictory settings.
 
         Raises:
-            ConfigurationError: a pump at its least speed would count as standing.
+            ConfigurationError: a pump at its least speed would count as being at rest.
         """
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
@@ -145,7 +144,7 @@ class PumpSettings:
 
 
 def pump_parameters(site: Site) -> tuple[Parameter, ...]:
-    """Return each setting as a parameter, with its default for a site."""
+    """Return each setting as a parameter, with its default at this site."""
     of_site = {
         "starts_per_hour": site.starts_per_hour,
         "greatest_run": _time_for(site, _filling(site)),
@@ -159,16 +158,16 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
 
 
 def settings_for(site: Site, **changes: float) -> PumpSettings:
-    """Return settings for a site: those given, and the default of every other."""
+    """Return the settings for a site: those given, and defaults for the others."""
     return PumpSettings(**{
         parameter.name: parameter.default for parameter in pump_parameters(site)
     } | changes)
 
 
 class Limits:
-    """Least times on and off, starts in any hour, a day's use; water to pump, and no frost.
+    """Least time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
-    How long the pump had been off before is unknown, so it waits for the least time off first.
+    After a start the pump first waits for the least time off: how long it was off is unknown.
     """
 
     def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
@@ -193,7 +192,7 @@ class Limits:
             self._off_since = self._ledger.record.elapsed
 
     def wait(self) -> tuple[float, str]:
-        """Return how long a pump that is off must wait before it starts (s), and why."""
+        """Return how long a pump that is off must wait before it may start (s), and why."""
         now, starts = self._ledger.record.elapsed, self._ledger.record.starts
         least_off, allowed = self._settings.least_off, int(self._settings.starts_per_hour)
         waits = [
@@ -206,7 +205,7 @@ class Limits:
         return max(waits)
 
     def account(self, dt: float, on: bool) -> None:
-        """Count time (s) in which the pump was on, or was not."""
+        """Count time during which the pump was on or off (s)."""
         if on:
             self._on_for += dt
             if self._on_for >= self._settings.greatest_run:
@@ -219,15 +218,15 @@ class Limits:
         self, command: float | None, cistern_level: float | None, roof_level: float | None,
         frost: bool | None, time_ns: int | None,
     ) -> dict[str, str]:
-        """Return what speaks against running now, by interlock; to be asked at every step.
+        """Return the reasons against running now, by interlock; must be called at every step.
 
         Args:
-            command: share of the maximum flow; 0 ends the rest after too long a run, None (no
+            command: share of the maximum flow; 0 ends the rest after the longest run, None (no
                 good command) does not.
-            cistern_level: m; None is unknown.
-            roof_level: m; None is unknown.
-            frost: whether there is; None is unknown.
-            time_ns: of the site (ns since 1970); None is unknown.
+            cistern_level: m; None if unknown.
+            roof_level: m; None if unknown.
+            frost: whether there is frost; None if unknown.
+            time_ns: time at the site (ns since 1970); None if unknown.
         """
         settings, record = self._settings, self._ledger.record
         reasons = {}
@@ -276,24 +275,25 @@ class Limits:
 
 
 class Pulses:
-    """Turns a command into a share of the flow that the pump can deliver: at length, or in pulses.
+    """Turns a command into a share of flow that the pump can deliver, continuously or in pulses.
 
-    Below its least flow a pump gets too warm, and below its least speed it delivers nothing. A
-    command below both is delivered in pulses at the least share. A least pulse is what the least
-    share delivers in the least time on. The outstanding volume is what was commanded less what was
-    delivered, by the actual flow. A pulse begins when a least pulse will be outstanding by its end,
-    and ends when nothing is any more: less is delivered than was commanded by at most one least
-    pulse, and more only by what flows in a step and while the pump comes to rest.
+    Below its least flow a pump overheats, and below its least speed it delivers nothing; the larger
+    of these flows is the least share. A smaller command is delivered in pulses at the least share.
+    A least pulse is what that delivers in the least time on. The outstanding volume is the
+    commanded minus the delivered volume, by the actual flow. A pulse begins when a least pulse will
+    be outstanding by its end, and ends when nothing is outstanding. So the pump lags the command by
+    at most a least pulse, and exceeds it only by one step's flow and the flow while coming to rest.
 
-    The outstanding volume is limited, so that nothing is caught up that nobody waits for:
+    The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
-    - after a stop for any other reason than a command of 0 it is 0;
-    - while the command is 0, or at least the least share, it is at most one least pulse;
-    - below it at most what the least share delivers from one permitted start to the next, or a
-      least pulse if that is more: with 20 starts an hour what it delivers in 180 s.
+    - an interlock, unwatched time and the end of a dose set it to 0;
+    - if the demand is 0 (command 0, or a full roof) or at least the least share, it is at most one
+      least pulse;
+    - in between, at most the volume that the least share delivers from one permitted start to the
+      next (with 20 starts an hour, in 180 s), or a least pulse if that is more.
 
     Attributes:
-        outstanding: commanded less delivered (m3), within its limits; negative after the least time
+        outstanding: commanded minus delivered (m3), within its limits; negative if the least time
             on delivered more than was commanded.
     """
 
@@ -304,33 +304,33 @@ class Pulses:
         self.clear()
 
     def least_share(self, cistern_level: float) -> float:
-        """Return the least share of the maximum flow that is asked for at a level (m)."""
+        """Return the least share of the maximum flow that may be asked for at a level (m)."""
         slowest = flow_at(self._site, self._settings.least_speed, cistern_level)
         return max(self._settings.least_flow, slowest / self._flow(1.0, cistern_level))
 
     def least_pulse(self, cistern_level: float) -> float:
-        """Return what the least share delivers in the least time on (m3)."""
+        """Return the volume that the least share delivers in the least time on (m3)."""
         return self._settings.least_on * self._flow(self.least_share(cistern_level), cistern_level)
 
     def speed(self, share: float, cistern_level: float) -> float:
-        """Return the speed for a share of the flow, between the drive's least speed and 1."""
+        """Return the speed for a share of the flow, from the least speed to 1."""
         speed = speed_for(self._site, share, cistern_level)
         return min(1.0, max(self._settings.least_speed, speed))
 
     def account(self, delivered: float, dt: float) -> None:
-        """Count what was delivered (m3) in dt (s), and what :meth:`ask` was to deliver in it."""
+        """Count what was delivered in dt (m3), and what :meth:`ask` wanted to be delivered."""
         self._set_outstanding(self.outstanding + self._wanted * dt - delivered)
 
     def clear(self) -> None:
-        """Forget what is outstanding, and that anything is wanted."""
+        """Forget the outstanding volume and the demand."""
         self._wanted = self._greatest = self.outstanding = 0.0
 
     def ask(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
-        """Return the share of the maximum flow to ask for; 0 is off.
+        """Return the share of the maximum flow to ask for; 0 means off.
 
         Args:
             command: share of the maximum flow, 0 to 1.
-            cistern_level: m, where the pump lifts water.
+            cistern_level: m, from which the pump lifts.
             on: whether the pump is on.
             since_start: time since the pump was last started (s).
         """
@@ -356,7 +356,7 @@ class Pulses:
 
 
 def _minutes(seconds: float) -> str:
-    """Return a time as people say it."""
+    """Return a time in words."""
     if seconds < 120:
         return f"{math.ceil(seconds)} s"
     return f"{math.ceil(seconds / 60)} min"

@@ -1,4 +1,4 @@
-"""What the pump does at each step: it follows the command, unless an interlock is active."""
+"""Pump control, step by step: the pump follows the command unless an interlock is active."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ from greenroof_ros.pumping.interlocks import (
 from greenroof_ros.pumping.ledger import PAGE_STOPPED, SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
-# A measured flow above so many times the maximum flow is no flow of this pump.
+# A measured flow above this multiple of the maximum flow is not believed.
 _GREATEST_FLOW = 1.5
-# No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
+# Speeds above this (share of the rated speed) and levels beyond this (m) are not believed.
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
-# So many failed starts, one after the other, are a fault.
+# This many consecutive failed starts are a fault.
 _FAILED_STARTS = 3
-# The state of a pump that an interlock keeps off, by the first that is active.
+# The state of a pump that is kept off, by the kind of the first active interlock.
 _STATES = {LATCHED: "fault", INHIBIT: "held", ENABLE: "off"}
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What is known at a step; None is unknown, or too old.
+    """Everything known at a step; None means unknown or too old.
 
     Attributes:
-        command: share of the maximum flow, as it came.
+        command: share of the maximum flow, as received.
         cistern_level: m.
         roof_level: m.
-        displacements: by how much jumps, as no water can, have moved both readings so far (m).
-        frost: whether there is.
-        time_ns: of the site (ns since 1970): the system clock's live, in a simulation its own.
-        speed: what the drive turns at, share of the rated speed.
-        flow: of a flow meter (m3/s).
-        drive_flow: of the drive's own (m3/s).
-        drive_ready: whether it runs, or would if it were asked to.
-        drive_fault: its fault, as text; empty where there is none.
-        runs_on: whether the fault is that it does not obey a stop.
-        reasons: what the node itself has against running, by interlock.
+        displacements: how far jumps that water cannot cause have moved both readings so far (m).
+        frost: whether there is frost.
+        time_ns: time at the site (ns since 1970): system time if live, else simulated time.
+        speed: speed of the drive, share of the rated speed.
+        flow: from a flow meter (m3/s).
+        drive_flow: from the drive itself (m3/s).
+        drive_ready: whether the drive runs, or would run if asked to.
+        drive_fault: the drive's fault, as text; empty if there is none.
+        runs_on: whether that fault is that the drive does not obey a stop.
+        reasons: the pump node's own reasons against running, by interlock.
     """
 
     command: float | None = None
@@ -70,23 +70,23 @@ class Observation:
 
 @dataclass(frozen=True)
 class Decision:
-    """What the drive is asked for, and what is reported.
+    """The order to the drive, and what is reported.
 
     Attributes:
-        speed: asked for, share of the rated speed; None is off.
-        state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
-            nobody knows whether it stands.
-        why: in words.
-        interlocks: why each is active that is, by its code, in the order of their table.
-        flow: the best present estimate (m3/s).
+        speed: requested speed, share of the rated speed; None means off.
+        state: off, starting, running, stopping, fault, held, or unknown: it is ordered off, but may
+            not be at rest.
+        why: the reason for the state, in words.
+        interlocks: the reason of each active interlock, by code, in the order of their table.
+        flow: best present estimate (m3/s).
         source: how the flow is known.
-        warning: what an operator should know although it stops nothing; empty where nothing.
-        stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
-        turns_at: what the drive says that it turns at, share of the rated speed, backwards below
-            0; None where it is not heard, or says what cannot be.
-        flow_known: whether ``flow`` is known, and not 0 since nothing is.
-        blind_for: for how long the delivery check could not judge (s): a level is unknown, or both
-            were not known for long enough.
+        warning: what an operator should know although it stops nothing; empty if nothing.
+        stands: whether the pump is at rest: reported, or certain by the drive's own timeout.
+        turns_at: reported speed, share of the rated speed, negative if backwards; None if the drive
+            is not heard or its value is implausible.
+        flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
+        blind_for: how long the delivery check has been unable to judge (s), because a level is
+            unknown or both have not been known for long enough.
     """
 
     speed: float | None
@@ -103,19 +103,19 @@ class Decision:
 
 
 class PumpControl:
-    """Turns commands into speeds, and refuses to wherever something speaks against it."""
+    """Turns commands into speeds, and keeps the pump off while an interlock is active."""
 
     def __init__(
         self, site: Site, settings: PumpSettings, ledger: Ledger, drive_stops_after: float
     ) -> None:
-        """Count what was not seen before, at worst, and begin with the pump off.
+        """Count the worst-case use since the last record, and begin with the pump off.
 
         Args:
-            site: with the pump.
-            settings: its limits.
-            ledger: what is known of before.
-            drive_stops_after: within which time a drive that is not heard stands (s); infinite
-                where it may run on.
+            site: the site.
+            settings: the pump's limits.
+            ledger: the state before this start.
+            drive_stops_after: time after which a drive that is not heard is at rest (s); infinite
+                if it may run on.
         """
         self._site = site
         self._settings = settings
@@ -126,38 +126,38 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._doses = Doses(site, ledger.now)
-        self._against = "it was not looked at yet"  # running, at the last step
+        self._against = "it was not looked at yet"  # reason against running, at the last step
         self._least_pulse = math.inf  # at the last level (m3)
         self._setpoint: float | None = None
-        # What the slowest drive that is allowed turns at on its way to the speed asked for, share
-        # of the rated speed; before the first step it may have run.
+        # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
+        # of the rated speed); 1 at first, since the pump may have been running.
         self._ramped = 1.0
         self._follow_error_for = 0.0
-        self._failed_starts = 0  # one after the other
+        self._failed_starts = 0  # consecutive
         self._flowed_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
-        # What it turned at most when that was last known, share of the rated speed; before that
-        # it is not known to stand.
+        # Highest speed that it may have had when last heard, share of the rated speed; 1 at first,
+        # since it is not known to be at rest.
         self._turned = 1.0
 
     def stop(self, on: bool) -> None:
-        """Keep the pump off over anything, or release it; kept over restarts.
+        """Keep the pump off whatever is commanded, or release it; restarts do not change that.
 
         It takes effect with the next step.
         """
         self._ledger.stop("an operator stopped it" if on else "")
 
     def stop_on_page(self, on: bool) -> None:
-        """Keep the pump off for the page, or release what the page stopped, and nothing else."""
+        """Keep the pump off for the page, or release the page's stop and no other."""
         self._ledger.stop_on_page(on)
 
     def pause(self, until: float) -> None:
-        """Keep the pump off until a time (s since 1970), over restarts; 0 ends a pause."""
+        """Keep the pump off until a time (s since 1970), across restarts; 0 ends the pause."""
         self._ledger.pause(until)
 
     def _paused(self) -> str:
-        """Return that the pump is paused, and until when; empty where it is not."""
+        """Return that the pump is paused, and until when; empty if it is not paused."""
         if not self._ledger.paused:
             return ""
         end = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
@@ -165,27 +165,27 @@ class PumpControl:
 
     @property
     def dose(self) -> Dose | None:
-        """The dose that waits or runs, or ended a moment ago; None without one."""
+        """The dose that waits, runs, or ended a moment ago; None if there is none."""
         return self._doses.last
 
     @property
     def no_dose(self) -> str:
-        """Why a dose would be refused now, whatever its volume; empty where it would not."""
+        """Why any dose would be refused now, whatever its volume; empty if it would not."""
         return self._doses.refusal(self._against)
 
     def ask_dose(self, request: float, volume: float) -> str:
-        """Take a request for a dose, or return why it is refused.
+        """Accept a request for a dose (returns an empty string), or return why it is refused.
 
         Args:
-            request: when it was made (s since 1970), which is its id.
-            volume: that is asked for (m3).
+            request: time at which it was made (s since 1970), which is its id.
+            volume: requested volume (m3).
         """
         return self._doses.ask(
             request, volume, self._ledger.now, self._least_pulse, self._against
         )
 
     def reset(self) -> str:
-        """Clear a latched fault, and return what it was; what still is latches again."""
+        """Clear the latched fault, and return it; a cause that persists latches it again."""
         cleared = self._ledger.record.fault
         if cleared:
             self._ledger.fault("", "")
@@ -194,7 +194,7 @@ class PumpControl:
 
     @property
     def page_may_not_clear(self) -> str:
-        """Why the page may not clear a latched fault; empty where it may."""
+        """Why the page must not clear the latched fault; empty if it may."""
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
@@ -207,21 +207,21 @@ class PumpControl:
         return ""
 
     def clear_on_page(self) -> None:
-        """Clear a latched fault that the page may clear; what still is latches again."""
+        """Clear a latched fault from the page; a cause that persists latches it again."""
         self._ledger.clear_on_page()
         self._forget_evidence()
 
     def _forget_evidence(self) -> None:
-        """Forget what led to a fault."""
+        """Forget the evidence that led to a fault."""
         self._delivery = DeliveryCheck(self._site, self._settings)
         self._follow_error_for = self._flowed_for = 0.0
         self._failed_starts = 0
 
     def pass_unseen(self, dt: float) -> None:
-        """Count time in which nobody was there, as in a suspend of the machine; then it is off.
+        """Count unwatched time, such as a suspend of the machine; the pump is off after it.
 
         At worst the pump ran on until the drive's own timeout stopped it. This time does not count
-        as one in which a drive that is called did not answer: whether it stands must be seen again.
+        as time without an answer from the drive: whether it is at rest must be seen again.
 
         Args:
             dt: since the last step (s).
@@ -243,14 +243,14 @@ class PumpControl:
         self._setpoint = None
 
     def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
-        """Decide.
+        """Decide what the pump does now.
 
         Args:
             dt: time since the last step (s), 0 at the first.
             observed: what is known.
-            drive_dt: for how long the drive could be watched since then (s): where the site is
-                simulated the time may be another, and in a suspend nobody watches it; None where
-                both are one.
+            drive_dt: how long the drive was watched since the last step (s); None if that equals
+                ``dt``. It differs at a simulated site, and after a suspend, during which the drive
+                is not watched.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         heard, backwards, reported = (
@@ -267,8 +267,7 @@ class PumpControl:
         latest = self._turned if observed.speed is None else observed.speed
         self._turned = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
-        # A meter may say that nothing flows, against a closed valve or because it is broken, while
-        # the pump runs.
+        # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
         least = max(flow, computed or 0.0)
         self._account(dt, observed.speed, unseen, least)
         under_way = self._doses.present is not None
@@ -291,7 +290,7 @@ class PumpControl:
         if full:
             self._doses.end(FULL, "the roof is at its target")
         if under_way and self._doses.present is None:
-            self._pulses.clear()  # what was asked for in a dose is no debt
+            self._pulses.clear()  # commands during a dose leave nothing outstanding
         dosed = command is not None and self._doses.present is not None
         unheard = observed.speed is None and not backwards
         active = evaluate({
@@ -345,7 +344,7 @@ class PumpControl:
         elif state in ("fault", "held") and turning:
             why += f"; the pump still turns, at {observed.speed:.2f} of its speed"
         if observed.speed is None:
-            # One that is heard, and says what cannot be, is not silent enough for its own timeout.
+            # A drive that is heard but reports an implausible speed has not timed out.
             stands = not heard and self._must_stand()
             if not stands and not backwards:
                 why += "; whether the pump stands is not known"
@@ -359,19 +358,19 @@ class PumpControl:
         )
 
     def _dose_command(self, cistern_level: float) -> float:
-        """Return the command of the present dose; no lower than what needs no pulses."""
+        """Return the command for the present dose: at least the least share, to avoid pulses."""
         greatest = flow_at(self._site, 1.0, cistern_level)
         return max(self._doses.share(greatest), self._pulses.least_share(cistern_level))
 
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[str]
     ) -> tuple[float | None, str]:
-        """Return the present flow (m3/s), None where it is unknown, and how it is known.
+        """Return the present flow (m3/s; None if unknown), and how it is known.
 
         Args:
-            observed: with what is measured.
-            computed: what should flow at the present speed (m3/s); None where that is unknown.
-            warnings: to which those are added about what is not believed.
+            observed: the measurements.
+            computed: expected flow at the present speed (m3/s); None if unknown.
+            warnings: list to which warnings about implausible flows are added.
         """
         site = self._site
         if self._setpoint is None and observed.speed is not None and observed.speed <= STANDS:
@@ -391,34 +390,34 @@ class PumpControl:
         return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
-        """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
+        """Return the worst-case flow while the drive is not heard (m3/s); 0 once it is at rest."""
         if observed.speed is not None or self._must_stand():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         return flow_at(self._site, min(1.0, self._turned), level)
 
     def _must_stand(self) -> bool:
-        """Whether a pump whose speed is unknown stood before, or does by the drive's timeout."""
+        """Whether a pump of unknown speed was at rest before, or is by the drive's timeout."""
         return self._turned <= STANDS or self._unknown_for > self._drive_stops_after
 
     def _account(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
-        """Count what the last step's decision made of the time since, by both flows (m3/s)."""
+        """Count the time since the last step as on or off, and the larger of both flows (m3/s)."""
         turns = speed is not None and speed > STANDS
         on = self._setpoint is not None or turns or unseen > measured
         self._limits.account(dt, on)
         self._ledger.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
 
     def _has_follow_error(self, speed: float | None) -> bool:
-        """Whether the pump turns at another speed than the one asked for, beyond the tolerance."""
+        """Whether the speed differs from the requested speed by more than the tolerance."""
         setpoint = self._setpoint or 0.0
         return speed is not None and abs(speed - setpoint) > self._settings.follow_tolerance
 
     def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
-        """Whether the pump is at a speed that the drive's ramp does not explain.
+        """Whether the drive's ramp cannot explain the speed of the pump.
 
-        A drive that obeys is between what the slowest ramp has reached and the speed asked for. The
-        ramp goes on from there, so that a new speed counts from where the drive then is. It begins
-        when a pump that stood turns.
+        The speed of a drive that obeys is between what the slowest ramp has reached and the
+        requested speed. The ramp continues from the drive's speed, so that a new request counts
+        from there. It begins when the pump begins to turn.
         """
         if self._setpoint is not None and speed <= STANDS:
             self._ramped = speed
@@ -434,9 +433,9 @@ class PumpControl:
         return not least - tolerance <= speed <= greatest + tolerance
 
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> str:
-        """Return that a meter shows a flow while the pump stands by its drive; empty for none.
+        """Return that a meter shows flow although the drive reports rest; empty if it does not.
 
-        A drive knows its motor, and a relay what it was ordered; neither sees a welded contact.
+        A drive knows its motor, and a relay its order; neither detects a welded contact.
         """
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         least = self._settings.least_flow * flow_at(self._site, 1.0, level)
@@ -454,14 +453,14 @@ class PumpControl:
     def _faults(
         self, drive_dt: float, observed: Observation, backwards: str, undelivered: str
     ) -> dict[str, str]:
-        """Return the faults by interlock: those now, and the first one, kept until it is reset.
+        """Return the faults by interlock: the present ones, and the latched one until its reset.
 
-        Beside them, what else the ledger keeps the pump off for: a stop, and a record not read.
+        Also the other reasons that the ledger keeps: stops, a pause, and an unreadable record.
         """
         failed_start = observed.reasons.get("start_failed", "")
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
-        if observed.speed is not None:  # what is not heard for a moment may go on
+        if observed.speed is not None:  # a short silence does not reset the timer
             beyond = self._is_beyond_ramp(observed.speed, drive_dt)
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
             if self._setpoint is not None and not beyond and not failed_start:
@@ -484,7 +483,7 @@ class PumpControl:
             code = "runs_on" if observed.runs_on else "drive_fault"
             reasons[code] = f"the drive reports: {observed.drive_fault}"
         latched = evaluate(reasons)
-        # The first fault is kept, but what the page may clear hides nothing that it may not.
+        # The first fault is kept, but one that the page may clear gives way to one that it may not.
         worst = next((code for code in latched if not INTERLOCKS[code].on_page), "")
         interlock = INTERLOCKS.get(self._ledger.record.fault_code)
         if not self._ledger.record.fault:
@@ -507,7 +506,7 @@ class PumpControl:
     def _follow(
         self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[str]
     ) -> tuple[float | None, str]:
-        """Return the speed for a command against which nothing speaks (None is off), and why."""
+        """Return the speed for a command (None means off), and why; no interlock is active."""
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start
@@ -538,14 +537,14 @@ class PumpControl:
 
 
 def _backwards(observed: Observation) -> str:
-    """Return that the pump turns backwards, beyond noise; empty where it does not."""
+    """Return that the pump turns backwards, beyond noise; empty if it does not."""
     if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDS:
         return ""
     return f"the pump turns backwards, at {-observed.speed:.2f} of its speed"
 
 
 def _believable(observed: Observation) -> Observation:
-    """Return an observation in which what no sensor or drive can mean is unknown."""
+    """Return the observation with implausible values replaced by None."""
 
     def checked(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None

@@ -1,1 +1,1 @@
-"""What happened in a run: trajectories and bags."""
+"""Records of a run: trajectories and bags."""

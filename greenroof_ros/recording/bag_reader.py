@@ -1,4 +1,4 @@
-"""What happened, from a bag alone: of this package, or of a real site with gaps and outliers."""
+"""Reads a trajectory from a bag: this package's, or a real site's with gaps and outliers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from greenroof_ros.recording.trajectory import Trajectory
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-# Topic: column of a trajectory. A sample needs the first four; the others count as 0.
+# Topic: column of a trajectory. A sample needs the first four; the others count as 0 if missing.
 _NEEDED = {
     "/roof/level": "roof",
     "/cistern/level": "cistern",
@@ -40,25 +40,25 @@ _COLUMNS = {
 }
 _TYPE = "std_msgs/msg/Float64"
 
-# A live graph says by a NaN that it does not know: the interface's meaning of the topic.
+# A live graph publishes NaN if it does not know the value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
 
-# Fewer wrong values than this share of a topic's are outliers of a sensor; more are a mistake.
+# A smaller share of wrong values in a topic are outliers of a sensor; more are a mistake.
 _MOST_OUTLIERS = 0.01
 
-# What a person or another rounding adds to a limit that is met exactly.
+# Tolerance for a value at the limit that was rounded elsewhere.
 _ROUNDING = 1 + 1e-9
 
-# No message for longer than both is a gap: in seconds, and in median spacings.
+# A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
 
 _MOST_NAMED = 10
 
 
 def count_ticks(bag: Path) -> int | None:
-    """Return how many whole ticks a bag of this package holds.
+    """Return the number of complete ticks in a bag of this package.
 
-    None where it was not closed: its recorder was killed, or its disk was full.
+    None if the bag was not closed: its recorder was killed, or its disk was full.
     """
     if not (bag / METADATA).is_file():
         return None
@@ -67,14 +67,14 @@ def count_ticks(bag: Path) -> int | None:
 
 
 class Recorded(NamedTuple):
-    """What happened in a run, and what a reader should know of how that was found."""
+    """The trajectory of a run, and notes on how it was reconstructed."""
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
 
 
 class _Series(NamedTuple):
-    """The values of a topic, and when each was logged (ns)."""
+    """The values of a topic, and the time at which each was logged (ns)."""
 
     times: Stamps
     values: Values
@@ -84,23 +84,23 @@ def load_bag(
     bag: Path, site: Site, zone: tzinfo, *, own: bool, external_pump: bool = False,
     repair: str = "",
 ) -> Recorded:
-    """Read what happened from a bag alone.
+    """Read a trajectory from a bag.
 
-    A sample is a time at which a message of any topic that is used here was logged; every topic
-    has its last value at or before it. The bags of this package have all topics of a tick at one
-    time, so that their samples are the ticks.
+    A sample is any time at which a message of a used topic was logged; each topic has its last
+    value at or before that time. Bags of this package log all topics of a tick at one time, so
+    their samples are the ticks.
 
     Args:
         bag: its directory.
-        site: where it was.
-        zone: offset from UTC of the times.
-        own: whether this package wrote down that the run is its own: what is not plausible was
-            then refused by its plant, and acted as 0; elsewhere it is left out, or is an error.
-        external_pump: whether its plant was given the flow by a pump driver.
-        repair: how a damaged one can be repaired, for the message.
+        site: where it was recorded.
+        zone: time zone of the result.
+        own: whether the run is known to be this package's: its plant then refused implausible
+            values, which acted as 0. In other bags they are left out, or are an error.
+        external_pump: whether a pump driver gave the plant the flow.
+        repair: how a damaged bag can be repaired, for the message.
 
     Raises:
-        ConfigurationError: the bag is damaged, foreign, or its values cannot be true.
+        ConfigurationError: the bag is damaged, foreign, or has implausible values.
     """
     recorded = _read_series(bag, repair)
     notes = [
@@ -114,7 +114,7 @@ def load_bag(
         else:
             of_topic, note = _without_outliers(bag, interface[topic], highest.get(topic), of_topic)
         notes += note
-        if len(of_topic.times):  # else it was never known
+        if len(of_topic.times):  # otherwise never known
             series[topic] = of_topic
     stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
@@ -125,12 +125,12 @@ def load_bag(
         )
     spacings = np.diff(samples)
     longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
-    gaps = np.flatnonzero(spacings > longest)  # the samples after which no message came for long
+    gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
     columns: dict[str, Values] = {}
     for topic, name in _COLUMNS.items():
         columns[name] = np.zeros(len(samples))
         if topic in series:
-            # Of messages with one stamp the last counts.
+            # If messages have the same time, the last counts.
             index = np.searchsorted(series[topic].times, samples, side="right") - 1
             columns[name] = np.where(index >= 0, series[topic].values[np.maximum(index, 0)], 0.0)
         if name not in ("roof", "cistern"):
@@ -145,12 +145,12 @@ def load_bag(
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
-    """Read each topic of a bag that is used, in time's order.
+    """Read each used topic of a bag, ordered by time.
 
-    The topics may be under a namespace, as in /site1/roof/level; the result has their plain names.
+    The topics may be in a namespace, such as /site1/roof/level; the result has their plain names.
 
     Raises:
-        ConfigurationError: the bag is damaged, or lacks what is needed.
+        ConfigurationError: the bag is damaged, or lacks a needed topic.
     """
     with in_extra("study"):
         from rosbags import highlevel, typesys
@@ -174,7 +174,7 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
                 values.setdefault(topic, []).append(message.data)
     except ConfigurationError:
         raise
-    except Exception as error:  # rosbags hands on whatever its storages and codecs raise
+    except Exception as error:  # rosbags lets any error of its storages and codecs pass
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
             f"cannot be read as a bag: {reason} If its recorder was killed, {repair}", file=bag
@@ -186,12 +186,12 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
 
 
 def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
-    """Refuse a bag that lacks a needed topic, or has one of another type.
+    """Refuse a bag that lacks a needed topic, or has a used topic of the wrong type.
 
     Args:
         bag: its directory.
         types: the type of each of its topics.
-        names: the name in the interface of each that is used, by its name in the bag.
+        names: the interface's name of each used topic, by its name in the bag.
     """
     missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:
@@ -208,11 +208,11 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
 
 
 def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
-    """Return how high the values of topics can be at a site, and what that is."""
+    """Return the highest plausible values of topics at a site, each with its explanation."""
     full = maximum_pump_flow(site, site.a1 * site.z_o)
     _, _, rain = QUANTITIES[PRECIPITATION]
     _, _, evaporation = QUANTITIES[EVAPOTRANSPIRATION]
-    # A crop takes that many times the most that grass does.
+    # The crop coefficient scales the evapotranspiration of grass.
     evaporation *= max(1.0, site.crop_coefficient)
     return {
         "/roof/level": (site.highest_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
@@ -230,9 +230,9 @@ def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
 def _as_the_plant_took_it(
     topic: Topic, series: _Series, external_pump: bool
 ) -> tuple[_Series, list[str]]:
-    """Return what the plant of a run made of the values of a topic: what it refused acted as 0.
+    """Return the values of a topic as the plant of the run used them: refused values acted as 0.
 
-    What the plant itself says stays as it is: the run's own numbers come from it.
+    Values that the plant itself published are unchanged, since the run's results come from them.
     """
     fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
     plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
@@ -247,12 +247,12 @@ def _as_the_plant_took_it(
 def _without_outliers(
     bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
 ) -> tuple[_Series, list[str]]:
-    """Return the values of a topic without those that a sensor cannot have meant.
+    """Return the values of a topic without implausible ones.
 
     Raises:
-        ConfigurationError: these are too many for outliers, or most of those that are not 0 are too
-            large: a pump or rain in a wrong unit may be at work for less than a hundredth of the
-            time.
+        ConfigurationError: there are too many for outliers, or at least half of the values other
+            than 0 are too large: a pump or rain in a wrong unit may be active for less than a
+            hundredth of the time.
     """
     high, why = topic.high, ""
     if of_site is not None and of_site[0] * _ROUNDING < high:
@@ -280,7 +280,7 @@ def _without_outliers(
 
 
 def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
-    """Name the gaps, by the samples before them."""
+    """Return a sentence that lists the gaps by their start, end and length."""
     hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
     named = [
         " to ".join(

@@ -1,7 +1,7 @@
-"""Writes bags as rosbag2 has them: numbered mcap files, and the ``metadata.yaml`` that names them.
+"""Writes bags in rosbag2's format: numbered mcap files, and a ``metadata.yaml`` that lists them.
 
-rosbag2, rosbags, Foxglove and PlotJuggler open them. In the bag of a simulation nothing depends on
-the wall clock or on where it lies: two equal runs give equal bytes.
+rosbag2, rosbags, Foxglove and PlotJuggler open them. The bag of a simulation does not depend on the
+wall clock or on its location: two equal runs give equal bytes.
 """
 
 from __future__ import annotations
@@ -27,62 +27,61 @@ from greenroof_ros.common.interface import Qos, Topic
 
 METADATA = "metadata.yaml"
 
-# What is raised in reading a file that was cut or damaged.
+# Errors that reading a truncated or damaged file can raise.
 DAMAGED = (
     McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, struct.error,
     zstandard.ZstdError,
 )
 
-# How many ticks go to the operating system together. What a kill -9 can cost is what the plant is
-# ahead of them, at most 32 ticks.
+# Ticks handed to the operating system together. A kill -9 loses at most the ticks by which the
+# plant is ahead of them: 32.
 _TICKS_PER_CHUNK = 16
 
-# How often a live bag goes to the disk: what a kill -9, or a power failure, can cost (s).
+# How often a live bag is flushed to disk (s): the most that a kill -9 or a power failure loses.
 FLUSH_S = 10.0
-# How long a live recording that failed, as on a full disk, waits before it tries again (s).
+# Wait before a live recording that failed, as on a full disk, tries again (s).
 RETRY_S = 60.0
 _DAY_NS = 86_400 * 10**9
 
-# The names that an mcap channel has for a topic's profiles and type hash.
+# The mcap channel metadata keys of a topic's QoS profiles and type hash.
 _PROFILES, _HASH = "offered_qos_profiles", "topic_type_hash"
 
-# rosbag2's metadata version and RMW_DURATION_INFINITE, which stands for "no limit".
+# rosbag2's metadata version, and RMW_DURATION_INFINITE, which means "no limit".
 _METADATA_VERSION = 9
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 class LiveBag:
-    """Writes the bag of a live site: what comes, as it comes, in files by size and day, for months.
+    """Writes the bag of a live site: messages as they arrive, in files by size and day, for months.
 
-    The files are numbered from the first start on: a recorder that is started again in the same
-    directory goes on with the next number. ``metadata.yaml`` names those that are closed and is
-    rewritten, whole or not at all, with each of them; so rosbag2 and rosbags open the bag while it
-    is being recorded, and after the recorder was killed. The file that was open then is not among
-    them: ``greenroof recover`` restores it.
+    A recorder that is restarted in the same directory continues with the next file number.
+    ``metadata.yaml`` lists the closed files. It is replaced atomically whenever one is closed, so
+    rosbag2 and rosbags can open the bag during recording and after the recorder was killed. The
+    file that was open at a kill is not listed; ``greenroof recover`` restores it.
 
-    Nothing here raises an OSError: recording can fail, as on a full disk, and its user lives on.
-    The file that was being written then ends with its last flush; a new one is begun when trying
-    again succeeds.
+    No method raises an OSError: if recording fails, for instance on a full disk, the node goes on.
+    The file being written then ends with its last flush, and a new file is begun when a retry
+    succeeds.
 
     Attributes:
         directory: the bag.
-        problem: why recording failed; empty again when something of later is safe.
-        recorded: how many messages are in the bag since this start.
-        lost: how many are not, because recording failed.
+        problem: why recording failed; empty again once later messages are flushed.
+        recorded: number of messages flushed to the bag since this start.
+        lost: number of messages lost because recording failed.
     """
 
     def __init__(
         self, directory: Path, topics: Sequence[Topic], *, file_bytes: int, total_bytes: int
     ) -> None:
-        """Look at what is in the bag already; nothing is written before the first message.
+        """Read the indices of an existing bag; nothing is written before the first message.
 
         Args:
             directory: the bag, which may exist.
-            topics: those that can be recorded.
-            file_bytes: size at which a file is closed and the next one begun; each day, by UTC,
-                begins one, too.
-            total_bytes: size of the bag beyond which its oldest files are removed, at least twice
-                a file's.
+            topics: the topics that can be recorded.
+            file_bytes: size at which a file is closed and the next one begun; each day (UTC) also
+                begins a new file.
+            total_bytes: size of the bag above which its oldest files are removed; at least twice
+                ``file_bytes``.
         """
         self.directory = directory
         self.problem = ""
@@ -92,22 +91,22 @@ class LiveBag:
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
-        # All files, the oldest first, with the indices of those that were closed.
+        # All files, the oldest first, with their indices; None if a file was not closed.
         self._files = {path: read_index(path) for path in bag_files(directory)}
-        self._file: BagFile | None = None  # that is being written: the last of them
-        self._day = 0  # in which it was begun, since 1970
-        self._before = 0  # how many messages were recorded before it
+        self._file: BagFile | None = None  # being written: the last of these files
+        self._day = 0  # on which it was begun (days since 1970)
+        self._before = 0  # messages recorded before it
         self._flushed = -math.inf
-        self._again = -math.inf  # when to try again, of the steady clock
+        self._again = -math.inf  # time of the next try (steady clock, s)
 
     def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
         """Record a message.
 
         Args:
-            topic: its name.
-            time_ns: when it came, nanoseconds since 1970.
+            topic: its topic's name.
+            time_ns: time of arrival (ns since 1970).
             message: serialised (CDR).
-            now: of the steady clock (s).
+            now: steady clock (s).
         """
         if now < self._again:
             self.lost += 1
@@ -127,10 +126,10 @@ class LiveBag:
             self._fail(error, now)
 
     def look(self, now: float) -> None:
-        """Flush when it is time to; called all the time.
+        """Flush if it is due; must be called often.
 
         Args:
-            now: of the steady clock (s).
+            now: steady clock (s).
         """
         if self._file is None or now - self._flushed < FLUSH_S:
             return
@@ -143,7 +142,7 @@ class LiveBag:
             self._fail(error, now)
 
     def close(self) -> None:
-        """Close the file that is being written; what fails in it is in :attr:`problem`."""
+        """Close the file being written; :attr:`problem` says if that fails."""
         try:
             if self._file is not None:
                 self._close(self._file)
@@ -166,12 +165,12 @@ class LiveBag:
         write_metadata(self.directory, self._files.values())
 
     def _keep_safe(self, file: BagFile) -> None:
-        """Count what was flushed: recording works."""
+        """Count the flushed messages as recorded, and clear the problem."""
         self.recorded = self._before + file.safe
         self.problem = ""
 
     def _fail(self, error: OSError, now: float) -> None:
-        """Give up for a while: leave what is safe, and count the rest as lost."""
+        """Stop until the next try: keep what was flushed, and count the rest as lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
         file, self._file = self._file, None
@@ -180,29 +179,29 @@ class LiveBag:
             file.cut()
 
     def _remove_oldest(self) -> None:
-        """Keep the bag within its limit; the newest file stays in any case."""
+        """Keep the bag within its limit; the newest file always stays."""
         sizes = {path: path.stat().st_size for path in self._files if path.exists()}
         self._files = {path: self._files[path] for path in sizes}
         while len(sizes) > 1 and sum(sizes.values()) > self._total_bytes:
             oldest = next(iter(sizes))
             del sizes[oldest], self._files[oldest]
             try:
-                # First: it never names a file that is gone.
+                # Before the removal: metadata must never list a missing file.
                 write_metadata(self.directory, self._files.values())
             finally:
                 oldest.unlink()
 
 
 class BagFile:
-    """An mcap file that is written; where no more of it can be, it ends with its last flush.
+    """An mcap file being written; after an error it is truncated to its last flush.
 
-    Of what did not fit, a part would else be in the file; how much can be recovered would then be
-    another number than what is known to be safe.
+    Otherwise it would keep a part of the failed write, and the number of recoverable writes would
+    differ from ``safe``.
 
     Attributes:
         path: the file.
-        written: how often something was written.
-        safe: how much of that was flushed; a killed process keeps it.
+        written: number of writes.
+        safe: number of writes that were flushed; they survive a kill of the process.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
@@ -210,11 +209,11 @@ class BagFile:
 
         Args:
             path: must not exist.
-            topics: those that it can have messages of.
+            topics: the topics whose messages it can hold.
 
         Raises:
             FileExistsError: the file exists.
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         self.path = path
         self.written = self.safe = 0
@@ -239,15 +238,15 @@ class BagFile:
 
     @property
     def size(self) -> int:
-        """How many bytes of it are written, without the present chunk."""
+        """Number of bytes written, without the present chunk."""
         return self._stream.tell()
 
     def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Write messages of one time.
+        """Write messages that share one time.
 
         Args:
             time_ns: nanoseconds since 1970.
-            messages: of each the index of its topic, and the message, serialised (CDR).
+            messages: pairs of a topic's index and a serialised (CDR) message.
 
         Raises:
             OSError: for instance on a full disk.
@@ -264,7 +263,7 @@ class BagFile:
         """Hand everything written so far to the operating system.
 
         Args:
-            to_disk: have it brought to the disk: it is there after a power failure, too.
+            to_disk: also sync it to the disk, so that it survives a power failure.
 
         Raises:
             OSError: for instance on a full disk.
@@ -287,9 +286,9 @@ class BagFile:
         self.safe = self.written
 
     def cut(self) -> None:
-        """Leave nothing behind the last flush, and no file without one; let it go."""
+        """Close the file and truncate it to its last flush; remove it if there was none."""
         with suppress(OSError):  # the disk itself may be gone
-            self._stream.close()  # tries again to write the rest
+            self._stream.close()  # tries to write the rest again
         with suppress(OSError):
             os.truncate(self.path, self._safe_bytes)
             if not self._safe_bytes:
@@ -316,11 +315,11 @@ class BagWriter(BagFile):
 
         Args:
             directory: must not exist.
-            topics: of each tick, in the order in which they are written.
+            topics: the topics of each tick, in the order of writing.
 
         Raises:
             FileExistsError: the directory exists.
-            OSError: it cannot be written.
+            OSError: the directory or the file cannot be written.
         """
         self.directory = directory
         directory.mkdir(parents=True)
@@ -330,7 +329,7 @@ class BagWriter(BagFile):
         """Write one tick.
 
         Args:
-            time_ns: its simulated time, nanoseconds since 1970.
+            time_ns: simulated time of the tick (ns since 1970).
             messages: the serialised (CDR) message of each topic, in the order of the topics.
 
         Raises:
@@ -344,15 +343,14 @@ class BagWriter(BagFile):
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``greenroof recover`` then restores
-                the safe ticks.
+            OSError: for instance on a full disk; ``greenroof recover`` restores the safe ticks.
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])
 
 
 def start_writer(stream: BinaryIO) -> Writer:
-    """Return mcap's writer for a file of a bag, and write the file's head."""
+    """Return an mcap writer for a file of a bag, after writing the file's head."""
     writer = Writer(stream, compression=CompressionType.ZSTD)
     writer.start(profile="ros2", library="greenroof_ros")
     return writer
@@ -365,13 +363,13 @@ def bag_files(bag: Path) -> list[Path]:
 
 
 def next_file(files: Sequence[Path], bag: Path) -> Path:
-    """Return what the file after these is called, the oldest first."""
+    """Return the path of the next file after these, which must be sorted, oldest first."""
     number = int(_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 
 
 def recovered_bag(bag: Path) -> Path:
-    """Return where the recovery of a damaged bag goes by default: beside it."""
+    """Return the default path of a damaged bag's recovery, beside it."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
 
@@ -381,13 +379,13 @@ def _number(file: Path) -> str:
 
 
 class FileIndex(NamedTuple):
-    """What is in a file of a bag that was closed.
+    """The index of a closed file of a bag.
 
     Attributes:
         name: of the file.
-        types: of messages, by the numbers of their schemas.
-        channels: one of each topic.
-        statistics: how many messages there are, and from when to when (ns since 1970).
+        types: message types, by the numbers of their schemas.
+        channels: one for each topic.
+        statistics: number of messages, and the times of the first and last (ns since 1970).
     """
 
     name: str
@@ -397,7 +395,7 @@ class FileIndex(NamedTuple):
 
 
 def read_index(path: Path) -> FileIndex | None:
-    """Return what is in a file; None where it was not closed, or cannot be read."""
+    """Return the index of a file; None if it was not closed, or cannot be read."""
     types: dict[int, str] = {}
     channels: list[Channel] = []
     with suppress(OSError, *DAMAGED), path.open("rb") as stream:
@@ -406,7 +404,7 @@ def read_index(path: Path) -> FileIndex | None:
         if not isinstance(footer, Footer) or not footer.summary_start:
             return None
         stream.seek(footer.summary_start)
-        # It is not read to its end: a day has thousands of chunks, and each its own index.
+        # Do not read to the end: a day has thousands of chunks, each with an index.
         for record in StreamReader(stream, skip_magic=True).records:
             if isinstance(record, Schema):
                 types[record.id] = record.name
@@ -418,15 +416,15 @@ def read_index(path: Path) -> FileIndex | None:
 
 
 def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
-    """Write ``metadata.yaml`` in one step: a reader finds the old text or the new one.
+    """Replace ``metadata.yaml`` atomically: a reader finds either the old text or the new text.
 
     Args:
         bag: its directory.
-        indices: of its files, the oldest first; it names those that were closed. Where there is
-            none, the bag has no ``metadata.yaml``.
+        indices: of its files, the oldest first; None for a file that was not closed, which is not
+            listed. If no file was closed, ``metadata.yaml`` is removed.
 
     Raises:
-        OSError: it cannot be written; the old one is as it was.
+        OSError: it cannot be written; the old one is unchanged.
     """
     files = [index for index in indices if index is not None]
     if not files:
@@ -469,7 +467,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
             "starting_time": {"nanoseconds_since_epoch": start},
             "message_count": sum(of_file.message_count for of_file in statistics),
             "topics_with_message_count": list(topics.values()),
-            # Of whole files; the chunks in them are compressed, which mcap says itself.
+            # Refers to whole files; the chunks are compressed, as the mcap files say themselves.
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [file.name for file in files],
@@ -491,7 +489,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
 
 
 def _qos_profile(qos: Qos) -> dict[str, Any]:
-    """Return a profile as rosbag2 writes it down."""
+    """Return a QoS profile in rosbag2's format."""
     lease = dict(_INFINITE)
     if qos.lease_s != float("inf"):
         lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
@@ -509,7 +507,7 @@ def _qos_profile(qos: Qos) -> dict[str, Any]:
 
 
 def _definition(types: Mapping[str, Any], name: str) -> str:
-    """Return a type's definition with those that it uses appended, as in bags."""
+    """Return a type's definition, followed by the types that it uses, as in bags."""
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):
         short = used.replace("/msg/", "/")
@@ -522,7 +520,7 @@ def _yaml(content: object) -> str:
 
 
 def _parsed(profiles: str) -> list[Any]:
-    """Return the profiles that a channel of anybody's file says it has."""
+    """Return the QoS profiles in a channel's metadata; empty if they are not valid YAML."""
     with suppress(yaml.YAMLError):
         return yaml.safe_load(profiles) or []
     return []

@@ -1,7 +1,7 @@
-"""The table of a study, ``results.csv``: its columns of parameters, and what tells runs apart.
+"""The table of a study, ``results.csv``: its columns, and what distinguishes the runs.
 
-A parameter ``weight`` is in the column ``parameter:weight``: whatever a controller calls its
-parameters, none is mistaken for another column.
+A parameter ``weight`` is in the column ``parameter:weight``, so that no name of a parameter
+conflicts with another column.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ Cell = TypeVar("Cell")
 
 
 def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the columns of parameters, by the parameters' names."""
+    """Return the parameters by the names of their columns."""
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
 
 
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a summary says of a run's results, in columns of the table.
+    """Return the results in a run's summary, by column of the table.
 
-    They are the same in every repetition. What the summary does not say is None or empty.
+    They are the same in every repetition. Values that the summary lacks are None or empty, except
+    that a missing metric has no column.
     """
     solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
     return {
@@ -43,23 +44,22 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def differing(rows: Sequence[Mapping[str, object]]) -> list[str]:
-    """Return the keys that tell rows apart, in their order: those with more than one value.
+    """Return the keys that distinguish rows, those with more than one value, in their order.
 
-    What differs between the runs of a set of results names them, in every table and title, and
-    nothing else need. A key that a row lacks has the value None there.
+    These alone name the runs in tables and titles. A key that a row lacks counts as None.
     """
     keys = dict.fromkeys(key for row in rows for key in row)
     return [key for key in keys if len({row.get(key) for row in rows}) > 1]
 
 
 def shortest(value: float) -> str:
-    """Write a number in as few digits as leave it that number: 12, 0.5, 0.3333333333333333."""
+    """Write a number with few digits but exactly: 12, 0.5, 0.3333333333333333."""
     text = f"{value:g}"
     return text if float(text) == value else repr(value)
 
 
 def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the parameters in a row of the table, by their names."""
+    """Return the parameters in a row of the table, by name."""
     return {
         column.removeprefix(_PREFIX): value
         for column, value in row.items() if column.startswith(_PREFIX)

@@ -1,4 +1,4 @@
-"""What happened in a run, sample by sample, and its file: parquet, with every bit of each float."""
+"""The trajectory of a run, sample by sample, and its parquet file, which is exact to the bit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Samples = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """What happened, sample by sample; each array has shape (n,).
+    """The trajectory of a run, sample by sample; each array has shape (n,).
 
     Attributes:
         start: time of the first sample, with its offset from UTC.
@@ -25,12 +25,12 @@ class Trajectory:
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
         precipitation: rain (m/s).
-        evapotranspiration: off the whole bed (m3/s), before the limit to what the roof holds.
+        evapotranspiration: from the whole bed (m3/s), not yet limited to the water on the roof.
         command: share of the pumps' maximum flow (1).
         pump_flow: from the cistern to the roof (m3/s).
         outflow: from the cistern to the sewer (m3/s).
-        drainage: off the roof (m3/s).
-        frost: 1 where there was frost, else 0.
+        drainage: from the roof (m3/s).
+        frost: 1 in frost, else 0.
     """
 
     start: datetime
@@ -46,13 +46,13 @@ class Trajectory:
     frost: Samples = field(metadata={"column": "frost"})
 
     def thinned(self, every: int) -> Trajectory:
-        """Return the first of so many samples each, and the last of all."""
+        """Return every n-th sample (n is ``every``), and the last."""
         last = len(self.time) - 1
         index = np.unique(np.append(np.arange(0, last, every), last))
         return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
     def to_parquet(self) -> bytes:
-        """Return the file that :func:`read_parquet` reads.
+        """Return the content of a file for :func:`read_parquet`.
 
         Raises:
             ConfigurationError: polars is not installed.
@@ -76,7 +76,7 @@ def read_parquet(path: Path) -> Trajectory:
     """Read a trajectory.
 
     Raises:
-        ConfigurationError: there is no such file, it is damaged or no trajectory, or polars is
+        ConfigurationError: the file cannot be read, is damaged or is not a trajectory, or polars is
             not installed.
     """
     with in_extra("study"):

@@ -1,1 +1,1 @@
-"""A drive and a site that are not there, on Modbus, and all that can go wrong with them."""
+"""Simulated drives, relays, sensors and forecast service, with every fault they can have."""

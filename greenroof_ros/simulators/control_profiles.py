@@ -1,8 +1,8 @@
-"""How the makes of drives obey their control words: state machines for the simulated drive.
+"""How makes of drives obey their control words: state machines for the simulated drive.
 
-Each is written from the maker's manual, not from the drive file, which has the control words and
-conditions that the driver goes by; so each checks the other. What a manual leaves open
-is decided against the driver: the stricter reading stands here.
+Each is written from the maker's manual. The driver works from the drive file's control words and
+conditions instead, so each checks the other. Where a manual is ambiguous, the reading that is
+stricter for the driver is implemented.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class _Abb(enum.Enum):
 class AbbDrives(SimulatedDrive):
     """ABB Drives profile: ACS880 firmware manual 3AUA0000085967, embedded fieldbus interface.
 
-    Control Word, Status Word and State transition diagram, pages 617 to 620. After OFF1 the diagram
-    asks for rest before the drive can be switched on again. Bits 0 to 2 of the control word are
-    OFF1 to OFF3, active low; 3 run; 4 to 6 ramp; 7 reset; 10 remote.
+    Control Word, Status Word and State transition diagram, pages 617 to 620. After OFF1 the drive
+    must come to rest before it can be switched on again. Bits of the control word: 0 to 2 are OFF1
+    to OFF3, active low; 3 run; 4 to 6 ramp; 7 reset; 10 remote.
     """
 
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
-    TRIPS = (1, 4)  # the rest is a warning at most, and the motor runs on
+    TRIPS = (1, 4)  # with others it warns at most, and the motor runs on
     LOSS: ClassVar = {"serial": 0x6681}
     UNGUARDED_S = 30.0
     RESET = 0x0080
@@ -43,13 +43,13 @@ class AbbDrives(SimulatedDrive):
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
     def counts(self, name: str) -> bool:
-        """Count control word and reference where 58.15 is 2, else any message."""
+        """Count any message if 58.15 is 1; otherwise only control word and reference."""
         mode = self.timeout.mode
         only = mode is None or self.get(mode.register) != 1
         return not only or name in ("control", "reference")
 
     def wrote(self, name: str) -> None:
-        """With 58.06 = 1, and not before, take over what group 58 says."""
+        """Apply the settings of group 58 only when 58.06 is set to 1."""
         if name == "control":
             self.control(self.get(name))
         elif name == "refresh" and self.get(name) == 1:
@@ -57,13 +57,13 @@ class AbbDrives(SimulatedDrive):
             self.put(name, 0)
 
     def control(self, word: int) -> None:
-        """Without bit 10 nothing but bits 0 to 2 gets through."""
+        """Without bit 10 obey only bits 0 to 2, unless word and reference are both 0."""
         if not word & 0x0400 and (word or self.get("reference")):
             word = self.word & ~0x0007 | word & 0x0007
         super().control(word)
 
     def standstill(self) -> None:
-        """OFF1, OFF2 and OFF3 end at rest."""
+        """End OFF1, OFF2 or OFF3: the drive is at rest."""
         if not self.fault and not self.local:
             after = {
                 _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
@@ -72,11 +72,11 @@ class AbbDrives(SimulatedDrive):
             self.state = self._switched_on(after.get(off, off))
 
     def next_state(self) -> _Abb:
-        """Go along the diagram as far as the control word leads."""
+        """Follow the diagram as far as the control word leads."""
         return self._switched_on(self._off())
 
     def _off(self) -> _Abb:
-        """Return the state that OFF1 to OFF3 lead to, OFF2 before OFF3 before OFF1."""
+        """Return the state that OFF1 to OFF3 lead to; OFF2 takes precedence, then OFF3."""
         word, state = self.word, _Abb(self.state)
         if not word & 0x0002:
             return _Abb.OFF2
@@ -101,7 +101,7 @@ class AbbDrives(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """In operation as bits 4 to 6 say, otherwise off."""
+        """In operation bits 4 to 6 decide; OFF1, OFF3 and local control ramp down; else coast."""
         if self.fault:
             return Motion.COAST
         if self.local or self.state in (_Abb.OFF1, _Abb.OFF3):
@@ -113,7 +113,7 @@ class AbbDrives(SimulatedDrive):
         return Motion.FOLLOW if self.word & 0x0020 else Motion.HOLD
 
     def status(self) -> int:
-        """Bits as on page 619; external run enable is wired."""
+        """Return the bits of page 619; external run enable is wired."""
         state, on = self.state, (_Abb.READY_RUN, _Abb.OPERATION)
         ramps = state in (_Abb.OFF1, _Abb.OFF3) and self.moving
         return _word({
@@ -129,9 +129,9 @@ class AbbDrives(SimulatedDrive):
 class FcProfile(SimulatedDrive):
     """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile".
 
-    Bits 2 brake, 3 coast, 4 quick stop and 5 hold of the control word are active low; 6 starts; 7
-    resets; without bit 10, "data valid", it does not count. 8-04 after the timeout: 5 stops and
-    trips, 2 stops until there is a valid word, 1 freezes the output.
+    Bits of the control word: 2 brake, 3 coast, 4 quick stop and 5 hold are active low; 6 starts; 7
+    resets. A word without bit 10, "data valid", is ignored. Parameter 8-04 acts after the timeout:
+    5 stops and trips, 2 stops until there is a valid word, 1 freezes the output.
     """
 
     DELIVERED = (600, 0)  # 8-03 60 s, 8-04 Off
@@ -140,17 +140,17 @@ class FcProfile(SimulatedDrive):
     RESET = 0x0080
 
     def counts(self, name: str) -> bool:
-        """Count valid control words."""
+        """Count only valid control words."""
         return name == "control" and bool(self.get(name) & 0x0400)
 
     def control(self, word: int) -> None:
-        """Take in valid control words."""
+        """Obey only valid control words."""
         if word & 0x0400:
             super().control(word)
 
     @property
     def motion(self) -> Motion:
-        """Coasting goes before braking, and that before the ramp."""
+        """Coasting takes precedence over braking, and braking over the ramp."""
         word = self.word
         if self.fault:
             return Motion.RAMP_DOWN if self.fault == self.loss else Motion.COAST
@@ -164,7 +164,7 @@ class FcProfile(SimulatedDrive):
         return Motion.FOLLOW if word & 0x0040 else Motion.RAMP_DOWN
 
     def status(self) -> int:
-        """Bits as in the table "Definition of the status bits"."""
+        """Return the bits of the table "Definition of the status bits"."""
         starts = self.motion in (Motion.FOLLOW, Motion.HOLD)
         return _word({
             0: True, 1: not self.fault, 2: self.word & 0x0008, 3: self.fault, 7: self.warning,
@@ -175,9 +175,9 @@ class FcProfile(SimulatedDrive):
 class CimProfile(SimulatedDrive):
     """Modbus for Grundfos pumps (CIM 200, CIM 500): functional profile, sections 9.4 and 9.5.
 
-    Bit 0 of the control word asks for the bus, 1 on, 2 resets an alarm. While the bus has not taken
-    over, or has lost control, the pump does what it is set to locally: as set up for this project
-    it stops, as delivered it runs.
+    Bits of the control word: 0 requests bus control, 1 on, 2 resets an alarm. Without bus control,
+    or after its loss, the pump follows its local setting: it stops if set up for this project, and
+    runs as delivered.
     """
 
     DELIVERED = (0, 0)
@@ -188,7 +188,7 @@ class CimProfile(SimulatedDrive):
     _OTHER_MODE = 0.6  # a speed that no set-point asked for (share of rated)
 
     def power_up(self) -> None:
-        """Begin in local control."""
+        """Start in local control."""
         super().power_up()
         self.put("control_mode", self._POWER_UP_MODE)
 
@@ -209,19 +209,19 @@ class CimProfile(SimulatedDrive):
 
     @property
     def setpoint(self) -> float:
-        """The set-point is a speed in one control mode alone."""
+        """The set-point is a speed only in constant-frequency mode under bus control."""
         modes = self.get("control_mode"), self.get("operation_mode")
         follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
         return super().setpoint if follows else self._OTHER_MODE
 
     def status(self) -> int:
-        """Bits as in section 9.5."""
+        """Return the bits of section 9.5."""
         return _word({
             6: self.moving, 8: self._remote, 9: self._on, 10: self.fault, 12: self.local,
         })
 
     def communication_lost(self) -> None:
-        """The pump goes back to local control; there is no alarm."""
+        """Return to local control; there is no alarm."""
         self.word = 0
 
 
@@ -236,12 +236,12 @@ class _Cia(enum.Enum):
 
 
 class Cia402(SimulatedDrive):
-    """CiA 402 as Schneider Electric's Altivar has it: BBV51701, state chart, pages 9 to 13.
+    """CiA 402 as in Schneider Electric's Altivar: BBV51701, state chart, pages 9 to 13.
 
-    The values of the states are the bits 0 to 3, 5 and 6 of ETA. LFT is the last error; a reset
-    leaves it as it is. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3 enable,
-    7 reset, 8 halt. SLL, ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection trip; 2 stops without
-    error.
+    The value of a state is its bits 0 to 3, 5 and 6 of ETA. LFT is the last error; a reset does not
+    clear it. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3 enable, 7 reset,
+    8 halt. SLL and ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection, all with a trip; 2 stops
+    without error.
     """
 
     DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop
@@ -252,11 +252,11 @@ class Cia402(SimulatedDrive):
 
     @property
     def fault_register(self) -> int:
-        """The last error, reset or not."""
+        """The last error, even if it was reset."""
         return self.last_fault
 
     def next_state(self) -> _Cia:
-        """Go along the state chart; from 'ready', enable operation switches on first."""
+        """Follow the state chart; in 'ready', the first 'enable operation' only switches on."""
         word, state = self.word, self.state
         if not word & 0x0002:  # disable voltage
             return _Cia.DISABLED
@@ -272,12 +272,12 @@ class Cia402(SimulatedDrive):
         return _Cia.ENABLED
 
     def standstill(self) -> None:
-        """A quick stop and the reaction to a fault end at rest."""
+        """End a quick stop, or the reaction to a fault: the drive is at rest."""
         after = {_Cia.QUICK_STOP: _Cia.DISABLED, _Cia.REACTION: _Cia.FAULT}
         self.state = after.get(self.state, self.state)
 
     def trip(self, fault: int) -> None:
-        """Trip: with freewheel stop there is nothing to wait for."""
+        """Trip; only a ramped stop after the timeout passes through the reaction to a fault."""
         super().trip(fault)
         if fault:
             ramps = fault == self.loss and self.guard[1] in (6, 7)
@@ -285,7 +285,7 @@ class Cia402(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """Enabled follows the reference; 'switched on' from there is a stop on the ramp."""
+        """Follow the reference if enabled; ramp down if switched on or stopping; else coast."""
         if self.state is _Cia.ENABLED and not self.local:
             stopped = self.word & 0x0100 or (self.lost and self.guard[1] == 2)
             return Motion.RAMP_DOWN if stopped else Motion.FOLLOW
@@ -296,7 +296,7 @@ class Cia402(SimulatedDrive):
         return Motion.COAST
 
     def status(self) -> int:
-        """ETA: the state, voltage, remote, reference reached."""
+        """Return ETA: the state, voltage, remote, reference reached."""
         return int(self.state.value) | _word({
             4: True, 7: self.warning, 9: not self.local, 10: self.at_speed,
         })
@@ -308,10 +308,10 @@ _PROFILES: Mapping[str, type[SimulatedDrive]] = {
 
 
 def profile_of(make: str) -> type[SimulatedDrive]:
-    """Return the drive of a make.
+    """Return the simulated drive of a make.
 
     Raises:
-        ConfigurationError: none is known.
+        ConfigurationError: the make cannot be simulated.
     """
     if make not in _PROFILES:
         raise ConfigurationError(

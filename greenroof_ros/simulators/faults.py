@@ -1,8 +1,8 @@
-"""What can go wrong in the simulators, and the registers of their workbenches that ask for it.
+"""The faults of the simulators, and the workbench registers that request them.
 
-A workbench speaks Modbus, on a TCP port of its own, device 247; so it is there while the drive
-refuses its clients, has no power or sits on a serial line, and what is asked of it is no traffic
-for the drive. All its registers are holding registers.
+A workbench is a Modbus device, number 247, on a TCP port of its own. So it can be reached while the
+drive refuses its clients, has no power or is on a serial line, and its requests are no traffic for
+the drive. All its registers are holding registers.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
 SPEED_UNIT = 1e-4
 LEVEL_UNIT = 1e-4
 DEFAULT = 0xFFFF
-"""as a parameter: the fault's own default"""
+"""as a parameter: use the fault's default"""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault that can be asked for.
+    """A fault that can be requested.
 
     Attributes:
-        number: by which the workbench's register 1 names it.
+        number: the value of workbench register 1 that requests it.
         meaning: what then happens.
-        parameter: what its parameter, register 2, means; empty if it has none.
+        parameter: the meaning of its parameter, register 2; empty if it has none.
         default: of the parameter.
     """
 
@@ -103,7 +103,7 @@ SITE_FAULTS: Mapping[str, Fault] = {
 
 
 def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> None:
-    """Add ``--fault`` to a command."""
+    """Add the option ``--fault`` to a command."""
     parser.add_argument(
         "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
         metavar="KIND[=PARAMETER]", help="a fault from the start; see below",
@@ -111,10 +111,10 @@ def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> N
 
 
 def _read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
-    """Return name and parameter of a fault that ``--fault slow=300`` asks for.
+    """Return name and parameter of a fault from an option such as ``--fault slow=300``.
 
     Raises:
-        ConfigurationError: there is no such fault, or it has no such parameter.
+        ConfigurationError: there is no such fault, or it cannot have that parameter.
     """
     name, equals, parameter = text.partition("=")
     if name not in known:
@@ -132,7 +132,7 @@ def _read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
 
 
 def list_faults(known: Mapping[str, Fault]) -> str:
-    """Return what each fault does, for a command's help."""
+    """Return the help text that describes each fault."""
     lines = []
     for name, fault in known.items():
         shown = f" ({fault.parameter}; default {fault.default})" if fault.parameter else ""

@@ -1,9 +1,9 @@
-"""A forecast service that is not there: Open-Meteo's two interfaces, from records moved to now.
+"""A simulated forecast service: Open-Meteo's two interfaces, with records moved to the present.
 
-What it forecasts is what the records have, again from their start where they end. That is perfect
-for a site simulator with the same records; a member beside the first has the rain an hour earlier
-or later and scaled, which is made up. Where the records have no radiation it is made up, too: 0.6
-of the solar constant times the sine of the sun's height.
+It forecasts the records themselves, which start again when they end. That is perfect for a site
+simulator with the same records. The other members of an ensemble are made up: their rain is scaled,
+and up to an hour earlier or later. If the records lack radiation, it is made up too: 0.6 of the
+solar constant times the sine of the sun's height.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ FAULTS = {
 _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367
 _SILENT_S = 3600.0
-# A made-up share of the rain for each member in turn.
+# A made-up factor for the rain of each member in turn.
 _SHARES = (0.4, 0.6, 1.3, 0.8, 1.6)
 
 
 class ForecastService:
-    """Answers as the service does, on a port of this machine, in a thread.
+    """Answers as the real service does, on a port of this machine, in a thread.
 
     Attributes:
-        fault: one of :data:`FAULTS` that stands; may be changed at any time, also by
+        fault: the present one of :data:`FAULTS`; can be changed at any time, also by
             ``POST /fault/NAME``.
-        asked: how many requests for a forecast came.
+        asked: number of requests for a forecast.
         unchanged: how many of them were answered 304 Not Modified.
     """
 
@@ -66,9 +66,9 @@ class ForecastService:
         """Open the port.
 
         Args:
-            site: where it is.
+            site: its location.
             records: hourly, in the quantities of Open-Meteo's files.
-            start: time in the records that is now.
+            start: time in the records that counts as now.
             port: TCP port on 127.0.0.1; 0 takes a free one.
 
         Raises:
@@ -88,11 +88,11 @@ class ForecastService:
         self.address = f"http://127.0.0.1:{self._server.server_port}"
 
     def start(self) -> None:
-        """Answer, until :meth:`close`."""
+        """Answer requests until :meth:`close`."""
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
-        """Answer no more."""
+        """Close the port."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -109,7 +109,7 @@ class ForecastService:
         for quantity, variable in VARIABLES.items():
             if variable not in variables:
                 continue
-            # Rain and radiation are of the hour before their time.
+            # The time of rain and radiation is the end of their hour.
             before = int(quantity in (PRECIPITATION, RADIATION))
             for member in range(members if quantity == PRECIPITATION else 1):
                 name = variable + (f"_member{member:02}" if member else "")
@@ -134,7 +134,7 @@ class ForecastService:
         }).encode()
 
     def _series(self, quantity: str, first: datetime, hours: int) -> NDArray[np.float64]:
-        """Return values of the records moved to now, in the service's unit."""
+        """Return values of the records, moved to the present, in the service's unit."""
         start = round((first + self._moved - self._records.first) / HOUR)
         if quantity in self._records.values:
             series = self._records.values[quantity] * UNITS[quantity][0].per_ours
@@ -187,7 +187,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(200, answer, {"ETag": tag})
 
     def do_POST(self) -> None:
-        """Let a fault stand."""
+        """Set the present fault."""
         _, _, name = self.path.partition("/fault/")
         if name not in FAULTS:
             self._send(404, f"faults are {', '.join(FAULTS)}".encode())
@@ -196,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(200, FAULTS[name].encode())
 
     def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
-        """Send an answer, compressed where that is wanted, and as bad as the fault has it."""
+        """Send an answer, compressed if requested, and spoiled by the present fault."""
         fault = self.of.fault if code == 200 and self.command == "GET" else NONE
         self.send_response_only(code)
         late = timedelta(days=1 if fault == "clock" else 0)
@@ -219,4 +219,4 @@ class _Handler(BaseHTTPRequestHandler):
                 time.sleep(1)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing of each request."""
+        """Do not log requests."""

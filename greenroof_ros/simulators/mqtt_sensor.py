@@ -1,4 +1,4 @@
-"""A sensor that says on MQTT what it measures, as its section of the sensor file describes."""
+"""A simulated sensor on MQTT, which publishes as its section of the sensor file describes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 from greenroof_ros.common.mqtt import make_client
 from greenroof_ros.drives.sensor_file import MqttSensor
 
-# How many messages fit into the time for which it may say nothing.
+# Number of messages within the longest silence that the sensor file allows.
 _MESSAGES = 5
 
 
 def payload(raw: float, sensor: MqttSensor) -> str:
-    """Return a message with a number where a sensor has it."""
+    """Return a message that has a number at the sensor's path."""
     content: Any = raw
     for step in reversed(sensor.steps):
         content = {step: content} if isinstance(step, str) else [None] * step + [content]
@@ -25,15 +25,15 @@ def payload(raw: float, sensor: MqttSensor) -> str:
 
 
 class SimulatedMqttSensor:
-    """Publishes again and again; where it has an availability topic, also that it is there."""
+    """Publishes readings regularly, and its availability if the sensor has a topic for that."""
 
     def __init__(self, name: str, sensor: MqttSensor, read: Callable[[], float | None]) -> None:
-        """Connect to nothing yet.
+        """Prepare the sensor without connecting.
 
         Args:
             name: of the sensor.
-            sensor: where it is to publish what.
-            read: returns its raw value; None where it says nothing.
+            sensor: where and how it publishes.
+            read: returns its raw value; None if it must not publish.
         """
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()
@@ -48,7 +48,7 @@ class SimulatedMqttSensor:
             self._client.publish(self._sensor.available, self._sensor.online, qos=1, retain=True)
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Publish until the end."""
+        """Publish until the simulator ends."""
         self._client.loop_start()
         while not ended.is_set():
             raw = self._read()

@@ -1,4 +1,4 @@
-"""Modbus servers, which can be as bad as real ones, and a simulator of them."""
+"""Modbus servers with the faults of real ones, and the base of the simulators that have them."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _WRITES = (5, 6, 15, 16, 22, 23)
 
 @dataclass
 class StandingFault:
-    """The fault that stands; changed at run time.
+    """The present fault; changed at run time.
 
     Attributes:
-        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; faults of the wire are
-            made here.
-        parameter: of it.
+        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; this module makes the faults
+            of the wire.
+        parameter: of the fault.
     """
 
     name: str = faults.NONE
@@ -51,8 +51,8 @@ class Device:
 
     Attributes:
         read: returns all its registers, by address.
-        write: takes the first address and the values of a write; returns why it refuses.
-        hears: is called for each request, with its first register; tells whether it is answered.
+        write: takes the first address and the values of a write; returns an error code, or None.
+        hears: called for each request with its first register; returns whether to answer it.
     """
 
     read: Callable[[], Mapping[int, int]]
@@ -62,7 +62,7 @@ class Device:
     hears: Callable[[int], bool] = lambda register: True
 
     def on_wire(self, device_id: int) -> SimDevice:
-        """Return what pymodbus knows it as: all registers there can be, asked for when needed."""
+        """Return it for pymodbus: every register exists, and is read when a client asks."""
 
         async def action(
             function: int, start: int, address: int, count: int, current: list[int],
@@ -70,7 +70,7 @@ class Device:
         ) -> ExcCodes | None:
             if values is not None:
                 return self.write(address, [int(value) for value in values])
-            # The answer to a write repeats what was written, whatever is in the register then.
+            # The answer to a write repeats what was written, even if the register now differs.
             if function not in _WRITES:
                 present, addresses = self.read(), range(address, address + count)
                 if any(register not in present for register in addresses):
@@ -94,7 +94,7 @@ class _Connection(ServerRequestHandler):
         self._began = time.monotonic()
 
     async def handle_request(self) -> None:
-        """Hand a request to the device that it names."""
+        """Pass a request to the device that it addresses."""
         request, fault = self.last_pdu, self._fault
         if request is None or fault.name == "half_open":
             return
@@ -104,12 +104,12 @@ class _Connection(ServerRequestHandler):
         )
         lasts_s = fault.parameter if fault.name == "runs_on" else 0
         lasted = 0 < lasts_s < time.monotonic() - self._began
-        # Never at an order, so that it is known that *stop* was taken.
+        # 'runs_on' never ends a connection at an order: *stop* must be known to have arrived.
         if fault.name == "dropped" or (lasted and request.function_code not in _WRITES):
             if not self._serial:
                 self.transport.abort()  # type: ignore[attr-defined]
         elif device is None:
-            if not self._serial:  # as a gateway; on a line another device may be meant
+            if not self._serial:  # as a gateway does; a line may have other devices
                 self._refuse(request, ExcCodes.GATEWAY_NO_RESPONSE)
         elif device.hears(request.address):
             if refused:
@@ -124,7 +124,7 @@ class _Connection(ServerRequestHandler):
         ))
 
     def pdu_send(self, pdu: ModbusPDU, addr: Any = None) -> None:
-        """Send an answer, or what the fault makes of it."""
+        """Send an answer, altered by the present fault."""
         fault, device_id = self._fault, pdu.dev_id
         content = bytes([pdu.function_code]) + pdu.encode()
         match fault.name:
@@ -159,12 +159,11 @@ class Server:
     """Devices on a TCP port or a serial line, which can be closed and opened again.
 
     Attributes:
-        address: TCP port or serial line; port 0 takes a free one, which is known when it was
-            opened.
-        devices: that are there, by unit identifier or slave address.
+        address: TCP port or serial line; port 0 takes a free one, known once it is open.
+        devices: on it, by unit identifier or slave address.
         line: settings of a serial line; not needed on TCP.
         fault: of the wire.
-        identity: maker and product that function 43/14 names; one for all servers of a process.
+        identity: maker and product for function 43/14; shared by all servers of a process.
     """
 
     address: Address
@@ -175,7 +174,7 @@ class Server:
     _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
     async def be_open(self, wanted: bool) -> None:
-        """Open or close the port, if it is not so already; a serial line stays open.
+        """Open or close the port, if needed; a serial line is opened and then stays open.
 
         Raises:
             ConfigurationError: the port is taken, or there is no such device.
@@ -229,25 +228,25 @@ class Server:
 
 
 class PseudoLine:
-    """A serial line that is not there: two pseudo-terminals, joined.
+    """A simulated serial line: two pseudo-terminals, joined.
 
     Attributes:
-        ends: of the line, each the path of a device that can be opened as a serial line.
+        ends: the paths of its two ends, each a device that can be opened as a serial line.
     """
 
     def __init__(self) -> None:
-        """Open it."""
+        """Open both ends."""
         pairs = [pty.openpty() for _ in range(2)]
         for _, device in pairs:
             tty.setraw(device)
-        # The devices stay open here, so that an end may be closed and opened again.
+        # The devices stay open here, so an end can be closed and opened again.
         self._masters, self._devices = zip(*pairs, strict=True)
         self.ends = tuple(os.ttyname(device) for device in self._devices)
         for master in self._masters:
             os.set_blocking(master, False)
 
     def join(self) -> None:
-        """Hand on, in the running loop, what is sent at either end."""
+        """Pass on, in the running event loop, what is sent at either end."""
         loop = asyncio.get_running_loop()
         for source, target in (self._masters, self._masters[::-1]):
             loop.add_reader(source, self._hand_on, source, target)
@@ -255,12 +254,12 @@ class PseudoLine:
     @staticmethod
     def _hand_on(source: int, target: int) -> None:
         data = os.read(source, 4096)
-        with contextlib.suppress(BlockingIOError):  # nobody reads there: as on a line, it is lost
+        with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a real line
             os.write(target, data)
 
 
 class Bench(ABC):
-    """A simulator: its servers with a workbench beside them, until somebody ends them.
+    """A simulator: its servers and their workbench, which run until somebody ends them.
 
     Attributes:
         fault: the present fault.
@@ -269,10 +268,10 @@ class Bench(ABC):
     """
 
     def __init__(self, known: Mapping[str, faults.Fault], workbench: Address) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the simulator without opening anything.
 
         Args:
-            known: the faults that can be asked for.
+            known: the faults that can be requested.
             workbench: TCP port of the workbench; port 0 takes a free one.
         """
         self.fault = StandingFault()
@@ -285,29 +284,29 @@ class Bench(ABC):
     @property
     @abstractmethod
     def place(self) -> str:
-        """Where its servers are, for people and for programs that start it."""
+        """The addresses of its servers, for people and for programs that start it."""
 
     @abstractmethod
     async def run(self, ended: asyncio.Event) -> None:
-        """Let time pass until the end."""
+        """Run the simulation until the end."""
 
     def look(self) -> Mapping[int, int]:
         """Return the registers of the workbench."""
         return self.registers
 
     def adjust(self, register: int, value: int) -> None:
-        """Do what a register of the workbench stands for."""
+        """Do what writing a register of the workbench requests."""
         self.registers[register] = value
 
     def inject(self, name: str, parameter: int) -> bool:
-        """Let a fault stand instead of the present one.
+        """Replace the present fault.
 
         Args:
-            name: of the fault.
+            name: of the new fault.
             parameter: of it; `faults.DEFAULT` for its default.
 
         Returns:
-            Whether the parameter is one that the fault can have.
+            Whether the fault can have that parameter.
         """
         fault = self._known[name]
         self.fault.name = name
@@ -317,18 +316,18 @@ class Bench(ABC):
         return True
 
     def say(self, text: str) -> None:
-        """Tell people what happens."""
+        """Print what happens, with the time."""
         print(f"{time.monotonic() - self._began:9.2f} s  {text}", flush=True)
 
     def serve(self, name: str, parameter: int) -> None:
-        """Open all ports, say so, and go on until Ctrl-C or SIGTERM.
+        """Open all ports, print that they are ready, and run until Ctrl-C or SIGTERM.
 
         Args:
-            name: of a fault from the start on.
+            name: of the fault at the start.
             parameter: of it.
 
         Raises:
-            ConfigurationError: a port cannot be opened, or the fault has no such parameter.
+            ConfigurationError: a port cannot be opened, or the fault cannot have that parameter.
         """
         asyncio.run(self._serve(name, parameter))
 

@@ -1,8 +1,8 @@
-"""A drive that is not there: registers, ramp, faults and timeout, as far as all makes are alike.
+"""A simulated drive: what all makes have in common, registers, ramp, faults and timeout.
 
-What a make does with its control word is a subclass in `control_profiles`. A `SimulatedDrive`
-neither waits nor speaks Modbus, and time is what a clock says; a `DriveBench` runs one in real
-time, on a port or a line of its own, with its workbench beside it.
+A subclass in `control_profiles` adds what a make does with its control word. A `SimulatedDrive`
+does not wait or speak Modbus, and gets the time from a clock. A `DriveBench` runs one in real time,
+on its own port or line, with a workbench beside it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _RATED_FREQUENCY = 500
 """0.1 Hz"""
 _AT_SPEED = 0.01
 _STUCK_AT = 0.5
-# How often a bench moves its drive (s), and the address of a drive on a pseudo-terminal.
+# Interval at which a bench moves its drive (s); the name of the line that is a pseudo-terminal.
 _STEP_S, _PTY = 0.01, "pty"
 
 
@@ -47,7 +47,7 @@ class Motion(enum.Enum):
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """What is set in the simulated drive, and how it is made.
+    """The settings and properties of a simulated drive.
 
     Attributes:
         ramp_s: from rest to rated speed, and back (s).
@@ -55,7 +55,7 @@ class DriveSettings:
         boot_s: from power-up until it answers (s).
         timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
             its register; None as delivered.
-        speed: factor by which ramps and coasting are faster than real; no other time is.
+        speed: ramps and coasting are faster by this factor; no other time is.
     """
 
     ramp_s: float = 5.0
@@ -70,50 +70,50 @@ class SimulatedDrive(ABC):
 
     Attributes:
         speed: of the motor (share of rated).
-        flow: tells what the pump delivers at a speed (m3/s), for drives that report it.
+        flow: returns what the pump delivers at a speed (m3/s), for drives that report it.
         say: reports what happens, for people.
-        settings: how it is made and set.
-        timeout: its communication timeout, of the interface by which it is spoken to.
-        guard: raw time and action of that timeout that are in force.
-        local: whether somebody has taken the drive over at its panel.
+        settings: the settings and properties.
+        timeout: the communication timeout of the interface in use.
+        guard: raw time and action of that timeout now in force.
+        local: whether somebody has taken control at the panel.
         lost: whether the bus was silent for longer than the timeout.
-        fault: code, or bits, of what has tripped it; 0 if nothing has.
-        last_fault: what has tripped it last.
+        fault: code, or bits, of the active fault; 0 for none.
+        last_fault: the last fault that tripped it.
         loss: the fault after the timeout.
         word: the control word.
-        state: of its state machine, where it has one.
+        state: of its state machine, if it has one.
     """
 
     DELIVERED: ClassVar[tuple[int, int]]
     """time and action of the timeout as delivered (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
-    """actions of the timeout that trip the drive; the first is set"""
+    """actions of the timeout that trip the drive; the first is the one that is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
     """code, or bits, of the fault after the timeout of each interface"""
     UNGUARDED_S: ClassVar[float] = 0.0
-    """after power-up the timeout does not count for so long (s)"""
+    """the timeout does not guard for this long after power-up (s)"""
     RESET: ClassVar[int]
-    """bit of the control word that resets a fault when it rises"""
+    """bit of the control word whose rising edge resets a fault"""
     INITIAL: ClassVar[Any] = None
     """state after power-up and after a reset"""
     EXTRA: ClassVar[Mapping[str, int]] = {}
-    """registers of the manual that can be written, and need not be in a drive file: addresses"""
+    """addresses of registers that the manual lets be written; a drive file may lack them"""
 
     def __init__(
         self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
         interface: str = "serial",
     ) -> None:
-        """Be a drive at rest that has been under power for long.
+        """Start as a drive at rest that was powered up long ago.
 
         Args:
-            file: the make.
+            file: the drive file of its make.
             settings: of this drive.
-            clock: tells the time (s).
-            interface: by which it is spoken to, ``serial`` or ``tcp``; the timeout of the drive
-                file's other one is as delivered, and guards nothing.
+            clock: returns the time (s).
+            interface: through which it is reached, ``serial`` or ``tcp``; a timeout of the other
+                one is as delivered and guards nothing.
 
         Raises:
-            ConfigurationError: the drive file tells of no timeout of that interface.
+            ConfigurationError: the drive file has no timeout for that interface.
         """
         if interface not in file.timeout.known:
             raise ConfigurationError(
@@ -150,7 +150,7 @@ class SimulatedDrive(ABC):
         self.power_up()
 
     def _write_constants(self) -> None:
-        """Write what can neither move nor be written."""
+        """Set the registers that never change: texts and full-scale values."""
         text = f"simulated {self._file.make}".encode()
         for register in self._registers.values():
             if register.type == "text":
@@ -164,7 +164,7 @@ class SimulatedDrive(ABC):
                 self.put(register.full_scale, rated / scale.scale)
 
     def _write_timeouts(self) -> set[str]:
-        """Set the timeouts of all interfaces; return the names of their registers."""
+        """Set the registers of all timeouts; return their names."""
         names = set()
         for timeout in (*self._file.timeout.known.values(), self.timeout):
             when, action = self.DELIVERED
@@ -194,17 +194,17 @@ class SimulatedDrive(ABC):
         """Return the status word."""
 
     def next_state(self) -> Any:  # noqa: B027 - some have none
-        """Return the state that the control word leads to, without a fault and under the bus."""
+        """Return the state that the control word leads to; there is no fault or local control."""
 
     def standstill(self) -> None:  # noqa: B027 - some wait for nothing
-        """Take in that the motor has come to rest; called again and again."""
+        """Handle that the motor is at rest; called repeatedly."""
 
     def counts(self, name: str) -> bool:
-        """Tell whether a write restarts the timeout, to a register, or a reading where ''."""
+        """Tell if writing a register restarts the timeout; for '', if every request does."""
         return True
 
     def control(self, word: int) -> None:
-        """Take in a control word."""
+        """Obey a control word."""
         rising, self.word = word & ~self.word, word
         if rising & self.RESET and self.fault and self._standing != "drive_fault":
             self.trip(0)
@@ -212,7 +212,7 @@ class SimulatedDrive(ABC):
             self.state = self.next_state()
 
     def trip(self, fault: int) -> None:
-        """Trip, or forget the fault if it is 0."""
+        """Trip, or clear the fault if it is 0."""
         self.fault = fault
         self.last_fault = fault or self.last_fault
         if not fault:
@@ -220,41 +220,41 @@ class SimulatedDrive(ABC):
 
     @property
     def fault_register(self) -> int:
-        """The value of the register of faults."""
+        """The value of the fault register."""
         return self.fault
 
     def wrote(self, name: str) -> None:
-        """Take in that a register was written."""
+        """Handle the write of a register."""
         if name == "control":
             self.control(self.get(name))
         elif name not in self._commands:
             self.take_over_settings()
 
     def take_over_settings(self) -> None:
-        """Let the settings of the timeout be in force."""
+        """Put the timeout's settings in force."""
         action = self.timeout.action
         self.guard = self.get(self.timeout.register), self.get(action.register) if action else 0
 
     def communication_lost(self) -> None:
-        """Do what the drive is set to do after its timeout."""
+        """Do what the drive is set to do after its timeout: trip, or nothing."""
         if self.guard[1] in self.TRIPS:
             self.trip(self.loss)
 
     def power_up(self) -> None:
-        """Start with the registers as they are."""
+        """Start with the present values of the registers."""
         self.word, self.state = 0, self.INITIAL
         self.take_over_settings()
 
     @property
     def setpoint(self) -> float:
-        """The speed that it ramps to (share of rated); pumps do not turn backwards."""
+        """The speed to which it ramps (share of rated); pumps do not turn backwards."""
         register = self._registers["reference"]
         return min(max(self.get("reference") * self._unit(register), 0.0), 1.0)
 
     # --- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Let time pass until now: ramps, and the communication timeout where it falls."""
+        """Simulate up to now: ramps, and the communication timeout at its moment."""
         now = self._clock()
         loss = self._loss_at()
         if loss <= now:
@@ -271,11 +271,11 @@ class SimulatedDrive(ABC):
 
     @property
     def answers(self) -> bool:
-        """Whether it is under power and has booted."""
+        """Whether it has power and has booted."""
         return self._clock() >= self._answers_from
 
     def _loss_at(self) -> float:
-        """When the timeout falls if nothing more is heard; infinity if it does not."""
+        """Return when the timeout passes if nothing more arrives; infinity if it does not."""
         raw, _ = self.guard
         if self._heard is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
@@ -283,12 +283,12 @@ class SimulatedDrive(ABC):
         return max(self._heard + seconds, self._guarded_from)
 
     def _move(self, now: float) -> None:
-        """Turn the motor until a time."""
+        """Turn the motor until this time."""
         step = max(0.0, now - self._at)
         self._at = max(now, self._at)
         motion = self.motion if self._at >= self._answers_from else Motion.COAST
         if self._ignores_stop:
-            self.standstill()  # as far as its state machine knows
+            self.standstill()  # only its state machine believes so
             return
         stays = self._standing in ("speed_stays", "stuck_running") or motion is Motion.HOLD
         if not stays:
@@ -301,18 +301,18 @@ class SimulatedDrive(ABC):
 
     @property
     def _ignores_stop(self) -> bool:
-        """Whether it is to stop, and runs on while it says that it is off."""
+        """Whether it is ordered to stop and says that it is off, but runs on."""
         off = self.motion is not Motion.FOLLOW or not self.setpoint
         return self._standing == "runs_on" and off and self._at >= self._answers_from
 
     @property
     def moving(self) -> bool:
-        """Whether the motor turns, as far as the drive says."""
+        """Whether the motor turns, as the drive reports it."""
         return self.speed > 0 and not self._ignores_stop
 
     @property
     def at_speed(self) -> bool:
-        """Whether it has reached its reference."""
+        """Whether it follows its reference and has reached it."""
         return self.motion is Motion.FOLLOW and abs(self.speed - self.setpoint) < _AT_SPEED
 
     @property
@@ -351,20 +351,20 @@ class SimulatedDrive(ABC):
         return self._words
 
     def _unit(self, register: Register) -> float:
-        """The value of one count (share of rated)."""
+        """The value of one count (share of rated speed)."""
         if not register.full_scale:
             return register.scale
         scale = self._registers[register.full_scale].scale
         return register.scale / (scale * self.get(register.full_scale))
 
     def heard(self) -> None:
-        """Take in a request, whatever becomes of it: with some makes that is a sign of life."""
+        """Handle any request, even one with no effect: on some makes it restarts the timeout."""
         self.advance()
         if self.counts(""):
             self._hear()
 
     def write(self, address: int, values: list[int]) -> ExcCodes | None:
-        """Take in what a client writes, a register after the other."""
+        """Write the values of a client, one register after another."""
         self.advance()
         addresses = range(address, address + len(values))
         if any(at not in self._writable for at in addresses):
@@ -389,7 +389,7 @@ class SimulatedDrive(ABC):
     # --- the workbench ----------------------------------------------------------------------------
 
     def inject(self, name: str, parameter: int) -> None:
-        """Let a fault of the drive stand instead of the present one; a trip stays until its reset.
+        """Replace the present fault of the drive; a trip remains until it is reset.
 
         Args:
             name: of one of `faults.DRIVE_FAULTS`; faults of the wire change nothing here.
@@ -408,7 +408,7 @@ class SimulatedDrive(ABC):
                 self.speed = parameter * faults.SPEED_UNIT or self.speed or _STUCK_AT
             case "power_cycle":
                 self.power_cycle()
-            case "timeout_off":  # as somebody may do it at the panel
+            case "timeout_off":  # as somebody could at the panel
                 if self.timeout.action is not None:
                     self.put(self.timeout.action.register, min(self.timeout.action.runs_on))
                 else:
@@ -430,7 +430,7 @@ class SimulatedDrive(ABC):
         self.say(f"power cycle: answers again in {self.settings.boot_s:g} s")
 
     def take_over(self, local: bool) -> None:
-        """Take the drive over at its panel, or hand it back to the bus."""
+        """Take control at the panel, or return it to the bus."""
         self.advance()
         self.local = local
 
@@ -446,21 +446,21 @@ class DriveBench(Bench):
         self, make: type[SimulatedDrive], file: DriveFile, settings: DriveSettings,
         address: Address, workbench: Address, site: Site,
     ) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the bench without opening anything.
 
         Args:
-            make: of the drive, as `control_profiles.profile_of` has it.
-            file: of that make.
+            make: class of the drive, from `control_profiles.profile_of`.
+            file: drive file of that make.
             settings: of the drive.
             address: TCP port or serial line of the drive; port 0 takes a free one, and the line
-                ``pty`` is a pseudo-terminal. A drive whose file tells of no timeout of an Ethernet
-                port of its own is behind a gateway there.
-            workbench: TCP port of the workbench, likewise.
-            site: for the flow, of drives that report it; until the workbench gets another level,
-                the cistern's is the one that runs begin with.
+                ``pty`` is a pseudo-terminal. If the file has no timeout for an Ethernet port, the
+                TCP port is a gateway's.
+            workbench: TCP port of the workbench; port 0 takes a free one.
+            site: for the flow of drives that report it. Until the workbench gets another level, the
+                cistern has the level with which runs start by default.
 
         Raises:
-            ConfigurationError: the drive file tells of no timeout of the interface that is reached.
+            ConfigurationError: the drive file has no timeout for the interface that is reached.
         """
         super().__init__(faults.DRIVE_FAULTS, workbench)
         self._line = PseudoLine() if address.line == _PTY else None
@@ -484,13 +484,13 @@ class DriveBench(Bench):
 
     @property
     def place(self) -> str:
-        """Where the drive is; behind a gateway if it has no Ethernet port of its own."""
+        """The address of the drive, behind a gateway if it has no Ethernet port of its own."""
         address = replace(self.servers[0].address, gateway=self._reached.gateway)
         end = self._line.ends[1] if self._line is not None else address
         return f"drive {end}, device {self._device_id}"
 
     def inject(self, name: str, parameter: int) -> bool:
-        """Let a fault stand, of the wire or of the drive."""
+        """Replace the present fault, of the wire or of the drive."""
         codes = [faults.DEFAULT, *ExcCodes]
         if name in ("exception", "refused_writes") and parameter not in codes:
             return False
@@ -499,7 +499,7 @@ class DriveBench(Bench):
         return True
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Let time pass until the end."""
+        """Run the drive until the end."""
         if self._line is not None:
             self._line.join()
         while not ended.is_set():
@@ -518,12 +518,12 @@ class DriveBench(Bench):
         return self._answers
 
     def look(self) -> Mapping[int, int]:
-        """Return the registers of the workbench, the true speed among them."""
+        """Return the registers of the workbench, with the true speed."""
         self.drive.advance()
         return self.registers | {faults.SPEED: round(self.drive.speed / faults.SPEED_UNIT)}
 
     def adjust(self, register: int, value: int) -> None:
-        """Cut the power, or take the drive over at its panel."""
+        """Interrupt the power, or take control at the panel."""
         if register == faults.POWER_CYCLE and value:
             self.drive.power_cycle()
         elif register == faults.LOCAL:

@@ -1,7 +1,7 @@
-"""A relay that is not there, on a real MQTT broker: contact, timer, settings and answers.
+"""A simulated relay on a real MQTT broker: contact, timer, settings and answers.
 
-What a make answers is written from the maker's documentation, not from the relay file, which has
-the questions that the driver asks; so each checks the other.
+Its answers are written from the maker's documentation. The driver works from the relay file's
+questions instead, so each checks the other.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.server import Bench
 
 _STEP_S = 0.01
-# A topic and what is published there.
+# A topic, and the payload that is published there.
 Published = tuple[str, str]
 
 
 class SimulatedRelay(ABC):
-    """A relay with its contact; time is what a clock says.
+    """A relay with its contact, which gets the time from a clock.
 
     Attributes:
-        on: whether it means to be on.
+        on: whether its output is on, as it reports.
         timer_s: its timer as set (s); None for off.
-        on_after_power_up: whether it is set to be.
+        on_after_power_up: whether it is set to be on after power-up.
         auto_on: whether it is set to switch itself on again.
-        deaf: whether it switches by its timer alone.
-        welded: whether its contact does not open any more, once it was closed.
+        deaf: whether it ignores orders, so only its timer switches it.
+        welded: whether its contact no longer opens, once it was closed.
         say: reports what happens, for people.
     """
 
     TOPICS: ClassVar[tuple[str, ...]]
-    """that it subscribes to, each after or before its own"""
+    """topics that it subscribes to; {} stands for its own topic"""
 
     def __init__(
         self, device: str, timer_s: float | None, as_delivered: bool,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Be a relay that is off.
+        """Start as a relay that is off.
 
         Args:
             device: its own topic.
             timer_s: its timer (s); None for off.
-            as_delivered: whether its other settings are the maker's.
-            clock: tells the time (s).
+            as_delivered: whether its other settings are the maker's defaults.
+            clock: returns the time (s).
         """
         self.on = self.deaf = self.welded = False
         self.timer_s, self.on_after_power_up = timer_s, as_delivered
@@ -64,19 +64,19 @@ class SimulatedRelay(ABC):
 
     @property
     def closed(self) -> bool:
-        """Whether the contact is."""
+        """Whether the contact is closed."""
         self.advance()
         return self.on or self._stuck
 
     def advance(self) -> None:
-        """Let time pass until now."""
+        """Simulate up to now."""
         if self._clock() >= self._off_at:
             self._set(False)
             self.say("its timer has passed: off")
         self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it on or off, unless it is deaf, for a time (s; None for good)."""
+        """Switch it on or off, unless it is deaf; on for a time (s), or None for no limit."""
         self.advance()
         if self.deaf:
             return
@@ -90,19 +90,19 @@ class SimulatedRelay(ABC):
         self.on, self._off_at = on, math.inf
 
     def power_up(self) -> None:
-        """Begin as it is set to after power-up."""
+        """Start in the state that is set for power-up."""
         self._set(self.on_after_power_up)
         self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
 
     @abstractmethod
     def hear(self, topic: str, payload: str) -> Iterator[Published]:
-        """Take in a message, and yield what it publishes on that."""
+        """Handle a message, and yield what it publishes in return."""
 
 
 class Shelly(SimulatedRelay):
     """Shelly of generation 2: JSON-RPC over MQTT.
 
-    Requests come on DEVICE/rpc; the answer to ``src`` goes to SRC/rpc, with the request's id.
+    Requests arrive on DEVICE/rpc; the answer goes to SRC/rpc (``src`` of the request) with its id.
     """
 
     TOPICS = ("{}/rpc",)
@@ -144,16 +144,16 @@ class Shelly(SimulatedRelay):
 
 
 class Tasmota(SimulatedRelay):
-    """Tasmota: cmnd/DEVICE/COMMAND in, stat/DEVICE/... out; a command without payload asks.
+    """Tasmota: commands on cmnd/DEVICE/COMMAND, answers on stat/DEVICE/...; no payload asks.
 
-    PulseTime 1 to 111 is in 0.1 s, 112 to 64900 in seconds, and 100 more; 0 is off. PowerOnState is
-    0 for off and 3 for as before, as delivered.
+    PulseTime 1 to 111 is in 0.1 s, 112 to 64900 is seconds plus 100, 0 is off. PowerOnState is 0
+    (off) or, as delivered, 3 (as before).
     """
 
     TOPICS = ("cmnd/{}/+",)
 
     def hear(self, topic: str, payload: str) -> Iterator[Published]:
-        """Do a command."""
+        """Carry out a command."""
         command = topic.rpartition("/")[2].lower()
         match command, payload.lower():
             case ("power" | "power1", "on" | "off" as word):
@@ -197,10 +197,10 @@ _MAKES: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmo
 
 
 def relay_of(make: str) -> type[SimulatedRelay]:
-    """Return the relay of a make.
+    """Return the simulated relay of a make.
 
     Raises:
-        ConfigurationError: none is known.
+        ConfigurationError: the make cannot be simulated.
     """
     if make not in _MAKES:
         raise ConfigurationError(
@@ -219,11 +219,11 @@ class RelayBench(Bench):
     def __init__(
         self, relay: SimulatedRelay, broker: Broker, device: str, boot_s: float, workbench: Address
     ) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the bench without opening anything.
 
         Args:
-            relay: that it runs.
-            broker: that it connects to, again and again.
+            relay: the relay to run.
+            broker: to which it connects, and reconnects.
             device: its own topic there.
             boot_s: from power-up until it answers (s).
             workbench: TCP port of the workbench; port 0 takes a free one.
@@ -234,7 +234,7 @@ class RelayBench(Bench):
         super().__init__(faults.RELAY_FAULTS, workbench)
         self.relay, self._boot_s = relay, boot_s
         relay.say = self.say
-        # The simulated site tells every drive the level; a relay measures no flow by it.
+        # The simulated site writes the level to every drive; a relay has no use for it.
         self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0, faults.CISTERN_LEVEL: 0}
         self._broker, self._device = broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
@@ -246,11 +246,11 @@ class RelayBench(Bench):
 
     @property
     def place(self) -> str:
-        """Where the relay is."""
+        """The address of the relay."""
         return f"drive {self._broker}/{self._device}, relay"
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Let time pass until the end."""
+        """Run the relay until the end."""
         self._loop = asyncio.get_running_loop()
         self._client.loop_start()
         try:
@@ -262,12 +262,12 @@ class RelayBench(Bench):
             self._client.loop_stop()
 
     def look(self) -> Mapping[int, int]:
-        """Return the registers of the workbench, the true speed among them."""
+        """Return the registers of the workbench, with the true speed."""
         speed = round(self.relay.closed / faults.SPEED_UNIT)
         return self.registers | {faults.SPEED: speed}
 
     def adjust(self, register: int, value: int) -> None:
-        """Cut the power, or switch it by its button, on or off."""
+        """Interrupt the power, or switch the relay by its button."""
         if register == faults.POWER_CYCLE and value:
             self._power_cycle()
         elif register == faults.LOCAL:
@@ -276,7 +276,7 @@ class RelayBench(Bench):
             super().adjust(register, value)
 
     def inject(self, name: str, parameter: int) -> bool:
-        """Let a fault stand, of the connection or of the relay."""
+        """Replace the present fault, of the connection or of the relay."""
         super().inject(name, parameter)
         relay = self.relay
         relay.advance()
@@ -305,7 +305,7 @@ class RelayBench(Bench):
         self._client.subscribe([(topic, 0) for topic in self._topics])
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Hand a message to the loop, from the client's thread."""
+        """Pass a message from the client's thread to the event loop."""
         self._loop.call_soon_threadsafe(self._hear, topic, payload)
 
     def _hear(self, topic: str, payload: bytes) -> None:

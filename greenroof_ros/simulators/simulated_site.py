@@ -19,7 +19,7 @@ from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.mqtt_sensor import SimulatedMqttSensor
 from greenroof_ros.simulators.server import Bench, Device, Server
 
-# How often the drive's speed is looked at within a tick, as far as there is time for it.
+# Readings of the drive's speed per tick, if there is time for as many.
 _LOOKS = 20
 _LEAST_PAUSE_S = 0.02
 _DRIVE_ANSWERS_S = 1.0
@@ -32,13 +32,13 @@ COLUMNS = (
 
 
 class SiteBench(Bench):
-    """Runs two tanks on their sensors' ports, lines and topics; time is counted in ticks.
+    """Runs cistern and roof behind their sensors' ports, lines and topics, tick by tick.
 
     Attributes:
-        plant: the tanks.
-        tick: how many have passed.
-        pumped: what has left the cistern through the pump (m3).
-        rained: what has fallen (m).
+        plant: cistern and roof.
+        tick: number of ticks so far.
+        pumped: volume pumped out of the cistern so far (m3).
+        rained: rain so far (m).
     """
 
     def __init__(
@@ -53,22 +53,22 @@ class SiteBench(Bench):
         factor: float,
         output: TextIO | None,
     ) -> None:
-        """Prepare it; nothing is opened yet.
+        """Prepare the bench without opening anything.
 
         Args:
             site: its parameters.
-            precipitation: of its ticks (m/s); after the last it stays as it is.
-            evapotranspiration: of its ticks, off the whole bed (m3/s); likewise.
+            precipitation: of each tick (m/s); the last value then continues.
+            evapotranspiration: of each tick, from the whole bed (m3/s); the last value continues.
             volumes: in cistern and roof at the beginning (m3).
-            sensors: where they are and what they speak; a thermometer says 15 degC.
+            sensors: their addresses and protocols; a thermometer reads 15 degC.
             workbench: TCP port of the workbench; port 0 takes a free one.
             drive: workbench of the drive that turns the pump; None for a pump that never runs.
-            factor: simulated per real time.
-            output: where a line of CSV goes for each tick.
+            factor: simulated time per real time.
+            output: for a CSV line per tick; None for none.
 
         Raises:
-            ConfigurationError: two sensors answer to the same register, or the library for MQTT or
-                a file for its login is missing.
+            ConfigurationError: two sensors have the same register, the MQTT library is missing, or
+                a file for the login is wrong.
         """
         super().__init__(faults.SITE_FAULTS, workbench)
         self._site = site
@@ -102,7 +102,7 @@ class SiteBench(Bench):
             ))
 
     def _device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
-        """Return the device that some sensors are."""
+        """Return the Modbus device that has these sensors."""
         ranges = {
             section: range(sensor.register, sensor.register + sensor.registers)
             for section, sensor in sensors.items()
@@ -135,11 +135,11 @@ class SiteBench(Bench):
 
     @property
     def place(self) -> str:
-        """Where the sensors are."""
+        """The addresses of the sensors."""
         return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
 
     def inject(self, name: str, parameter: int) -> bool:
-        """Let a fault stand instead of the present one."""
+        """Replace the present fault."""
         self._fault_since = self.tick
         self._frozen.clear()
         return super().inject(name, parameter)
@@ -148,7 +148,7 @@ class SiteBench(Bench):
         return self.fault.name == f"{section}_{name}"
 
     def _raw(self, section: str) -> float:
-        """Return the raw value of a sensor, unless a fault makes it absurd."""
+        """Return the raw value of a sensor; faults other than 'absurd' and 'silent' are in it."""
         sensor, parameter = self._sensors[section], self.fault.parameter
         if self._has_fault(section, "frozen") and section in self._frozen:
             return self._frozen[section]
@@ -167,7 +167,7 @@ class SiteBench(Bench):
         return self._frozen[section]
 
     def _published(self, section: str) -> float | None:
-        """Return what a sensor on MQTT says; None where it says nothing."""
+        """Return the raw value that a sensor publishes on MQTT; None if it is silent."""
         if self._has_fault(section, "silent"):
             return None
         return self.fault.parameter if self._has_fault(section, "absurd") else self._raw(section)
@@ -175,7 +175,7 @@ class SiteBench(Bench):
     # --- time -------------------------------------------------------------------------------------
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Let time pass until the end; after a pause of this process, catch up."""
+        """Run the site until the end; after a pause of this process, catch up."""
         if self._drive is None:
             print(
                 "no drive is connected: the pump never runs, no water reaches the roof; with a "
@@ -197,11 +197,11 @@ class SiteBench(Bench):
             self._drive.close()
 
     async def _mean_flow(self, speed: float, due: float) -> tuple[float, float]:
-        """Look at the drive until a tick is over; return its mean flow (m3/s) and the last speed.
+        """Watch the drive until the end of a tick; return its mean flow (m3/s) and last speed.
 
         Args:
             speed: at the beginning of the tick (share of rated).
-            due: when it is over.
+            due: end of the tick (s, `time.monotonic`).
         """
         pause = max(self._tick_s / _LOOKS, _LEAST_PAUSE_S)
         pumped = passed = 0.0
@@ -217,11 +217,11 @@ class SiteBench(Bench):
                 return (pumped / passed if passed else flow), speed
 
     async def _speed(self) -> float:
-        """Return the true speed of the drive (share of rated); 0 if it is gone."""
+        """Return the true speed of the drive (share of rated); 0 if it does not answer."""
         return 0.0 if self._drive is None else await asyncio.to_thread(self._ask, self._drive)
 
     def _ask(self, drive: ModbusLine) -> float:
-        """Ask the drive's workbench for the speed, and tell it how deep the water is."""
+        """Read the speed from the drive's workbench, and write the cistern level to it."""
         depth = round(self.plant.levels()[0] / faults.LEVEL_UNIT)
         try:
             if not drive.connected:
@@ -240,25 +240,25 @@ class SiteBench(Bench):
         return speed
 
     def _flow(self, speed: float) -> float:
-        """Return what the pump takes from the cistern at a speed (m3/s); nothing when it is dry."""
+        """Return what the pump takes from the cistern at a speed (m3/s); 0 if dry or shut."""
         level = self.plant.levels()[0]
         if level < self._site.suction_level or self.fault.name == "closed_valve":
             return 0.0
         return flow_at(self._site, speed, level)
 
     def _present_weather(self) -> tuple[float, float]:
-        """Return rain (m/s) and evapotranspiration (m3/s) of the present tick."""
+        """Return rain (m/s) and evapotranspiration (m3/s) in the present tick."""
         rain, evapotranspiration = (
             series[min(self.tick, len(series) - 1)] for series in self._weather
         )
         return rain, evapotranspiration
 
     def _step(self, speed: float, flow: float) -> None:
-        """Move on by one tick and write it down.
+        """Advance by one tick, and write its CSV line.
 
         Args:
-            speed: of the drive at its end (share of rated).
-            flow: out of the cistern through the pump, the mean of the tick (m3/s).
+            speed: of the drive at the end of the tick (share of rated).
+            flow: out of the cistern through the pump, mean of the tick (m3/s).
         """
         rain, evapotranspiration = self._present_weather()
         plant, tau = self.plant, self._site.tau

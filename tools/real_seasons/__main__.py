@@ -1,21 +1,21 @@
 """What forecasts as they were issued are worth: ``python tools/real_seasons ARCHIVES -o DIR``.
 
-ARCHIVES is a directory with the previous runs of three services and the gauge's record beside them,
-2024-02-20 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs
-on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
-of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a
-file in DIR; the same command goes on where it was. Prints tables in Markdown, draws trust over
-time, and writes ``worth.csv``, from which the README's figure is drawn.
+ARCHIVES is a directory with the previous runs of three services and the gauge's record, 2024-02-20
+to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs on/off, and
+``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, of a
+placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a file
+in DIR; the same command continues after an interruption. Prints tables in Markdown, draws trust
+over time, and writes ``worth.csv``, from which the README's figure is drawn.
 
 - **dressed**: by the same record, without the days around each issue.
-- **by the other half**: the period's blocks of four weeks are parted by their rain into a wetter
-  and a drier half. Each is dressed by what fell in the other, and judged by itself. No storm is on
-  both sides, since no issue within the length of a member and five days of another dresses it.
-- **the hour as forecast**: of the present hour only what falls in this minute is known.
+- **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
+  and a drier half. Each is dressed by the rain of the other, and judged by itself. No storm is in
+  both, because no issue within the length of a member and five days of another dresses it.
+- **the hour as forecast**: in the present hour only the rain in this minute is known.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
-the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues of 35 days
-later, and at the end those of the first weeks: as wet, and without skill.
+the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues from 35 days
+later, and at the end from the first weeks: as wet, but without skill.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
 
 def cases(roof: str, period: Period) -> Iterator[Case]:
-    """Yield the runs of a period on a roof, in the order of their worth."""
+    """Yield the runs of a period on a roof, the most useful first."""
     if period is AUTUMN:
         yield Case(roof, period, "three")
         yield Case(roof, period, "placebo")
@@ -83,7 +83,7 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
 
 
 def main() -> None:
-    """Make the runs, and print and draw what they found."""
+    """Make the runs, and print and draw their results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("archives", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

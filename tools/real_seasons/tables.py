@@ -24,13 +24,13 @@ from real_seasons.runs import (
 Array = NDArray[np.float64]
 Results: TypeAlias = dict[Case, dict[str, Any]]
 
-# Of the bootstrap. Blocks of weeks, since a storm's excess stays for more than one.
+# Of the bootstrap. It draws blocks of weeks, because a storm's excess lasts longer than one week.
 RESAMPLES = 2000
 
-# Sums of forecasts are over so many hours.
+# Length of the sums of forecasts (h).
 _SUM_H = 48
 
-# What an owner sees of a run: heading, form, and the weekly sums whose ratio it is.
+# What an owner sees of a run: heading, format, and the weekly sums whose ratio it is.
 OWNERS = {
     "mean deviation (mm)": ("{:.2f}", "total_deviation_m3", "deviated"),
     "water stress (h)": ("{:.0f}", "stress_hours", ""),
@@ -48,7 +48,7 @@ def _weeks(results: Results) -> dict[Case, Array]:
 
 
 def _named(weeks: Mapping[Case, Array], source: str) -> Array:
-    """Return the weeks of a run that is not of a service; NaN where it has not been made."""
+    """Return the weeks of a run without a service; NaN if the run has not been made."""
     missing = np.full_like(next(iter(weeks.values())), np.nan)
     return next((result for case, result in weeks.items() if case.source == source), missing)
 
@@ -63,7 +63,7 @@ def drawn_weeks(weeks: int) -> NDArray[np.intp]:
 
 
 def interval(own: Array, other: Array) -> tuple[float, float, float]:
-    """Return a sum over weeks over another's, and the ends of its 95 % interval."""
+    """Return the ratio of two sums over weeks, and the ends of its 95 % interval."""
     drawn = drawn_weeks(len(own))
     ratios = own[drawn].sum(axis=1) / other[drawn].sum(axis=1)
     low, high = np.percentile(ratios, [2.5, 97.5])
@@ -71,13 +71,13 @@ def interval(own: Array, other: Array) -> tuple[float, float, float]:
 
 
 def ratio(own: Array, other: Array) -> str:
-    """Return it as a cell."""
+    """Return the ratio and its interval as a cell."""
     value, low, high = interval(own, other)
     return f"{value:.3f} ({low:.3f} to {high:.3f})"
 
 
 def gained(own: Array, dry: Array, perfect: Array) -> str:
-    """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
+    """Return a forecast's gain over no rain, as a share of the gain with perfect forecasts."""
     share = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
     return "" if np.isnan(share) else f"{share:.0f} %"
 
@@ -93,7 +93,7 @@ def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> I
     Args:
         weeks: of all runs.
         columns: forms of forecasts.
-        chosen: which weeks count.
+        chosen: which weeks to include.
     """
     onoff, dry, perfect = (
         _named(weeks, source)[chosen] for source in (ONOFF_NAME, NO_RAIN, PERFECT)
@@ -128,7 +128,7 @@ def of_period(results: Results) -> Iterator[str]:
 
 
 def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield the tables of each half, whose forecasts the other half dresses."""
+    """Yield the table of each half, with forecasts dressed by the other half."""
     weeks = _weeks(results)
     if any(case.form == CROSSED for case in weeks):
         for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
@@ -137,10 +137,10 @@ def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
 
 
 def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
-    """Yield how much of the rain's variance each service forecasts, in sums over two days.
+    """Yield the share of the rain's variance that each service forecasts, in sums over two days.
 
-    That is the squared correlation of the members' mean with the gauge. The bias is forecast over
-    measured.
+    It is the squared correlation of the members' mean with the gauge. The bias is forecast over
+    measured rain.
     """
     halves = {period.words: (False, True), "drier half": (False,), "wetter half": (True,)}
     yield from _head([
@@ -169,7 +169,7 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
 
 
 def present_hour(results: Results) -> Iterator[str]:
-    """Yield what it costs not to know the present hour to its end."""
+    """Yield the cost of not knowing the present hour to its end."""
     weeks = _weeks(results)
     for case, own in weeks.items():
         if not case.hour:
@@ -195,7 +195,7 @@ def of_owner(results: Results) -> Iterator[str]:
 
 
 def _weekly_sums(result: dict[str, Any]) -> dict[str, Array]:
-    """Return what each week added to metrics that are sums, and to those that ratios are of."""
+    """Return what each week added to the metrics that are sums, and to both terms of ratios."""
     until: list[dict[str, float]] = result["until"]
 
     def added(metric: Callable[[dict[str, float]], float]) -> Array:

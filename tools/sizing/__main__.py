@@ -1,7 +1,7 @@
 """What each size of cistern and green roof gives its owner: ``python tools/sizing STUDY``.
 
-STUDY is what 'greenroof study config/studies/sizing.yaml' has made. Prints a table in Markdown:
-means of a season, and the 95 % interval of a mean of as many years, by Student's t.
+STUDY is the output of 'greenroof study config/studies/sizing.yaml'. Prints a table in Markdown: the
+mean season, with the 95 % confidence interval of the mean over the years (Student's t).
 """
 
 from __future__ import annotations
