@@ -77,9 +77,14 @@ def ratio(own: Array, other: Array) -> str:
 
 
 def gained(own: Array, dry: Array, perfect: Array) -> str:
-    """Return a forecast's gain over no rain, as a share of the gain with perfect forecasts."""
-    share = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
-    return "" if np.isnan(share) else f"{share:.0f} %"
+    """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
+    gain, most = dry - own, dry - perfect
+    if np.isnan(gain.sum() + most.sum()):
+        return ""
+    drawn = drawn_weeks(len(own))
+    shares = gain[drawn].sum(axis=1) / most[drawn].sum(axis=1)
+    low, high = 100 * np.percentile(shares, [2.5, 97.5])
+    return f"{100 * gain.sum() / most.sum():.0f} % ({low:.0f} to {high:.0f})"
 
 
 def _head(cells: Sequence[str]) -> Iterator[str]:
