@@ -447,6 +447,8 @@ def test_zoom_pause_and_how_far_back(open_page: Open) -> None:
     page.locator("#pause").click()
     wait_for(lambda: page.evaluate(newest) == 50, 60, "what came since")
     page.locator("[data-hours='3']").click()
+    pressed = page.locator("[data-hours][aria-pressed=true]")
+    assert [button.text_content() for button in pressed.all()] == ["3 h"]
     wait_for(lambda: page.evaluate(seen)[0] > whole[0], 60, "three hours")
     left, right = page.evaluate(seen)
     assert (right - left) / 3_600_000 == pytest.approx(6, abs=0.1)
