@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real_seasons.ideal import squared
 from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
 from real_seasons.runs import NO_RAIN, PERFECT, Case, build
 from real_seasons.tables import interval
 from real_seasons.worth import SHOWN, rows
 
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.model.look_ahead import growing_steps
 
 HOUR = timedelta(hours=1)
@@ -71,6 +73,15 @@ def test_what_is_known_of_the_present_hour(inputs: Inputs, hour: bool) -> None:
     rest = rain[1:][growing_steps(48.0)[2:] <= 50 * 60]
     assert len(rest) > 9
     np.testing.assert_allclose(rest, rain[0] if hour else 0.0, rtol=1e-12)
+
+
+def test_an_ideal_ensemble_knows_what_a_single_forecast_does() -> None:
+    """Given a forecast of coherence s, members have s^2 with what falls and with each other."""
+    skill = read_skill(REAL)
+    leads, frequencies = np.array([6.0, 24.0, 100.0]), np.array([0.0, 0.01, 0.1])
+    np.testing.assert_allclose(
+        squared(skill).coherence(leads, frequencies), skill.coherence(leads, frequencies) ** 2
+    )
 
 
 def test_intervals_of_sums_over_weeks() -> None:
