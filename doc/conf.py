@@ -16,21 +16,21 @@ release = __version__
 
 extensions = [
     "myst_parser",  # Markdown
-    "sphinx.ext.autodoc",  # API pages from the docstrings ...
-    "sphinx.ext.autosummary",  # ... one for each module ...
-    "sphinx.ext.napoleon",  # ... whose sections are Google's
+    "sphinx.ext.autodoc",  # API pages from the docstrings,
+    "sphinx.ext.autosummary",  # one for each module
+    "sphinx.ext.napoleon",  # Google's docstring sections
     "docstrings_and_formulas",  # beside this file
 ]
 exclude_patterns = [
     "_build", "_templates", "included", "overview.md",  # index.rst includes the last
-    # What rosdoc2 puts beside these pages.
+    # Files that rosdoc2 adds to these pages.
     "greenroof_ros*.rst", "modules.rst", "user_docs*", "standards.rst", "standard_docs",
     "interfaces", "__*.rst",
 ]
 templates_path = ["_templates"]
 
-# A link that leads nowhere is an error (-W). Not documented here are names outside this package,
-# private ones, names of types, and constants, which stand in the source with their comments.
+# A broken link is an error (-W). Not documented here are names outside this package, private ones,
+# names of types, and constants, which have comments in the source.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
@@ -55,6 +55,6 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
-# Without a ROS 2 the nodes' pages are made all the same.
+# Without ROS 2 the nodes' pages are built with mocks.
 _ros = ("rclpy", "std_msgs", "rosgraph_msgs", "diagnostic_msgs", "rcl_interfaces")
 autodoc_mock_imports = [name for name in _ros if importlib.util.find_spec(name) is None]

@@ -10,12 +10,12 @@ from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
 
 _SECTION = re.compile(r"(Args|Attributes|Returns|Raises|Yields|Note|Example):$")
-# What keeps its meaning in a docstring: ``code``, :role:`name` and `name`.
+# Keeps its meaning in a docstring: ``code``, :role:`name` and `name`.
 _MARKED = re.compile(r"(``.+?``|:[a-z:]+:`[^`]+`|`[^`]+`_?)", re.DOTALL)
 
 
 def _as_text(line: str) -> str:
-    """Return a line of a docstring in which stars and bars are mathematics."""
+    """Return a line of a docstring with stars and bars escaped, because they are mathematics."""
     parts = _MARKED.split(line)
     parts[::2] = [re.sub(r"(?<!\\)([*|]|_(?=\W|$))", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)
@@ -24,9 +24,9 @@ def _as_text(line: str) -> str:
 def plain_docstring(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]
 ) -> None:
-    """Make reStructuredText of a docstring, which is plain text with Google's sections.
+    """Convert a docstring from plain text with Google's sections to reStructuredText.
 
-    Before the first section an indented paragraph is a formula or code and kept as it is.
+    An indented paragraph before the first section is a formula or code, and is kept.
     """
     result: list[str] = []
     formula = section = False
@@ -60,7 +60,7 @@ def _visit_math_block(self: Any, node: nodes.math_block) -> None:
 
 
 def _mathml(tex: str) -> str:
-    """Return a formula as MathML, which browsers draw themselves: pages need no network."""
+    """Return a formula as MathML, which browsers draw themselves, so pages need no network."""
     return str(latex2mathml.tex2mathml(tex))
 
 

@@ -1,9 +1,9 @@
 """Write the documentation's tables and drawings from the package's own: ``python doc/generate.py``.
 
-A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
-can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
-this writes. The nodes' tables need a ROS 2; without one they stay as they are. The layouts under
-``config/layouts/``, the drawings of who publishes what and the README's figure are written, too.
+A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so it can
+be read without a build. ``make docs`` writes all of them again, and a test compares them with what
+this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
+``config/layouts/``, the drawings of who publishes what and the README's figure are written too.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _BLOCK = re.compile(
 
 
 def cell(text: object) -> str:
-    """Return a text as the cell of a table; what is in backticks stays as it is."""
+    """Return a text as the cell of a table; text in backticks is left unchanged."""
     line = re.sub(r"(?<![\w`-])--[a-z][a-z-]*", r"`\g<0>`", " ".join(str(text).split()))
     parts = re.split(r"(`[^`]*`)", line)
     parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
@@ -103,7 +103,7 @@ def span(low: float, high: float) -> str:
 
 
 def topics() -> str:
-    """Return what each topic carries, as the command ``topics`` prints it."""
+    """Return the content of each topic, as the command ``topics`` prints it."""
     return markdown_table(read_topics().values()) + "\n"
 
 
@@ -167,7 +167,7 @@ def controllers() -> str:
 
 
 def metrics() -> str:
-    """Return what each run is judged by."""
+    """Return the metrics of a run."""
     return markdown(
         ("key or column", "unit", "meaning"),
         ((f"`{entry.name}`", entry.unit, f"{entry.label}: {entry.meaning}") for entry in METRICS),
@@ -175,7 +175,7 @@ def metrics() -> str:
 
 
 def site() -> str:
-    """Return the parameters of a site, with the values of the paper's."""
+    """Return the parameters of a site, with the values of the paper's site."""
     paper = read_site(shared_directory() / "config" / "site.yaml")
     return markdown(
         ("symbol", "unit", "the paper's site", "if left out", "meaning"),
@@ -191,7 +191,7 @@ def site() -> str:
 
 # --- drives ---------------------------------------------------------------------------------------
 
-# What each part of a drive's file is called there.
+# Names of the parts of a drive's file.
 _DRIVE_PARTS = {
     "the file": drive_file.DriveFile,
     "`sources`, each": drive_file.Source,
@@ -225,7 +225,7 @@ _RELAY_PARTS = {
 
 
 def _kind(key: Key) -> str:
-    """Return what a key of a file holds."""
+    """Return the kinds of values that a key of a file accepts."""
     names = {
         str: "text", int: "whole number", float: "number", Word: "word", tuple: "list",
         bool: "true or false",
@@ -290,17 +290,17 @@ def _keys(parts: Mapping[str, Any]) -> str:
 
 
 def drive_faults() -> str:
-    """Return what can go wrong with a simulated drive."""
+    """Return the faults of a simulated drive."""
     return _faults(DRIVE_FAULTS)
 
 
 def relay_faults() -> str:
-    """Return what can go wrong with a simulated relay."""
+    """Return the faults of a simulated relay."""
     return _faults(RELAY_FAULTS)
 
 
 def site_faults() -> str:
-    """Return what can go wrong at a simulated site."""
+    """Return the faults of a simulated site."""
     return _faults(SITE_FAULTS)
 
 
@@ -323,7 +323,7 @@ def _files_of_drives(*, relays: bool) -> list[Path]:
 
 
 def relays() -> str:
-    """Return the relays whose files come with the package, and what is not verified in them."""
+    """Return the relays with files in the package, and what is not verified in them."""
     parts = []
     for path in _files_of_drives(relays=True):
         relay = relay_file.read_relay_file(path)
@@ -342,7 +342,7 @@ def relays() -> str:
 
 
 def drives() -> str:
-    """Return the drives whose files come with the package, and what is not verified in them."""
+    """Return the drives with files in the package, and what is not verified in them."""
     parts = []
     for path in _files_of_drives(relays=False):
         drive = drive_file.read_drive_file(path)
@@ -383,7 +383,7 @@ def pump_settings() -> str:
 
 
 def interlocks() -> str | None:
-    """Return what keeps the pump off, in its order; None without a ROS 2."""
+    """Return the conditions that keep the pump off, in their order; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.graph.parameters import default_site
@@ -423,7 +423,7 @@ def conditions() -> str:
 
 
 def mutation() -> str:
-    """Return the outcome of the baseline of mutation testing."""
+    """Return the baseline of mutation testing."""
     path = DOC.parent / "tools" / "mutation" / "baseline.csv"
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -451,7 +451,7 @@ def result(name: str) -> str:
 
 
 def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """Return the parser of a command's options, as it is for some arguments."""
+    """Return the parser of a command's options, as it is with some arguments."""
     with mock.patch.object(sys, "argv", [name, *arguments]):
         module = importlib.import_module(f"greenroof_ros.{COMMANDS[name].module}")
         parser: argparse.ArgumentParser = module.make_parser()
@@ -459,7 +459,7 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 
 
 def command_groups() -> str:
-    """Return what each command of ``greenroof`` does, by what a user wants to do."""
+    """Return what each command of ``greenroof`` does, by the user's purpose."""
     return markdown(
         ("to", "`greenroof`", "does this"),
         (
@@ -470,7 +470,7 @@ def command_groups() -> str:
 
 
 def commands() -> str:
-    """Return every option of every command, once: a later command refers to the first that has it.
+    """Return every option of every command once; later commands refer to the first that has it.
 
     Two commands of one module are described together.
     """
@@ -527,7 +527,7 @@ def _command(
 
 
 def _prose(text: str) -> str:
-    """Return what a command says of itself: its paragraphs, and its indented lines as a list."""
+    """Return a command's description: its paragraphs, and its indented lines as a list."""
     parts = []
     for indented, lines in itertools.groupby(
         text.strip().splitlines(), lambda line: line.startswith("  ") if line.strip() else None
@@ -545,7 +545,7 @@ def _prose(text: str) -> str:
 
 
 def _value(action: argparse.Action) -> str:
-    """Return what an option takes."""
+    """Return the values that an option takes."""
     if action.nargs == 0:
         return ""
     if action.choices is not None:
@@ -562,7 +562,7 @@ def _value(action: argparse.Action) -> str:
 
 
 def nodes() -> str | None:
-    """Return the parameters that each node declares; None without a ROS 2."""
+    """Return the parameters that each node declares; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.graph.parameters import default_site, type_name
@@ -631,7 +631,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
 
 
 def renew(page: str) -> str:
-    """Return a page with its tables made again."""
+    """Return a page with its tables written again."""
 
     def table(match: re.Match[str]) -> str:
         made = TABLES[match["name"]]()

@@ -1,8 +1,8 @@
 """Layouts of Foxglove or Lichtblick, and of PlotJuggler, made from ``msg_defs/topics.yaml``.
 
-Both show a topic's values in the unit of its ``display``. No plot of either can scale what it
-shows: in Foxglove a user script makes a topic of its own of each, in PlotJuggler a custom function
-a series.
+Both show a topic's values in the unit of its ``display``. Plots cannot scale values in either
+program, so each topic gets a user script in Foxglove, which publishes a topic of its own, and a
+custom function in PlotJuggler, which makes a series.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class Panel:
     """A plot.
 
     Attributes:
-        title: for people.
-        topics: whose values it shows, each a number.
-        target: whether it shows the target of the roof's level, too.
+        title: its title.
+        topics: the topics that it shows, each a number.
+        target: whether it also shows the target of the roof's level.
     """
 
     title: str
@@ -42,9 +42,9 @@ PANELS = (
     ),
     Panel("Water that leaves", ("/roof/drainage", "/cistern/outflow")),
 )
-# Of Foxglove: where the topics of user scripts are.
+# Prefix of the topics of user scripts in Foxglove.
 SCRIPTS = "/studio_script"
-# Of the categorical colours of both programs' own; the last is the target's.
+# From the default categorical colours of both programs; the last is for the target.
 _COLOURS, _TARGET = ("#1f77b4", "#ff7f0e", "#2ca02c"), "#d62728"
 
 
@@ -56,13 +56,13 @@ def display_of(topic: str) -> Display:
 
 
 def label(topic: str) -> str:
-    """Return what a topic's line is called: ``Roof level (mm)``."""
+    """Return the label of a topic's line: ``Roof level (mm)``."""
     display = display_of(topic)
     return f"{display.label} ({display.unit})"
 
 
 def target() -> float:
-    """Return the target of the roof's level as shown, from the site that comes with this."""
+    """Return the target of the roof's level as shown, from the package's site file."""
     site = read_site(shared_directory() / "config" / "site.yaml")
     return round(site.z_veg * display_of("/roof/level").factor, 6)
 
@@ -153,7 +153,7 @@ def _split(direction: str, share: int, first: object, second: object) -> dict[st
 def plotjuggler() -> str:
     """Return the layout that PlotJuggler loads.
 
-    It asks what to do about a series that a bag has not: what only some sites have is left out.
+    PlotJuggler asks about each series that a bag lacks, so topics of only some sites are left out.
     """
     root = ElementTree.Element("root")
     widget = _add(root, "tabbed_widget", parent="main_window", name="Main Window")
@@ -199,7 +199,7 @@ def _dock(parent: ElementTree.Element, orientation: str, count: int) -> ElementT
 
 
 def _function(functions: ElementTree.Element, name: str, topic: str, code: str) -> None:
-    """Add a series made of the values of a topic, which PlotJuggler calls ``TOPIC/data``."""
+    """Add a series computed from a topic's values, which PlotJuggler calls ``TOPIC/data``."""
     snippet = _add(functions, "snippet", name=name)
     _add(snippet, "global")
     _add(snippet, "function").text = code

@@ -11,13 +11,13 @@ from result_tables import LEAST, Figure, Mark, numbers_of
 from greenroof_ros.report.drawing import COLOURS, CONFIG
 
 _CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST)
-# Of a figure, a letter of its rows' names, and a row (px).
+# Widths (px): a figure, a letter of its rows' names; height of a row (px).
 _WIDTH, _LETTER, _ROW = 440, 6.5, 20
 _INK = "#222222"
 
 
 def draw(figure: Figure) -> str:
-    """Return a figure as SVG, which says what it was drawn from."""
+    """Return a figure as SVG, with the digest of the numbers in it."""
     panels = list(dict.fromkeys(mark.panel for mark in figure.marks))
     rows = list(dict.fromkeys(mark.row for mark in figure.marks))
     names = _LETTER * max(map(len, rows))
@@ -34,7 +34,7 @@ def draw(figure: Figure) -> str:
 
 
 def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.LayerChart:
-    """Return a panel; only where rows are named do their names stand beside it."""
+    """Return a panel; the rows' names stand beside it only if ``named``."""
     values = [_values(figure, mark) for mark in figure.marks if mark.panel == panel]
     x: dict[str, Any] = {
         "scale": alt.Scale(domain=_domain(figure), nice=False), "title": figure.axis,
@@ -55,7 +55,10 @@ def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.L
             ),
         ]
     else:
-        layers = [base.mark_bar(height=13).encode(x=alt.X("value:Q", **x), color=colour)]
+        layers = [
+            base.mark_bar(height=13).encode(x=alt.X("value:Q", **x), color=colour),
+            base.mark_rule(strokeWidth=1.5, color=_INK).encode(x=alt.X("low:Q", **x), x2="high:Q"),
+        ]
     layers += [
         base.mark_tick(color=_INK, thickness=2, height=15).encode(x=alt.X("beside:Q", **x)),
         base.mark_text(align="left", dx=5, fontSize=11, color=_INK).encode(

@@ -1,7 +1,7 @@
 """The tables and figures of the results, from ``doc/results/*.csv``, which tools/results writes.
 
 A table has a figure of the same numbers: a panel for each of its columns, a bar or a point for each
-of its rows. The colour is the controller's, the same in all figures.
+of its rows. The colour shows the controller, and is the same in all figures.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Mark(NamedTuple):
     """A number in a figure.
 
     Attributes:
-        panel: where it stands.
-        row: its line there.
-        controller: whose it is, for the colour.
+        panel: title of its panel.
+        row: name of its row there.
+        controller: which controller it belongs to, for the colour.
         value: the number.
-        beside: a second number of the same row, drawn as a black line; None for none.
-        low: lower end of its interval; None where it has none.
+        beside: a second number of the same row, drawn as a black line; None if there is none.
+        low: lower end of its interval; None if there is none.
         high: upper end.
     """
 
@@ -52,15 +52,15 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """What a figure shows.
+    """The content of a figure.
 
     Attributes:
-        about: what it shows, for those who do not see it.
+        about: description, for readers who cannot see it.
         axis: title of all its horizontal axes, with the unit.
         marks: its numbers, in reading order.
-        columns: how many panels stand side by side.
-        ratio: whether 1 is what all are compared to; else they are bars from 0.
-        form: of the numbers beside the marks.
+        columns: number of panels side by side.
+        ratio: whether the numbers are ratios, compared with 1; otherwise they are bars from 0.
+        form: format of the numbers beside the marks.
     """
 
     about: str
@@ -72,7 +72,7 @@ class Figure:
 
     @property
     def digest(self) -> str:
-        """What tells it from a figure of other numbers."""
+        """Identifies the numbers of the figure."""
         return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()
 
 
@@ -91,7 +91,7 @@ def read(name: str) -> list[Row]:
 
 
 def _setting(row: Row, *parameters: str) -> str:
-    """Return a controller with some of its parameters."""
+    """Return the name of a controller, with some of its parameters."""
     values = (row.get(f"parameter:{name}") for name in parameters)
     numbers = (np.format_float_positional(float(value), trim="-") for value in values if value)
     return " ".join([_NAMES.get(row["controller"], row["controller"]), *numbers])
@@ -107,7 +107,7 @@ def _least(row: Row) -> float:
 
 
 def methods() -> Result:
-    """Return the paper's settings beside the authors' totals, and with the other method."""
+    """Return the paper's settings, with the authors' totals, and with the other method."""
     path = shared_directory() / "config" / "paper" / "totals.csv"
     with path.open(newline="", encoding="utf-8") as stream:
         authors = {
@@ -141,7 +141,7 @@ def _window(row: Row) -> str:
 
 
 def windows() -> Result:
-    """Return all controllers beside the least possible deviation."""
+    """Return all controllers, with the least possible deviation."""
     rows = read("windows")
     least = {_window(row): _least(row) for row in rows}
     figure = Figure("By controller", _DEVIATION, (
@@ -171,7 +171,7 @@ def forecasts() -> Result:
 
 
 def useless_forecasts() -> Result:
-    """Return what useless forecasts cost."""
+    """Return the cost of useless forecasts."""
     forecasts = {"dry.csv": "no rain", "rain_that_never_comes.csv": "rain"}
     marks = []
     for row in read("useless_forecasts"):
@@ -190,7 +190,7 @@ def useless_forecasts() -> Result:
 
 
 def robustness() -> Result:
-    """Return what errors of sensor and pump cost; the mean of the seeds of noise."""
+    """Return the cost of sensor and pump errors; the mean over the seeds of noise."""
     values: dict[tuple[str, str], list[float]] = {}
     for row in read("robustness"):
         offset, noise = (1000 * float(row[f"roof_{error}"]) for error in ("offset", "noise"))
@@ -209,7 +209,7 @@ def robustness() -> Result:
 
 
 def month() -> Result:
-    """Return how far a perfect forecast must reach."""
+    """Return the deviation by horizon of perfect forecasts."""
     rows = read("month")
     without = [row for row in rows if not row["parameter:horizon"]]
     ahead = [row for row in rows if row["parameter:horizon"]]
@@ -240,7 +240,7 @@ def _roof(row: Row) -> str:
 
 
 def _ratio(panel: str, name: str, row: Row, beside: float | None = None) -> Mark:
-    """Return a deviation over on/off's, with its interval where it is known."""
+    """Return the ratio of a deviation to on/off's, with its interval if it is known."""
     ends = (float(row[end]) if row[end] else None for end in ("low", "high"))
     return Mark(panel, name, row["controller"], float(row["over_onoff"]), beside, *ends)
 
@@ -264,7 +264,7 @@ def seasons() -> Result:
         name += f", perfect {float(horizon):g} h" if horizon == "240.0" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)
-        # On/off is in both tables: in one in mm, in the other beside the least possible.
+        # On/off is in both tables: in one with mm, in the other with the least possible.
         texts = [
             cells.get(case, ""), f"{_mm(row):.2f} mm" if row["mean_deviation_mm"] else "",
             "" if row["over_onoff"] == "1.0" else _interval(marks[case]),
@@ -286,7 +286,7 @@ def seasons() -> Result:
 
 
 def horizons() -> Result:
-    """Return how far forecasts should reach."""
+    """Return the deviation by horizon of forecasts with errors, and of perfect ones."""
     rows = [row for row in read("horizons") if row["parameter:horizon"]]
     perfect = {
         (_roof(row), row["parameter:horizon"]): float(row["over_onoff"])
@@ -307,7 +307,7 @@ def horizons() -> Result:
 
 
 def skills() -> Result:
-    """Return what better and worse forecasts are worth."""
+    """Return the deviation by skill of the forecasts."""
     figure = Figure("By skill", _RATIO, tuple(
         _ratio(_roof(row), row["forecast_skill"], row)
         for row in read("skills") if row["forecast_skill"]
@@ -318,20 +318,29 @@ def skills() -> Result:
 
 
 def sizing() -> Result:
-    """Return the mains water that each cistern saves; begun as empty as may be, and full."""
+    """Return the mains water that each cistern saves, beginning as empty as allowed, and full."""
     saved = {
-        (row["initial"], float(row["cistern_m3"]), float(row["green_roof_m2"])):
-            float(row["saved_m3"])
+        (row["initial"], float(row["cistern_m3"]), float(row["green_roof_m2"])): row
         for row in read("sizing")
     }
     figure = Figure(
         "By size", "mains water saved (m³)", tuple(
-            Mark(f"{roof:g} m²", f"{cistern:g} m³", "", value,
-                 saved["full", cistern, roof])
-            for (initial, cistern, roof), value in saved.items() if initial == "site"
+            Mark(f"{roof:g} m²", f"{cistern:g} m³", "",
+                 *(float(row[name]) for row, name in (
+                     (row, "saved_m3"), (saved["full", cistern, roof], "saved_m3"),
+                     (row, "low"), (row, "high"),
+                 )))
+            for (initial, cistern, roof), row in saved.items() if initial == "site"
         ), 3, form=".1f",
     )
-    return _plain("cistern", figure)
+
+    def cells(mark: Mark) -> tuple[str]:
+        return (f"{mark.value:.1f} ({mark.low:.1f} to {mark.high:.1f}), {mark.beside:.1f}",)
+
+    return Result(
+        ("cistern", *dict.fromkeys(mark.panel for mark in figure.marks)), _by_row(figure, cells),
+        figure,
+    )
 
 
 # --- from marks to cells and drawings -------------------------------------------------------------
@@ -344,7 +353,7 @@ def numbers_of(figure: Figure, mark: Mark) -> str:
 
 
 def _plain(corner: str, figure: Figure) -> Result:
-    """Return a table with the numbers of a figure as they are there."""
+    """Return a table with the numbers of a figure, unchanged."""
     panels = dict.fromkeys(mark.panel for mark in figure.marks)
     return Result(
         (corner, *panels), _by_row(figure, lambda mark: (numbers_of(figure, mark),)), figure

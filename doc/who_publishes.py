@@ -1,7 +1,7 @@
 """Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
 
-A column is a node, or a device on Modbus; a row is a topic, from the dot of who publishes it to the
-arrows of those that subscribe. The SVG takes its colour from the page, light or dark.
+A column is a node, or a device on Modbus. A row is a topic, from the dot of its publisher to the
+arrows of its subscribers. The SVG takes its colour from the page, light or dark.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Way:
     """A way to run the graph.
 
     Attributes:
-        name: for people.
+        name: its name in text.
         nodes: their roles in the interface, from left to right.
         live: whether it runs on the system's clock.
-        devices: what is no node, on the right.
-        exchanges: what goes over Modbus: text, from, to.
+        devices: devices that are no nodes, on the right.
+        exchanges: communication over Modbus: text, from, to.
         perhaps: nodes that may be absent.
     """
 
@@ -63,7 +63,7 @@ WAYS = {
 
 
 def publisher(topic: Topic, way: Way) -> str | None:
-    """Return who publishes a topic: of two that may, the one that takes the simulation's place."""
+    """Return a topic's publisher; of two possible ones, the one that replaces the simulation."""
     roles = [role for role in topic.publishers if role in way.nodes]
     return roles[-1] if roles else None
 

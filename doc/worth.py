@@ -1,7 +1,7 @@
 """The README's figure of what forecasts are worth, made from ``reference/worth.csv``.
 
 ``python tools/real_seasons ARCHIVES -o DIR`` writes that file as ``DIR/worth.csv``. The figure has
-its own background, light or dark as the reader's system is.
+its own background, light or dark like the reader's system.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _STYLE = """
 
 
 def _at(percent: float) -> float:
-    """Return where a share is along the axis (px)."""
+    """Return the position of a share on the axis (px)."""
     share = (percent - _FROM) / (_TO - _FROM)
     return _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
 
@@ -61,7 +61,7 @@ def drawing() -> str:
 
 
 def _panel(title: str, rows: list[dict[str, str]], top: int) -> tuple[list[str], int]:
-    """Return the marks of a roof, and how high they are together (px)."""
+    """Return the marks of a roof, and their total height (px)."""
     bottom = top + _HEAD + _ROW * len(rows)
     parts = [
         f'<text x="16" y="{top + 28}" font-weight="bold">{escape(title)}</text>',

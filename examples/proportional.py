@@ -1,10 +1,10 @@
-"""A controller of one's own: the command grows with what is missing on the roof.
+"""A controller of your own: the command grows with the water that is missing on the roof.
 
     greenroof simulate --controller examples.proportional:Proportional
     greenroof run --controller examples.proportional:Proportional --gain 40
     greenroof check-controller examples.proportional:Proportional
 
-A package of its own registers it under a name, in its setup.py:
+To register it under a name, a package of your own has in its setup.py:
 
     entry_points={"greenroof_ros.controllers": ["proportional = my_package:Proportional"]}
 """
@@ -41,14 +41,14 @@ class Proportional:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) alone; it does not look at the forecasts."""
+        """Decide from the levels (m) alone; the forecasts are not used."""
         if not cistern_level >= self._site.suction_level:
             return 0.0
         command = self.gain * (self._site.z_veg - roof_level)
         return min(command, 1.0) if command > 0 else 0.0
 
     def skip(self) -> None:
-        """Do nothing: it keeps nothing from tick to tick."""
+        """Do nothing: there is no state to keep."""
 
     def statistics(self) -> None:
         """Return nothing: it has no solver."""

@@ -1,7 +1,7 @@
-"""A pump driver in the place of the simulated pump: /pump/command in, /pump/flow out.
+"""A pump driver that replaces the simulated pump: /pump/command in, /pump/flow out.
 
-It needs nothing but rclpy. Start it, then bringup with ``--pump external``; start it again for each
-run. This pump's flow follows the command with a lag of first order.
+It needs only rclpy. Start it, then bringup with ``--pump external``; start it again for each run.
+This pump's flow follows the command with a first-order lag.
 """
 
 import math
@@ -17,15 +17,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 
 MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # of this pump: m3/s, s; of the graph: s
-SILENCE = 3.0  # s without a command after which the pump stops
-SUCTION = 0.75  # m: with the cistern at or below it the pump runs dry
+SILENCE = 3.0  # time without a command after which the pump stops (s)
+SUCTION = 0.75  # cistern level at or below which the pump runs dry (m)
 
 
 def on_command(message):
     """Follow a command, and publish the flow (m3/s)."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
-    dry = not state["cistern/level"] > SUCTION  # a NaN, an unknown level, is dry
+    dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
     if node.commanders > 1 or dry or math.isnan(state["roof/level"]) or state["weather/frost"] != 0:
         command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))
@@ -33,7 +33,7 @@ def on_command(message):
 
 
 def on_state(topic, message):
-    """Keep what speaks for or against running."""
+    """Store the state that the pump's interlocks need."""
     state[topic] = message.data
 
 
@@ -43,7 +43,7 @@ def on_silence():
 
 
 def on_liveliness(event):
-    """Count who commands; stop the pump when the controller has ended, was killed, or hangs."""
+    """Count controllers; stop the pump when the last has ended, was killed, or hangs."""
     node.commanders = event.alive_count
     if event.alive_count == 0:
         print("stopped: no controller")

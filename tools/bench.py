@@ -1,6 +1,6 @@
 """The speed of the graph and of the controller, as ratios measured in one run: ``make bench``.
 
-Times on shared machines mean little; what is measured beside each other, round by round, does.
+Times on shared machines mean little, but ratios of times measured together, round by round, do.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ECHOES = 7200
 
 
 def echo(role: str) -> None:
-    """One of the two processes of the yardstick: a Float64 there and back again."""
+    """Run one of the two processes of the yardstick, which send a Float64 back and forth."""
     import rclpy
     from rclpy.node import Node
     from std_msgs.msg import Float64
@@ -87,7 +87,7 @@ def measure_echo(domain: int) -> float:
 
 
 def measure_graph(domain: int, *arguments: str) -> float:
-    """Return a tick of the whole graph (s): bringup on a terminal, so that it draws its bar."""
+    """Return the time of a tick of the whole graph (s); bringup draws its bar on a terminal."""
     environ = {**environment(domain), "TERM": "xterm"}
     with tempfile.TemporaryDirectory() as directory:
         leader, follower = pty.openpty()
@@ -115,7 +115,7 @@ def _drain(leader: int) -> None:
 
 
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
-    """Return a tick of ``simulate`` (s) with plant and metrics, and its decisions' times."""
+    """Return the time of a tick of ``simulate`` (s), with metrics, and its decision times."""
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
@@ -131,9 +131,9 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
 
 
 def measure_study() -> float:
-    """Return the wall time of the paper's study over its MPC runs', were they all it is.
+    """Return the wall time of the paper's study, relative to its MPC runs alone.
 
-    The latter is the time of one 12 h MPC run alone times their number, over the cores.
+    Theirs is the time of a single 12 h MPC run times their number, divided by the cores.
     """
     with tempfile.TemporaryDirectory() as directory:
 
@@ -153,7 +153,7 @@ def measure_study() -> float:
 
 
 def measure_do_mpc(steps: int = 30) -> float:
-    """Return a step of do-mpc (s) on the same problem: smooth plant, horizon 10, same cost."""
+    """Return a do-mpc step's time (s) on the same problem: smooth plant, horizon 10, same cost."""
     import casadi
     import do_mpc
     import numpy as np

@@ -1,4 +1,4 @@
-"""The campaigns' processes inherit what the tests' processes do."""
+"""Gives the campaigns' processes the same environment as the tests' processes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Where tools import from: importing this puts the checkout, its tests' helpers and tools first.
+"""Import paths of the tools: importing this puts the checkout, its test helpers and tools first.
 
-A tool may be run with a package installed from elsewhere, or with none. What pytest collects has
-the same from ``pythonpath`` in ``pyproject.toml``.
+A tool may run with a package installed elsewhere, or with none. Files that pytest collects get the
+same paths from ``pythonpath`` in ``pyproject.toml``.
 """
 
 from __future__ import annotations

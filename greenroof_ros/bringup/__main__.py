@@ -1,7 +1,7 @@
-"""The node graph in any of its three ways: ``python -m greenroof_ros.bringup``, ``greenroof run``.
+"""Run the node graph in any of three ways: ``python -m greenroof_ros.bringup``, ``greenroof run``.
 
-A simulated site is in :mod:`greenroof_ros.bringup.simulated`, what a drive in the loop adds to it
-in :mod:`greenroof_ros.bringup.in_the_loop`, and a live site in :mod:`greenroof_ros.bringup.live`.
+Simulated: :mod:`greenroof_ros.bringup.simulated`; with a drive in the loop, also
+:mod:`greenroof_ros.bringup.in_the_loop`; a live site: :mod:`greenroof_ros.bringup.live`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ make_parser = simulated.make_parser
 
 
 def main() -> int:
-    """Bring the graph up, watch it, and end it; ``--plant external`` is ``greenroof live``."""
+    """Start the graph, watch it, and end it; ``--plant external`` is ``greenroof live``."""
     parser = argparse.ArgumentParser(prog="greenroof run", add_help=False, allow_abbrev=False)
     parser.add_argument("--plant", choices=["internal", "external"])
     arguments, sys.argv[1:] = parser.parse_known_args()

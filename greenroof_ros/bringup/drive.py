@@ -1,4 +1,4 @@
-"""What ``run`` and ``live`` have in common: graph, and the drive behind the pump node."""
+"""What ``run`` and ``live`` share: the options of the graph, and the drive of the pump node."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from greenroof_ros.graph.supervisor import NodeStart, StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 from greenroof_ros.watch.beside import watcher
 
-# What is somebody else's node.
+# Option value for a node that the user runs.
 EXTERNAL = "external"
 _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
     "on; look at the pump, and stop it at the drive's panel or its switch"
 )
-# How long the drive simulator, which may have been started just before, may take to answer (s).
+# How long the drive simulator may take to answer (s): it may have been started just before.
 _SIMULATOR_S = 30.0
-# Parameters of a node that bringup alone decides, and its options for them. By the plant's a real
-# drive would run at another speed than the one that was checked.
+# Parameters that only bringup sets, by node, each with its option of bringup. If the plant's could
+# be overridden, a real drive would run at another speed than the one that was checked.
 _OF_BRINGUP = {
     PUMP: {
         "drive": "--drive",
@@ -49,13 +49,13 @@ _OF_BRINGUP = {
 
 @dataclass(frozen=True)
 class DriveChoice:
-    """A drive, and where it is.
+    """A drive and its address.
 
     Attributes:
-        file: says what it is like.
-        at: its address, as the user wrote it.
-        login: of a relay's broker; empty for none.
-        authority: of it: trusted certificates; empty for the system's.
+        file: the drive file, which describes the drive.
+        at: the address as the user wrote it.
+        login: login file for a relay's broker; empty for none.
+        authority: file of certificates to trust for that broker; empty for the system's.
     """
 
     file: Path
@@ -64,7 +64,7 @@ class DriveChoice:
     authority: str = ""
 
     def read(self) -> Placed:
-        """Return what the drive is like, and where it is.
+        """Return the drive's description and its address, both parsed.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
@@ -72,17 +72,17 @@ class DriveChoice:
         return place_drive(self.file, self.at, "--drive-at", self.login, self.authority)
 
     def state_file(self, state: Path | None) -> Path:
-        """Return where a stop or a fault of this drive is kept; its directory is made.
+        """Return the file that keeps this drive's stops and faults, and create its directory.
 
-        It is the drive's, not a run's, so that a fault outlives the run that found it; and the same
-        for each way to write the address.
+        By default the file belongs to the drive, not to a run: a fault outlives the run in which it
+        was found. Its name is the same for every spelling of the address.
 
         Args:
-            state: the directory that ``--state`` names; None for the drive's own.
+            state: the directory given by ``--state``; None for the drive's own.
 
         Raises:
-            ConfigurationError: the file or the address is wrong, the host is not known, or the
-                directory cannot be made.
+            ConfigurationError: the file or the address is wrong, the host is unknown, or the
+                directory cannot be created.
         """
         if state is not None:
             record = state.resolve() / "pump.json"
@@ -100,10 +100,10 @@ class DriveChoice:
         return record
 
     def parameters(self, state_file: Path) -> dict[str, Any]:
-        """Return the parameters of the pump node that follow from it.
+        """Return the pump node's parameters for this drive.
 
         Args:
-            state_file: of what must survive a restart of the node.
+            state_file: file for what must survive a restart of the node.
         """
         return {
             "drive": str(self.file),
@@ -115,16 +115,16 @@ class DriveChoice:
         }
 
     def refuse_speed(self, speed: float, check: Callable[[], None]) -> None:
-        """Refuse a speed other than real time but for the drive simulator, which is waited for.
+        """Allow a speed other than real time for the drive simulator only; wait until it answers.
 
-        The pump node looks again, on each of its connections.
+        The pump node repeats this check on each connection.
 
         Args:
-            speed: simulated time per wall time; 0 for as fast as it goes.
-            check: called again and again; raises what ends the wait.
+            speed: simulated time per wall time; 0 for as fast as possible.
+            check: called repeatedly; it can raise to end the wait.
 
         Raises:
-            ConfigurationError: it is not that simulator, or nobody answers.
+            ConfigurationError: the drive is not that simulator, or nothing answers.
         """
         if speed == 1:
             return
@@ -151,10 +151,10 @@ class DriveChoice:
             raise no_real_time(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
-        """Return what stops the drive without the pump node, whose process it is given.
+        """Return a function that stops the drive without the pump node.
 
-        It returns whether the drive says that the pump stands, and what came of it, in words. A
-        drive that another program runs is left to that, and whether it stands is not known.
+        It takes the pump node's process id, and returns whether the drive reports the pump at rest,
+        and the outcome in words. A drive that another program runs is left alone, with False.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
@@ -163,7 +163,7 @@ class DriveChoice:
         from greenroof_ros.drives.lock import DriveInUseError
 
         placed = self.read()
-        placed.connection()  # loads its library: when it is needed the disk may hang
+        placed.connection()  # loads its library now: the disk may hang when it is needed
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
@@ -173,7 +173,7 @@ class DriveChoice:
                     f"another program (process {error.holder}) runs the drive, and may run the "
                     "pump: the drive is left to it"
                 )
-            except Exception as error:  # whatever it is, somebody must look at the pump
+            except Exception as error:  # whatever the error, somebody must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             message = f"bringup ordered the drive to stop; it then reported: {status}"
             return (True, message) if status.stands else (False, f"{message}; {_MAY_RUN}")
@@ -182,11 +182,11 @@ class DriveChoice:
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
-    """Add the options of any graph, and of its drive.
+    """Add the options of the graph and its drive.
 
     Args:
-        parser: of the command.
-        pump: the default of ``--pump``, which else can be ``external`` only.
+        parser: the command's parser.
+        pump: the default of ``--pump``; if empty, ``external`` is the only choice.
     """
     group = parser.add_argument_group("the graph")
     group.add_argument(
@@ -249,29 +249,29 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
 def bring_up(
     arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int]
 ) -> int:
-    """Start a graph, with the page of it if it was asked for; return the exit code.
+    """Start a graph, with its web page if ``--watch`` was given; return the exit code.
 
     Args:
         arguments: the command line.
-        site_file: of the site.
-        start: returns the exit code.
+        site_file: the site file, for the page.
+        start: runs the graph and returns the exit code.
     """
     try:
         with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
             return start(Signals())
-    except InterruptedRun as error:  # before a node was started
+    except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
         return EXIT_INTERRUPTED
 
 
 def refuse(*rules: tuple[bool, str, object, str]) -> None:
-    """Refuse a command line by the first rule that it breaks.
+    """Refuse a command line if it breaks a rule; report the first one that it breaks.
 
     Args:
-        rules: of each whether it is broken, the option, its value, and what would be right.
+        rules: each is (whether it is broken, the option, its value, what is expected).
 
     Raises:
-        ConfigurationError: it breaks one.
+        ConfigurationError: a rule is broken.
     """
     for broken, option, value, expected in rules:
         if broken:
@@ -279,10 +279,10 @@ def refuse(*rules: tuple[bool, str, object, str]) -> None:
 
 
 def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
-    """Return the drive that a command line names, if it does.
+    """Return the drive that the command line names; None if it names none.
 
     Raises:
-        ConfigurationError: there is no such drive file, or something is missing.
+        ConfigurationError: there is no such drive file, or the options are inconsistent.
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(
@@ -304,17 +304,17 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
 def own_parameters(
     arguments: argparse.Namespace, nodes: Sequence[NodeStart], controller: ControllerChoice
 ) -> list[Path]:
-    """Return the parameter file of a user's own, if there is one.
+    """Return the file given by ``--node-parameters``, in a list; an empty list if there is none.
 
     Args:
         arguments: the command line.
-        nodes: that are started.
-        controller: of the graph.
+        nodes: the nodes that bringup starts.
+        controller: the graph's controller.
 
     Raises:
-        ConfigurationError: it is not there; or says what would have no effect; or something else of
-            the drive than bringup, which would then stop another drive than the pump node runs; or
-            of the speed, which bringup has checked; or there is no ROS 2.
+        ConfigurationError: the file does not exist or sets something without effect; it sets the
+            drive (bringup would then stop the wrong one), its state file or the speed (which
+            bringup has checked); or ROS 2 is not installed.
     """
     file: Path | None = arguments.node_parameters
     if file is None:

@@ -1,4 +1,4 @@
-"""What a drive in the loop adds to a simulated run: its pump node, and its start."""
+"""A drive in the loop of a simulated run: pump node parameters, and waiting for the drive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
 
-# How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
+# How long a drive may take to be ready (s): an ABB's timeout is active only 30 s after power-up.
 _DRIVE_LIMIT_S = 60.0
 
 
@@ -23,14 +23,14 @@ def drive_parameters(
     """Return the parameters of the pump node.
 
     Args:
-        drive: that it runs.
-        state: the directory of what must survive a restart; None for the drive's own.
-        tau: of the site (s).
-        speed: simulated time per wall time.
+        drive: the drive that the node runs.
+        state: directory for what must survive a restart; None for the drive's own.
+        tau: the site's time step (s).
+        speed: simulated time per wall time; 0 for as fast as possible.
     """
     return {
         **drive.parameters(drive.state_file(state)),
-        # The time between two rounds of requests (s): a tick, within limits.
+        # The time between two rounds of requests (s): a tick in wall time, from 0.02 to 0.1 s.
         "exchange_period": min(max(tau / speed, 0.02), 0.1) if speed else 0.02,
     }
 
@@ -38,12 +38,12 @@ def drive_parameters(
 def wait_for_drive(
     supervisor: Supervisor, signals: Signals, state_file: str, progress: RunProgress
 ) -> None:
-    """Wait until the pump node may run its drive: no run begins that could not pump.
+    """Wait until the pump node can run its drive, so that no run starts that cannot pump.
 
-    What was latched in another run keeps the pump off in this one, and is said.
+    A stop or fault latched in an earlier run keeps the pump off in this one; a warning says so.
 
     Raises:
-        NodeFailed: it ended, or something speaks against the drive for too long.
+        NodeFailed: the node ended or hangs, or the drive could not be run within 60 s.
         InterruptedRun: a signal came.
     """
     progress.say(f"stops and faults of the drive are kept in {state_file}")

@@ -1,4 +1,4 @@
-"""A live site kept up: its directory, its nodes, and what is said of it: ``greenroof live``."""
+"""Keep a live site running (``greenroof live``): its directory, its nodes, its messages."""
 
 from __future__ import annotations
 
@@ -47,29 +47,29 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
-# How often systemd is notified (s), and how long the start may then still take (microseconds).
+# How often systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# How long the list of what is missing must stand before it is said (s), and how long what has not
-# come yet is late, and not lost.
+# How long the list of what is missing must be unchanged before it is printed (s), and how long
+# after the start something that has not come yet counts as late, not as lost (s).
 _LISTED_S, _LATE_S = 1.0, 60.0
-# How long the end of a site waits for its summary to be written (s).
+# How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
-# Decimal places of each level's metres.
+# Decimal places of each level (m).
 _PLACES = {"cistern": 3, "roof": 4}
-# Files that are in memory (Linux).
+# A directory in memory (Linux).
 _IN_MEMORY = "/dev/shm"
 
 
 def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
-    """Start the nodes of a live site and keep them up until a signal comes.
+    """Start the nodes of a live site and keep them running until a signal comes.
 
     Returns:
-        The exit code: 0 where it was asked to stop, the pump stands, and there was no incident.
+        The exit code: 0 if the site was asked to stop, the pump stands, and there was no incident.
 
     Raises:
-        ConfigurationError: there is a graph already, no ROS 2, a wrong parameter file, or the
-            directory cannot be made.
+        ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or
+            the directory cannot be created.
     """
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
@@ -95,7 +95,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
                 for node in nodes:
                     supervisor.add(node)
                 _keep_up(site, supervisor, record, start, signals)
-        except Exception as error:  # whatever it is, the summary must not say that the site runs
+        except Exception as error:  # whatever the error, the summary must not say "running"
             signals.ignore()
             return _end(record, supervisor, error)
 
@@ -103,18 +103,18 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
 def _keep_up(
     site: LiveSite, supervisor: LiveSupervisor, record: _Record, start: _Start, signals: Signals
 ) -> NoReturn:
-    """Watch the nodes for ever.
+    """Watch the nodes until an error ends the site.
 
     Raises:
         InterruptedRun: a signal came.
-        NodeFailed: a node cannot be kept up.
+        NodeFailed: a node cannot be kept running.
     """
     ready = False
     notified = -_NOTIFY_S
     try:
         while True:
             supervisor.listen()
-            signals.check()  # a service manager signals the nodes, too: their end is no failure
+            signals.check()  # before look(): a node stopped by a service manager has not failed
             supervisor.look()
             record.look(supervisor, starting=start.late)
             start.look(supervisor.last, supervisor.inhibit)
@@ -135,7 +135,7 @@ def _keep_up(
 
 
 def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
-    """Keep and say why the site ended, so that somebody looks at it; return the exit code."""
+    """Record and print why the site ended; return the exit code."""
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
@@ -157,33 +157,33 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
 
 
 class _Start:
-    """What the site lacks before it can pump: a line each with what to do, until all is there.
+    """During the start, lists what keeps the site from pumping, each with what to do about it.
 
-    It is what would be an incident if it lasted, but for warnings. What only follows from something
-    else is listed where nothing else keeps the pump off. The list is said when it has changed, by
-    the codes in it: their sentences have numbers. Of what is lost later an incident tells.
+    It lists what would become an incident if it lasted, except warnings; a mere consequence only
+    if no cause with the same effect on the pump is there. It is printed when its codes change (the
+    messages contain numbers). The start ends when nothing is missing; later losses are incidents.
     """
 
     def __init__(self, namespace: str) -> None:
-        """Begin the start of a graph in a namespace, such as ``/site1``; empty for none."""
+        """Begin the start of a graph; its namespace is such as ``/site1``, or empty for none."""
         self._namespace = namespace
         self._over = False
         self._late_until = time.monotonic() + _LATE_S
-        # What is missing, by node, part and code: what is said, and what is seen since when.
+        # What is missing, by node, part and code: as last printed; as last seen, and since when.
         self._said: list[tuple[str, ...]] | None = None
         self._seen: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     @property
     def late(self) -> bool:
-        """Whether what has not come yet may still come, and is not lost."""
+        """Whether something that has not come yet is only late, not lost."""
         return not self._over and time.monotonic() < self._late_until
 
     def look(self, reports: Mapping[str, Mapping[str, Any]], inhibit: str) -> None:
-        """Say what is missing, where that has changed, and the end of the start.
+        """Print what is missing if that has changed, and the end of the start.
 
         Args:
-            reports: the last of each node.
-            inhibit: why the pump may not run; empty where it may.
+            reports: the last report of each node.
+            inhibit: why the pump must not run; empty if it may.
         """
         if self._over:
             return
@@ -214,22 +214,22 @@ class _Start:
             say(f"running: {levels}")
 
     def _advice(self, node: str, code: str) -> str:
-        """Return what to do about a code, which a node of another version may have alone."""
+        """Return what to do about a code; a node of another version may send an unknown one."""
         condition = read_conditions().get(code)
         return condition.advise(f"{self._namespace}/{node}") if condition else "Read its message."
 
 
 class _Record:
-    """What is kept of a site since its start, ``summary.json``, and said of it.
+    """The record of a site since its start: ``summary.json``, incidents and warnings.
 
-    The disk's thread writes it: a disk that is full, or hangs, stops nobody.
+    The disk thread writes the files, so a full or hung disk stops nothing else.
 
     Attributes:
-        log: of the incidents.
+        log: the log of incidents.
     """
 
     def __init__(self, site: LiveSite, state: Path) -> None:
-        """Read how the site ended the last time, and say it unless it was asked to."""
+        """Read how the site last ended, and print it unless it had been asked to stop."""
         self.log = IncidentLog(say, state / INCIDENTS)
         try:
             self.log.go_on()
@@ -264,7 +264,7 @@ class _Record:
             say(f"the last time, since {before['began']}, {end}")
 
     def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
-        """Find what was lost, or has come back, since the last call; say and keep it."""
+        """Find what was lost or has come back since the last call; print and record it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
         disk = {
@@ -281,7 +281,7 @@ class _Record:
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
-        """Say each warning that did not stand before: of nodes, and of what is not kept."""
+        """Print each new warning: those of the nodes, and those about files not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.refused and not DISK.late:
             warnings.add(
@@ -293,7 +293,7 @@ class _Record:
         self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
-        """Keep the status of the site, from :mod:`greenroof_ros.experiment.summary`."""
+        """Write the summary with a status of :mod:`greenroof_ros.experiment.summary`."""
         self._written = self.log.changes
         self._summary.give({
             "status": status,
@@ -307,7 +307,7 @@ class _Record:
         })
 
     def wait(self) -> None:
-        """Wait until all is on the disk, and say where it is not within 5 s."""
+        """Wait until everything is on the disk; warn if it is not within 5 s."""
         if not DISK.wait(_WRITTEN_S):
             self._summary.problem = (
                 f"{self._state}: the disk does not respond; {summary.SUMMARY} is not kept"
@@ -316,7 +316,7 @@ class _Record:
 
 
 def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return levels, command and pump in a line, as far as the nodes have said them."""
+    """Return a line with both levels, and with command and pump state if they are known."""
     values = _values(reports)
     parts = [levels_of(reports)]
     if values.get("command") is not None:
@@ -327,7 +327,7 @@ def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return both levels, as far as the nodes have said them."""
+    """Return both levels as text; ``unknown`` if no node has reported one."""
     return ", ".join(
         f"{name} unknown" if level is None else f"{name} {level:.{_PLACES[name]}f} m"
         for name, level in _levels(reports).items()
@@ -335,18 +335,18 @@ def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
-    """Return both levels (m); None where no node has said one."""
+    """Return both levels (m); None if no node has reported one."""
     values = _values(reports)
     return {name: values.get(f"{name}_level") for name in _PLACES}
 
 
 def _values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what the nodes said last, by its name."""
+    """Return the entries of all nodes' last reports in one mapping."""
     return {name: value for report in reports.values() for name, value in report.items()}
 
 
 def _last_time(state: Path) -> dict[str, Any] | None:
-    """Return when and how the site was started and ended before; None where that is not known."""
+    """Return when the previous start was, and when and how it ended; None if unknown."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         before = json.loads((state / summary.SUMMARY).read_text(encoding="utf-8"))
         return {key: before[key] for key in ("status", "reason", "began", "ended")}
@@ -355,11 +355,11 @@ def _last_time(state: Path) -> dict[str, Any] | None:
 
 @contextmanager
 def _state_directory(path: Path) -> Iterator[Path]:
-    """Make the directory of a site, and lock it.
+    """Create the directory of a site and lock it.
 
     Raises:
-        ConfigurationError: it cannot be made or written.
-        OccupiedError: another bringup has it.
+        ConfigurationError: it cannot be created or written.
+        OccupiedError: another bringup has locked it.
     """
     try:
         with writable(path, "--state"):
@@ -377,21 +377,21 @@ def _state_directory(path: Path) -> Iterator[Path]:
 def _configuration(
     site: LiveSite, own_files: Sequence[Path], state: Path, memory: Path
 ) -> list[Path]:
-    """Keep what the site was started with; in memory, and with a warning, on a full disk.
+    """Save the configuration of this start; on a full disk, in memory and with a warning.
 
     After a power cut nobody is there to make room, and the plants need water.
 
     Args:
-        site: as asked for.
-        own_files: parameter files of the user's.
+        site: the site as the command line describes it.
+        own_files: the user's parameter files.
         state: the directory of the site.
-        memory: a directory that is on no disk, for as long as the site runs.
+        memory: a directory in memory that exists while the site runs.
 
     Returns:
         The ROS 2 parameter files that all nodes read, bringup's and the user's.
 
     Raises:
-        OSError: it cannot be written there, either.
+        OSError: it cannot be written to memory, either.
     """
     place, part = state / "configuration", state / "configuration.part"
     shutil.rmtree(part, ignore_errors=True)
@@ -409,20 +409,20 @@ def _configuration(
 def _write_configuration(
     site: LiveSite, own_files: Sequence[Path], state: Path, directory: Path, place: Path
 ) -> list[Path]:
-    """Copy what the site was started with, and write the parameters of its nodes.
+    """Copy the files that the site is started with, and write the parameters of its nodes.
 
-    A node that is started again reads the same files as before, whatever was edited meanwhile; but
-    the forecast is read where it lies, since it is replaced there.
+    A node that is restarted reads these copies, even if the originals have been edited. Only the
+    forecast is read from its own path, since it is replaced there.
 
     Args:
-        site: as asked for.
-        own_files: parameter files of the user's.
+        site: the site as the command line describes it.
+        own_files: the user's parameter files.
         state: the directory of the site.
-        directory: to write to; made where it is missing.
-        place: where that will be.
+        directory: where to write; created if missing.
+        place: the path that ``directory`` will have when the nodes read it.
 
     Returns:
-        The ROS 2 parameter files that all nodes read, bringup's and the user's, in their place.
+        The ROS 2 parameter files that all nodes read, bringup's and the user's, under ``place``.
 
     Raises:
         OSError: it cannot be written.
@@ -440,7 +440,7 @@ def _write_configuration(
 
 @command
 def main() -> int:
-    """Bring the site up, and keep it up until it is stopped."""
+    """Start the site, and keep it running until it is stopped."""
     arguments = parse_run_arguments(make_parser())
     site = LiveSite(arguments)
     return bring_up(arguments, site.site_file, partial(run_live, site, arguments))

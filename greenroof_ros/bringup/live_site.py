@@ -1,4 +1,4 @@
-"""A live site as the command line asks for it, and its nodes with what each needs."""
+"""A live site as the command line describes it, and its nodes with their parameters."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from greenroof_ros.graph.supervision import PUMP, RECORDER
 from greenroof_ros.graph.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
-# Size of one file of the bag (MB), where the whole may be ten times that.
+# Largest size of one file of the bag (MB); a tenth of the bag's limit if that is smaller.
 _BAG_FILE_MB = 100.0
 
 
 class LiveSite:
-    """What bringup keeps up on a live site.
+    """What bringup runs on a live site.
 
     Attributes:
         site_file: the parameters of Table I.
-        controller: which.
-        parameters: its parameters, all of them.
-        sensors: sensor file; None where the levels come from somebody else's nodes.
-        sensed: what that file says.
-        weather: whether the weather node is bringup's, and not somebody else's.
-        forecast: forecast file, or ``open-meteo`` where it is fetched from there; None where there
-            is none, or the weather is somebody else's.
-        fetch_model: weather model that is fetched; empty for the service's choice.
-        fetch_url: of the server that it is fetched from; empty for Open-Meteo's.
-        fetch_every: from one forecast to the next (min); None for the weather node's default.
-        dressed: file of what fell after past forecasts, which is added to; None for none.
-        drive: of the pump; None where it is somebody else's.
-        bag_limit: size of the bag beyond which the oldest of it is removed (MB); None for no bag.
+        controller: the chosen controller.
+        parameters: all parameters of the controller.
+        sensors: sensor file; None if the user's own nodes publish the levels.
+        sensed: content of that file; None without a file.
+        weather: whether bringup starts the weather node; otherwise the user runs one.
+        forecast: forecast file, or ``open-meteo`` to fetch it from there; None if there is none or
+            the user runs the weather node.
+        fetch_model: weather model to fetch; empty for the service's choice.
+        fetch_url: URL of the forecast server; empty for Open-Meteo's.
+        fetch_every: time between two forecasts (min); None for the weather node's default.
+        dressed: file of the rain after past forecasts, to which new rain is added; None for none.
+        drive: the pump's drive; None if the user's own node runs the pump.
+        bag_limit: size beyond which the bag's oldest files are removed (MB); None for no bag.
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        """Take what a command line asks for.
+        """Check the command line and read the files that it names.
 
         Raises:
-            ConfigurationError: an option, or a file that it names, is wrong, or one is missing.
+            ConfigurationError: an option or a file that it names is wrong or missing.
         """
         self.site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
         self.controller, self.parameters = controller_from_arguments(
@@ -106,7 +106,7 @@ class LiveSite:
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
-        """Return the files that it is started with, but for the forecast, which is replaced."""
+        """Return the files to copy at the start, by name; without the forecast: it changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
             "drive": self.drive.file if self.drive is not None else None,
@@ -114,7 +114,7 @@ class LiveSite:
         return {name: file for name, file in files.items() if file is not None}
 
     def fetched(self, state: Path) -> dict[str, str | float]:
-        """Return the weather node's parameters of the forecast, given the directory of all kept."""
+        """Return the weather node's forecast parameters; ``state`` is the site's directory."""
         if self.forecast != OPEN_METEO:
             return {"forecast": str(self.forecast or "")}
         return {
@@ -126,11 +126,11 @@ class LiveSite:
         }
 
     def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:
-        """Return its nodes.
+        """Yield the nodes that bringup starts.
 
         Args:
-            state: the directory of all that is kept.
-            place: where the copies of :meth:`files` are, each in a directory of its name.
+            state: the directory of the site.
+            place: directory with the copies of :meth:`files`, each in a subdirectory of its name.
         """
         copies = {name: place / name / file.name for name, file in self.files().items()}
         common = {"live": True, "site_file": str(copies["site"])}
@@ -156,7 +156,7 @@ class LiveSite:
             ("--controller", self.controller.reference),
             {
                 **common, **self.parameters,
-                # What one controller has learned is nothing to another.
+                # One controller cannot use what another has learned.
                 "state_file": str(state / f"{self.controller.name}.json"),
             },
         )
@@ -178,7 +178,7 @@ class LiveSite:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line of a live site."""
+    """Return the parser for the command line of a live site."""
     parser = argparse.ArgumentParser(
         prog="greenroof live",
         usage="%(prog)s [options]",
@@ -253,10 +253,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:
-    """Return the file of forecasts, or by which name they are fetched; None for neither.
+    """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None for neither.
 
     Raises:
-        ConfigurationError: there is no such file, or an option is for what is not fetched.
+        ConfigurationError: there is no such file, or a fetch option is given without a fetch.
     """
     for option in ("fetch_model", "fetch_url", "fetch_every"):
         value = getattr(arguments, option)
@@ -270,10 +270,10 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
 
 
 def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
-    """Refuse a serial line that a sensor shares with the drive: one program alone can open it.
+    """Refuse a serial line shared by a sensor and the drive: only one program can open it.
 
     Raises:
-        ConfigurationError: it is shared, or the drive's file or address is wrong.
+        ConfigurationError: the line is shared, or the drive's file or address is wrong.
     """
     placed = drive.read()
     if not isinstance(placed, PlacedDrive):
@@ -290,7 +290,7 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
 
 
 def _readable(file: str, option: str) -> Path:
-    """Return a file's whole path; what is in it the node that reads it says.
+    """Return a file's absolute path; its content is not checked here.
 
     Raises:
         ConfigurationError: there is no such file.

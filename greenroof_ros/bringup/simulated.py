@@ -1,6 +1,6 @@
-"""A simulated site as a ROS 2 graph, also with a drive in the loop: ``greenroof run``.
+"""Run a simulated site as a ROS 2 graph, with or without a drive in the loop: ``greenroof run``.
 
-What a drive adds is in :mod:`greenroof_ros.bringup.in_the_loop`.
+See :mod:`greenroof_ros.bringup.in_the_loop` for what a drive adds.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, NodeStart,
 from greenroof_ros.recording.bag_reader import count_ticks
 
 _NODES = "greenroof_ros.nodes"
-_SHOWN = ("tick", "cistern_level", "roof_level", "command")  # of what the plant says
+_SHOWN = ("tick", "cistern_level", "roof_level", "command")  # entries of the plant's report
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the parser for the command line."""
     parser = argparse.ArgumentParser(
         prog="greenroof run",
         usage="%(prog)s [options]",
@@ -77,10 +77,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def simulated_run(arguments: argparse.Namespace) -> Run:
-    """Build and check the run that a command line asks for.
+    """Build and check the run that the command line describes.
 
     Raises:
-        ConfigurationError: an option, or a file that it names, is wrong.
+        ConfigurationError: an option or a file that it names is wrong.
     """
     run = run_from_arguments(arguments)
     if arguments.pump == EXTERNAL or arguments.drive is not None:
@@ -91,15 +91,13 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
 
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
-    """Make the run's directory, start the nodes, watch them, end them, and say how it went.
-
-    Returns:
-        The exit code.
+    """Create the run's directory, start, watch and end the nodes; return the exit code.
 
     Raises:
-        ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
+        ConfigurationError: an option is wrong, a graph runs already, ROS 2 is missing, or the
+            directory cannot be created.
         OSError: the summary cannot be written.
-        OutputError: it cannot be printed.
+        OutputError: the summary cannot be printed.
     """
     drive = chosen_drive(arguments)
     stop_drive = drive.stopper() if drive is not None else None
@@ -113,7 +111,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     ]
     own_files = own_parameters(arguments, nodes, run.controller)
     speed = arguments.speed
-    if speed is None:  # in the loop as a real drive, else as fast as it goes
+    if speed is None:  # real time with a drive, otherwise as fast as possible
         speed = 0.0 if drive is None else 1.0
     if drive is not None:
         drive.refuse_speed(speed, signals.check)
@@ -141,7 +139,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             directory / "log", [parameters, *own_files], arguments.namespace, stop_drive,
             lambda node, problem: say(f"{node}: {problem}"),
         )
-        # The pump's permit is given from here: a terminal that hangs must not keep it back.
+        # LINES, because this loop gives the pump's permit and a hung terminal must not delay it.
         progress = RunProgress(run.steps, run.site.tau, LINES)
         log = IncidentLog(progress.say, directory / INCIDENTS)
         status, reason, code = summary.DONE, "", EXIT_DONE
@@ -181,15 +179,15 @@ def _watch(
     """Watch the nodes until all have reported the end of the run.
 
     Args:
-        run: what was asked for.
-        limit: longest silence of a node (s).
-        supervisor: has started the nodes.
-        signals: looked at ten times a second.
-        log: finds what is lost in the run.
-        progress: the bar.
+        run: the run.
+        limit: longest silence of a node once all are ready (s).
+        supervisor: the supervisor that started the nodes.
+        signals: checked ten times a second.
+        log: records incidents during the run.
+        progress: the progress bar.
 
     Raises:
-        NodeFailed: one ended, hangs, or is not ready in time.
+        NodeFailed: a node ended or hangs.
         InterruptedRun: a signal came.
     """
     waiting, running, tick = set(supervisor.nodes), set(supervisor.nodes), -1
@@ -214,12 +212,12 @@ def _watch(
 
 
 def _tick(supervisor: Supervisor) -> int:
-    """Return the tick that the plant has reached."""
+    """Return the tick that the plant has reached; -1 before the first."""
     return int(supervisor.last.get("plant", {}).get("tick", -1))
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
-    """Return who has not come yet: nodes that say nothing, and for whom the others wait."""
+    """Return the nodes that are silent or awaited by others; if none, those that are not ready."""
     names = {**ROLES, "controller": run.controller.name}
     missing = {
         names.get(role, role)
@@ -229,9 +227,9 @@ def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
 
 
 def _say_unclosed_bag(supervisor: Supervisor) -> None:
-    """Say that the recorder could not close its bag, where it has begun one.
+    """Print an error if the recorder had started and could not close its bag.
 
-    One whose middleware locked up (SIGALRM) had closed its bag before, or logged why it could not.
+    If its middleware locked up (SIGALRM), it had closed the bag before, or logged why it could not.
     """
     recorder = supervisor.nodes.get(RECORDER)
     if recorder is not None and recorder.spoke and (
@@ -244,7 +242,7 @@ def _end(
     run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
     *, as_json: bool,
 ) -> None:
-    """Write the summary; print it if the run is done, or say how its bag is opened."""
+    """Write the summary; print it if the run is done, otherwise print how to open the bag."""
     last = supervisor.last
     refused: Counter[str] = Counter()
     for report in last.values():
@@ -266,7 +264,7 @@ def _end(
         return
     ticks = count_ticks(directory / "bag")
     _say_what_is_in_bag(directory, ticks)
-    # A plant that was killed came further than it had said, and the recorder heard of it.
+    # A plant that was killed may have got further than it reported; the bag shows how far.
     reached = max(_tick(supervisor), (ticks or 0) - 1)
     result = summary.build_unfinished(
         run, status, reason=reason, last_tick=reached if reached >= 0 else None, **notes
@@ -275,11 +273,11 @@ def _end(
 
 
 def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
-    """Say what is in the bag of a run that is not done, and how it is opened.
+    """Print what is in the bag of an unfinished run, and how to open it.
 
     Args:
-        directory: of the run.
-        ticks: that it holds; None where there is none, or it was not closed.
+        directory: the run's directory.
+        ticks: number of ticks in the bag; None if there is no bag or it was not closed.
     """
     bag, run = directory / "bag", shlex.quote(str(directory))
     report = f"  greenroof report {run}"
@@ -297,7 +295,7 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
 
 @command
 def main() -> int:
-    """Bring the graph up, watch it, and end it."""
+    """Start the graph, watch it, and end it."""
     arguments = parse_run_arguments(make_parser())
     run = simulated_run(arguments)
     return bring_up(arguments, run.site_file, partial(run_graph, run, arguments))

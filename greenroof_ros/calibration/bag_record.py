@@ -1,4 +1,4 @@
-"""Measured records from a bag of this project: of a live site, or of a run."""
+"""Measured records from a bag of this project, of a live site or a simulation."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from greenroof_ros.report.about import read_about
 from greenroof_ros.report.bags import run_directory
 from greenroof_ros.weather.evapotranspiration import FAO56
 
-# Of the steps that a bag is divided into: short beside a storm, long beside a sensor's noise.
+# Duration of the steps (s): short relative to storms, long relative to a sensor's noise.
 _STEP_S = 300.0
-# No message for longer is a gap (s).
+# A longer time without messages is a gap (s).
 _GAP_S = 600.0
 
 
 def read_bag_record(bag: Path, site: Site) -> Record:
     """Read a bag as steps of five minutes.
 
-    Rain, evapotranspiration and what was pumped are summed over each; ``/roof/level`` is that at
-    its beginning. Where ``/roof/drainage`` is not recorded, or nothing drained, only levels count.
+    Rain, evapotranspiration and pumped water are summed over each step; ``/roof/level`` is the
+    level at its beginning. If ``/roof/drainage`` is not recorded, or is always 0, runoff does not
+    count.
 
-    Evapotranspiration that the run computed (``fao56``, as it wrote beside its bag) is divided by
-    the crop coefficient of the run's site, which is in it. It is not in a weather file's own
-    column, nor in the forecasts of a live site: where nothing says that it was computed it stays
-    as it is.
+    Evapotranspiration that the run computed (``fao56`` in the files beside its bag) contains the
+    crop coefficient of the run's site, and is divided by it. A weather file's own column and the
+    forecasts of a live site do not contain it, so other evapotranspiration is used as it is.
 
-    The pumps' command counts while they deliver, in steps in which it is never above 1, which
-    is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
-    through gaps, too: the value of a day before, or in the first day the last before the gap.
+    The pumps' command counts while they deliver. Steps with a command above 1, which no real pump
+    follows, have none. Steps in a gap have only evapotranspiration, because a roof dries in gaps,
+    too: the value of a day before or, on the first day, the last before the gap.
 
     Raises:
         ConfigurationError: the bag cannot be read, is shorter than two steps, or holds no
@@ -56,7 +56,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
         gap[int(low):int(high)] = True
 
     def summed(flow: Values) -> Values:
-        """Of a flow that holds from each sample to the next, its sum in each step."""
+        """Return the sum in each step of a flow that holds from each sample to the next."""
         total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
         amounts = np.diff(np.interp(edges, seen.time, total))
         return np.where(gap, np.nan, amounts)
@@ -92,7 +92,7 @@ def _through_gaps(reference: Values) -> Values:
     day = round(86400 / _STEP_S)
     filled = reference.copy()
     for step in np.flatnonzero(np.isnan(reference)).tolist():
-        # A bag begins with a message, but its first step may have a part of a gap.
+        # A bag begins with a message, but a gap can begin in its first step.
         before = step - day if step >= day else max(step - 1, 0)
         filled[step] = np.nan_to_num(filled[before])
     return filled

@@ -1,8 +1,8 @@
-"""What speaks against a record or its fit, and what else is found: one function for each check.
+"""Checks of a record and of its fit, and other findings: one function for each check.
 
-The bounds part the two measured roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to October,
-in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a broken
-sensor; bounds of levels part the levels that these roofs would have.
+The bounds separate the records of the two measured roofs (Neubrandenburg 2014 and 2015, Berlin
+2019, April to October, in windows of 30 to 100 days) from the same records with a wrong unit, a
+shifted clock or a broken sensor. Bounds for levels do so with simulated levels of these roofs.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import evaporable, extraterrestrial_radiation
 
 FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
-"""All that a calibration can find."""
+"""all findings of a calibration"""
 
 _FEWEST_VALUES = 100
 
 
 def check_record(record: Record, site: Site) -> list[Finding]:
-    """Return what is wrong with a sensor, a unit or a clock of a record.
+    """Return what is wrong with the sensors, units and clocks of a record.
 
     Args:
-        record: what was measured in the steps that count.
+        record: the measurements in the steps that count.
         site: its roof and place.
 
     Raises:
@@ -73,13 +73,13 @@ def check_record(record: Record, site: Site) -> list[Finding]:
 
 # --- sensors --------------------------------------------------------------------------------------
 
-# A reading that is the same for so long (s) while so much rain fell (mm), and in so many steps: on
-# two days in a row a roof can be as full, be it wet.
+# A sensor is stuck if its reading stays the same for this long (s) while this much rain falls (mm),
+# and in this many steps: with steps of a day, a roof can have equal levels on two wet days.
 _STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
 
 
 def _sparse(record: Record) -> Iterator[Finding]:
-    """A sensor that is read less often than there are rows: between, all would be gaps."""
+    """Find sensors that are read less often than rows are written: rows between are empty."""
     for column, values in {"rain": record.rain, **record.measured}.items():
         often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
         if often > 1:
@@ -90,7 +90,7 @@ def _sparse(record: Record) -> Iterator[Finding]:
 
 
 def _stuck(record: Record) -> Iterator[Finding]:
-    """A sensor that shows one value while it must change."""
+    """Find sensors that show one value while it must change."""
     fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
     for column, values in (*reversed(record.measured.items()), ("rain", record.rain)):
         longest, most = (_RAIN_STUCK_S, 0.0) if column == "rain" else (_STUCK_S, _STUCK_RAIN)
@@ -111,23 +111,22 @@ def _stuck(record: Record) -> Iterator[Finding]:
 
 # --- clocks ---------------------------------------------------------------------------------------
 
-# Water reaches a level sensor within minutes and leaves a roof within hours; more is a clock. So is
-# an answer that comes before the rain by more than so many steps, and two hours at most: clocks
-# differ by minutes, and a level's rises are between means of half an hour.
+# Water reaches a level sensor within minutes and leaves a roof within hours; a longer delay means a
+# shifted clock. So does a response before the rain by more than this many steps, or by two hours:
+# clocks can differ by minutes, and a level's rises are between means of half an hour.
 _LONGEST_DELAY_S, _MOST_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
 _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
-# A correlation that says something, and how many times that without a shift it must be. A roof that
-# answers early is wrong for certain: in 64 windows of 30 and 60 days of the two measured roofs the
-# best is at most 1.03 times that without a shift; with a clock an hour early it is more than 1.1
-# times that in 47 of them.
+# The least correlation that counts, and the least ratio of the best correlation to the one without
+# a shift. An early response is always wrong: in 64 windows of 30 and 60 days of the two measured
+# roofs this ratio is at most 1.03; with a clock an hour early it is above 1.1 in 47 of them.
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
 def _clock(record: Record) -> Iterator[Finding]:
-    """A roof that answers before it rains, or hours after.
+    """Find a roof that responds before the rain, or hours after it.
 
-    Its rises answer: how long a roof goes on after the rain says nothing about clocks. Those of a
-    level are of half an hour's mean over the one before, in which a sensor's noise is less.
+    Only rises of runoff or level count: how long runoff continues after rain says nothing about
+    clocks. A level's rise is between two means of half an hour, to reduce a sensor's noise.
     """
     column, series = next(iter(record.measured.items()))
     if column == "runoff":
@@ -138,7 +137,7 @@ def _clock(record: Record) -> Iterator[Finding]:
     usual_s = (
         -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_LONGEST_DELAY_S, record.step_s),
     )
-    # Roots make one great storm less heavy among the others.
+    # Square roots reduce the weight of one large storm.
     came, answers = (
         roots - roots.mean()
         for roots in (np.sqrt(record.came), np.sqrt(np.maximum(np.nan_to_num(rises), 0.0)))
@@ -163,9 +162,9 @@ def _clock(record: Record) -> Iterator[Finding]:
 
 
 def _rises(values: Values, count: int) -> Values:
-    """Return the mean of so many values from each on, less the mean of as many before it.
+    """Return the mean of ``count`` values from each value on, less the mean of as many before it.
 
-    What is not known counts as 0, what was before the first, too. Shape (values - count + 1,).
+    Unknown values and values before the first count as 0. Shape (values - count + 1,).
     """
     weights = np.repeat([1.0, -1.0], count) / count
     return np.convolve(np.nan_to_num(values), weights)[count - 1:len(values)]
@@ -173,57 +172,57 @@ def _rises(values: Values, count: int) -> Values:
 
 # --- units ----------------------------------------------------------------------------------------
 
-# More evapotranspiration than any day has (mm). Alfalfa, which takes 1.15 times what grass does,
-# took 14 mm on the windiest days of four years in Texas, weighed (Evett, Howell, Todd, Schneider
-# and Tolk, Alfalfa reference ET measurement and prediction, 4th Decennial National Irrigation
-# Symposium, 2000).
+# More evapotranspiration than any day has (mm). Alfalfa, with 1.15 times the evapotranspiration of
+# grass, had 14 mm, weighed, on the windiest days of four years in Texas (Evett, Howell, Todd,
+# Schneider and Tolk, Alfalfa reference ET measurement and prediction, 4th Decennial National
+# Irrigation Symposium, 2000).
 _MOST_A_DAY = 20.0
 # Less than the best day of a month has, as a share of what the sun above the atmosphere could
-# evaporate. By Hargreaves' equation it has 0.12 at least at the two measured roofs, and 0.08 in
-# eleven years of Toronto, in their coldest months; a twelfth of it 0.04 at most, in summer. A bound
-# in mm cannot part the two.
+# evaporate. By Hargreaves' equation the best day has at least 0.12 at the two measured roofs, and
+# 0.08 in eleven years of Toronto, in the coldest months; a twelfth of the right value is at most
+# 0.04, in summer. A bound in mm cannot separate the two.
 _LEAST_OF_SUN, _FEWEST_DAYS = 0.06, 30
-# Least rain from which anything can be said (mm), and what is no rain of weeks (mm a day).
+# The least rain and pumped water for a fit (mm), and more rain than falls in weeks (mm a day).
 _LEAST_RAIN, _MOST_RAIN_A_DAY = 20.0, 60.0
-# More than a storm's water runs off in it: as a share of all runoff in storms at most 0.13 of the
-# measured roofs, and with a wrong unit 0.21 and more, mostly 0.4. And in mm, which a few drops
-# never are.
+# The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
+# 0.13 for the measured roofs; with a wrong unit at least 0.21, mostly 0.4. And in mm, so that a few
+# drops do not count.
 _MOST_EXCESS, _LEAST_EXCESS = 0.25, 5.0
-# The greatest share of a storm of 5 mm or more that runs off: 0.13 at least, and with a wrong unit
-# 0.08 at most; of three such storms in 90 days. A shorter record may be of a dry month.
+# The greatest share of a storm of 5 mm or more that runs off: at least 0.13, and with a wrong unit
+# at most 0.08; with three such storms in 90 days. A shorter record can be from a dry month.
 _LEAST_SHARE, _LARGE, _FEWEST_LARGE, _LONG_DAYS = 0.1, 5.0, 3, 90
-# What runs off of a storm that is more than the soil's volume comes but for this (mm).
+# A roof keeps at most the soil's volume and this much more of a storm (mm).
 _HELD_BESIDES = 20.0
-# How much levels rise in storms of 1 mm and more, as a share of their water: 0.4 to 1.1, and with a
-# wrong unit 0.09 at most or 6 at least; of three such storms.
+# Rise of levels in storms of 1 mm and more, as a share of their water: 0.4 to 1.1, and with a wrong
+# unit at most 0.09 or at least 6; with three such storms.
 _LEAST_RISE, _MOST_RISE, _COUNTS, _FEWEST_STORMS = 0.1, 2.0, 1.0, 3
-# Means so long before and after a storm, in which a sensor's noise is less (s).
+# Duration of the means before and after a storm, which reduce a sensor's noise (s).
 _BESIDE_S = 1800
-# So much water leaves some runoff behind (mm), be it in many storms; and so does all that the soil
-# could hold. The measured roofs let nothing run off of 44 mm in four weeks.
+# More water than this (mm), even from many storms, must cause some runoff if it also exceeds what
+# the soil can hold. The measured roofs had no runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
-# Nobody waters the measured roofs: they dry out, and their bounds allow for what evaporates then. A
-# roof that was watered within a week goes on at the full rate, the rate of the reference grass
-# times 1.3 at most (FAO-56, Eq. 72: 1.05 to 1.3).
+# The measured roofs are not watered: they dry out, and bounds allow for evaporation meanwhile. A
+# roof that was watered within a week evaporates at the full rate, at most 1.3 times the rate of the
+# reference grass (FAO-56, Eq. 72: 1.05 to 1.3).
 _WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
 
 
 def _days(record: Record) -> float:
-    """Return of how many days the rain is known."""
+    """Return the duration of known rain in days."""
     return float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
 
 
 def _watered(record: Record) -> Steps:
-    """Return in which steps something was pumped onto the roof within a week."""
+    """Return the steps with water pumped onto the roof within the last week."""
     return lately(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
 
 
 def _to_hold(record: Record, site: Site) -> Values:
-    """Return what a roof off which nothing runs gains up to each step (mm), shape (steps + 1,).
+    """Return the gain of a roof without runoff up to each step (mm), shape (steps + 1,).
 
-    Its greatest rise in some steps is what a dry roof must hold in them. Of what comes,
-    evapotranspiration takes all that it can while somebody waters the roof: a good controller gives
-    it no more than that.
+    A dry roof must be able to hold the greatest rise of this gain. While a roof is watered,
+    evapotranspiration is subtracted at its full rate, because a good controller pumps no more than
+    that.
     """
     rate = max(_FULL_RATE, site.crop_coefficient)
     evaporated = np.where(_watered(record), rate * record.reference, 0.0)
@@ -231,14 +230,14 @@ def _to_hold(record: Record, site: Site) -> Values:
 
 
 def _most_held(site: Site) -> float:
-    """Return what a roof holds at most before some of its water runs off (mm)."""
+    """Return the most water that a roof can hold without any runoff (mm)."""
     return max(_LEAVES_SOME, 1000 * site.z_soil)
 
 
 def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
-    """A column of evapotranspiration that no place has: a day with too much, no day with enough.
+    """Find impossible evapotranspiration: a day with too much, or no day with enough.
 
-    Too little is seen where the site has its latitude, and in records of 30 days or more.
+    Too little is found only if the site has a latitude, and in records of 30 days or more.
     """
     column = record.reference_column
     if not column:
@@ -275,9 +274,9 @@ def _rain(record: Record) -> Iterator[Finding]:
 
 
 def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
-    """Levels above the soil, or that rise by much more or less than what storms bring.
+    """Find levels above the soil, or rises in storms that are far from the storms' water.
 
-    A storm's rise is from the mean of half an hour before its first rain to that after its last.
+    A rise is between the means of half an hour before a storm's first rain and after its last.
     """
     highest = float(np.nanmax(level))
     if highest > site.highest_roof_level:
@@ -291,7 +290,7 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
         if storm.first < beside or storm.dry + beside > record.steps:
             continue
         came = float(np.sum(water[storm.first - beside:storm.dry + beside]))
-        # Levels are of the beginnings of steps: the storm's first is before its rain.
+        # Levels are at the beginning of steps: the level of the first step is before its rain.
         before = level[storm.first + 1 - beside:storm.first + 1]
         rise = 1000 * float(np.mean(level[storm.dry:storm.dry + beside]) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
@@ -305,9 +304,9 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
 
 
 def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
-    """Next to nothing of what came runs off.
+    """Find records with almost no runoff.
 
-    That is what a watered roof may leave, as long as its soil can hold the rest.
+    A watered roof may have none if its soil could hold all the water.
     """
     known = ~np.isnan(runoff) & ~np.isnan(record.rain)
     came, gone = float(np.sum(record.came[known])), float(np.sum(runoff[known]))
@@ -319,11 +318,11 @@ def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
 
 
 def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
-    """Runoff that is more than what came storm by storm, or less than any roof lets off.
+    """Find runoff that exceeds the water of storms, or is less than any roof lets run off.
 
-    What came and what ran off are of a storm and the day after (mm). Storms with gaps do not count.
-    From when on a roof leaves some of a storm nobody knows where it is watered: a controller may
-    make room for the storm.
+    Water and runoff are of a storm and the day after it (mm). Storms with gaps do not count. The
+    least share of runoff is not checked in storms on a watered roof, because a controller can make
+    room for a storm.
     """
     water, watered, capacity = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
     balances = []
@@ -358,16 +357,16 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
 
 # --- water that is missing ------------------------------------------------------------------------
 
-# Water that comes from a roof without any rain on it for so long (mm, s).
+# More runoff than this (mm), after this long (s) without rain, has no explanation.
 _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
-# A level that rises without rain: the means of so long before and after (s), and of so many values
-# at least, apart by so much (mm), and by so many times more than it ever falls so, with none for a
-# day before. Noise of 2 mm makes 2 mm of it; a sensor that feels the sun rises and falls alike.
+# A level rises without rain if means of this duration (s), of at least this many values, differ by
+# this much (mm) and by this many times the greatest fall, after a day without rain. Noise of 2 mm
+# makes a rise of 2 mm; a sensor that is warmed by the sun rises and falls equally.
 _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 
 def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
-    """A flow meter that shows none of more water than soil and evapotranspiration can take."""
+    """Find a flow meter that shows 0 for more water than soil and evapotranspiration take."""
     most, gained = _most_held(site), _to_hold(record, site)
     for low, high in gaps(runoff == 0):
         if greatest_rise(gained[low:high + 1]) > most:
@@ -380,7 +379,7 @@ def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
 
 
 def _wet(record: Record) -> Steps:
-    """Return in which steps water came, or may have come."""
+    """Return the steps in which water came, or is unknown."""
     return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 
@@ -421,7 +420,7 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
 
 # --- fits -----------------------------------------------------------------------------------------
 
-# Simulated too much or too little by this share, runoff is not the roof's.
+# If the volume of runoff is wrong by more than this share, the fit is poor.
 _VOLUME_OFF = 0.5
 _LOOK_AT = (
     "Look at units, at clocks that are shifted, at sensors that are stuck or blocked, and at a2 "
@@ -430,13 +429,12 @@ _LOOK_AT = (
 
 
 def check_fit(scores: Sequence[Scores]) -> list[Finding]:
-    """Return what speaks against a fit.
+    """Return the objections to a fit.
 
-    It is refused where it is worse than the mean of what was measured, wherever one looks: an NSE
-    below 0 of hours (or the steps, where they are longer) and of days, in the fit and in the
-    validation, of everything that was measured. Nobody should use it where the validation has an
-    NSE of days below 0, of hours (or longer steps) where there are too few days, or a volume that
-    is wrong by more than half.
+    It is refused if it is worse than the mean of the measurements in every respect: every NSE is
+    below 0, of hours (or of longer steps) and of days, in the fit and in the validation, and of
+    every series. A warning follows if, in the validation, the NSE of days is below 0 (of hours or
+    longer steps if there are too few days), or the volume of runoff is wrong by more than half.
     """
     lines, best, worse, off = [], [], [], []
     for row in scores:
@@ -463,16 +461,16 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
 
 # --- level sensors --------------------------------------------------------------------------------
 
-# A day after the last water nothing moves on a roof at night.
+# From a day after the last water, a roof's level does not change at night.
 _STILL_S, _SHORTEST_NIGHT_S, _FEWEST_NIGHTS = DAY_S, 3 * HOUR_S, 5
 
 
 def level_sensor(record: Record, simulated: Values) -> Finding:
-    """Return what nights say in which neither rain nor evapotranspiration moves the level.
+    """Return noise and drift of the level sensor, from nights without rain or evapotranspiration.
 
-    The noise is what the level does within a night, about its mean; the drift the line through what
-    the nights' means are above the simulated level. An offset cannot be told from the wilting
-    point, which takes it up.
+    Noise is the deviation of the level from its mean within a night. Drift is the slope of a line
+    through the differences between the nights' mean measured and simulated levels. An offset cannot
+    be separated from the wilting point, which absorbs it.
 
     Args:
         record: with a level.
@@ -488,7 +486,7 @@ def level_sensor(record: Record, simulated: Values) -> Finding:
             variances.append(float(np.var(record.level[low:high], ddof=1)))
     if len(times) < _FEWEST_NIGHTS:
         return FINDINGS.make("level-sensor", "unseen", "level sensor")
-    from scipy import stats  # half of what the command imports, before it refuses
+    from scipy import stats  # half of all import time, and not needed for a refusal
 
     line = stats.linregress(times, errors)
     drift = 30 * 1000 * float(line.slope)

@@ -1,4 +1,4 @@
-"""Measured records as CSV: one row a step, units in the header."""
+"""Measured records as CSV: a row for each step, units in the header."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
 _COURSE, _LEAST, _GREATEST = "temperature", "least temperature", "greatest temperature"
-# Of each quantity: unit, least and greatest believable value in it, and examples of what a column's
-# unit may be. Amounts are believable by the hour. More rain than that fell nowhere for a minute
-# (WMO: 31.2 mm, Unionville 1956), and no roof gives back more than its rain. A W/m2 evaporates
-# 0.0015 mm/h: more than 3 the sun's 1361 W/m2 cannot, with air that is warmer. So far a level
-# sensor's zero may be off, or its noise go.
+# For each quantity: unit, least and greatest believable value, and examples of units of a column.
+# Limits of amounts are per hour. The greatest rain in a minute was less (WMO: 31.2 mm, Unionville
+# 1956), and no roof gives back more than its rain. A W/m2 evaporates 0.0015 mm/h: the sun's
+# 1361 W/m2 and warmer air cannot evaporate more than 3 mm/h. The least level allows for a sensor's
+# zero error and noise.
 _WATER: Limits = ("mm/h", 0.0, 1900.0)
 _LEVEL: Limits = ("m", -0.1, 100.0)
 _QUANTITIES: dict[str, tuple[Limits, str]] = {
@@ -50,33 +50,33 @@ _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "pump state": (("1", 0.0, 1.0), "1 %"),
     **dict.fromkeys((_COURSE, _LEAST, _GREATEST), (QUANTITIES[_COURSE], "degC")),
 }
-# How many of a unit are one m, 1 or degC.
+# How many of a unit make one m, 1 or degC.
 _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}
 _RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _FEWEST_ROWS = 100
-# Rows may be so much off a step (share of it) without being counted as off; and of those that are,
-# so many may be there (share of the rows): a clock that is set each week has two in a thousand.
+# A row further than this from whole steps (share of a step) is off; at most this share of rows may
+# be: a clock that is set each week makes two in a thousand.
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
-# Of a day, so that its extremes are among them; and days without that take those beside them (d).
+# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
 _ENOUGH, _LONGEST_GAP = 0.75, 3
-# Temperatures further apart (s) miss a day's extremes: those three hours apart see 0.92 of a sine's
-# range at least, those six hours apart 0.71.
+# Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
+# a sine's range, six hours apart 0.71.
 _LONGEST_STEP_S = 3 * HOUR_S
 
 
 class _Rows(NamedTuple):
-    """Which step each row of a file is of."""
+    """The rows of a file, and the step that each belongs to."""
 
     table: Table
     times: list[datetime]
     steps: NDArray[np.int64]
-    """counted from the first row's"""
+    """counted from the step of the first row"""
 
     def together(
         self, values: Values, group: Callable[[Values, NDArray[np.int64], int], Values]
     ) -> Values:
-        """Return what :func:`.record.sums` or means make of each step's rows; NaN without any."""
+        """Return :func:`.record.sums` or means of each step's rows; NaN for a step without rows."""
         series = np.full(self.steps[-1] + 1, np.nan)
         series[np.unique(self.steps)] = group(values, self.steps, 1)
         return series
@@ -85,28 +85,28 @@ class _Rows(NamedTuple):
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record:
     """Read a measured record from CSV.
 
-    The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
-    no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
-    begins at its time; levels are of that moment. An amount without ``/`` is the sum of its
-    step; ``mm`` are a depth on the roof, ``l`` and ``m3`` the whole roof's, of ``a2``. Rows are a
-    regular step apart, of at most a day; where a clock was set, each is of the step that begins
-    nearest to its time, amounts of two rows of one step add up, and all else of them is averaged.
-    Missing rows and empty cells are gaps. Lines that begin with ``#`` are comments.
+    The first column is ``time``: ISO 8601, at the site's ``utc_offset`` if a time has no offset.
+    Others are named like ``rain [mm]``: quantity and unit. A row describes the step that begins at
+    its time; levels are at that time. An amount without ``/`` is the sum over its step. ``mm`` is a
+    depth on the roof; ``l`` and ``m3`` are for the whole roof of area ``a2``. Rows are a regular
+    step apart, at most a day. If a clock was set, a row belongs to the step that begins nearest to
+    its time: amounts of two rows in one step add up, other values are averaged. Missing rows and
+    empty cells are gaps. Lines that begin with ``#`` are comments.
 
-    ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration``, which has
-    gaps of an hour at most, or temperatures: ``temperature``, or the day's ``least temperature``
-    and ``greatest temperature`` in any row of their day, for Hargreaves' equation. A row is of the
-    day of its own time, whatever its step. What was pumped onto the roof is ``pumped``, or ``pump
-    state`` (share of the maximum flow) with ``cistern level``; without either nothing.
+    Required are ``rain``, ``level`` or ``runoff``, and evapotranspiration. It is ``reference
+    evapotranspiration``, with gaps of at most an hour, or computed by Hargreaves' equation from
+    ``temperature``, or from the day's ``least temperature`` and ``greatest temperature`` in any row
+    of that day. A row belongs to the day of its own time, not of its step. Pumped water is
+    ``pumped``, or ``pump state`` (share of the maximum flow) with ``cistern level``, or else 0.
 
     Args:
         file: the record.
-        site: its place, and its pumps.
-        months: those that count, such as ``4-10``; in the others evapotranspiration may have longer
-            gaps, over which it takes the straight line.
+        site: its place and pumps.
+        months: that count, such as ``4-10``. In other months evapotranspiration may have longer
+            gaps, which are interpolated linearly.
 
     Raises:
-        ConfigurationError: the file breaks any of this; the message names line, column and value.
+        ConfigurationError: the file breaks a rule; the message names line, column and value.
     """
     table = read_table(file)
     columns = _columns(table)
@@ -152,7 +152,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
 
 
 def _columns(table: Table) -> dict[str, tuple[str, str]]:
-    """Return each quantity's column and its unit; refuse a header that lacks what a fit needs."""
+    """Return each quantity's column and unit; refuse a header without the required columns."""
     columns: dict[str, tuple[str, str]] = {}
     for name, quantity, unit in table.quantities("rain [mm]"):
         if quantity in columns:
@@ -182,11 +182,11 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
 def _unit(
     table: Table, name: str, quantity: str, text: str, site: Site, step_s: float
 ) -> tuple[Limits, Unit, bool]:
-    """Return what a column's unit means; refuse one that the quantity cannot have.
+    """Return the meaning of a column's unit; refuse a unit that the quantity cannot have.
 
     Returns:
-        The believable range, the unit by ours, which is mm in a step for amounts and rates, and
-        whether the numbers of two rows of one step add up, as amounts of their rows.
+        The believable range, the unit relative to ours (mm in a step for amounts and rates), and
+        whether the numbers of two rows in one step add up, because they are amounts.
     """
     (ours, low, high), examples = _QUANTITIES[quantity]
     per_ours = _PER_OURS.get(text) if text in examples.split() else None
@@ -203,7 +203,7 @@ def _unit(
 
 
 def _last_decimal(values: Values) -> float:
-    """Return what 1 in the last decimal place is that any value has, 1e-12 at least."""
+    """Return the unit of the last decimal place that any value has, at least 1e-12."""
     there = values[~np.isnan(values)]
     places = 0
     while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
@@ -212,9 +212,9 @@ def _last_decimal(values: Values) -> float:
 
 
 def _pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
-    """Return what was pumped onto the roof (mm in a step), NaN where that is not known.
+    """Return the water pumped onto the roof (mm in a step), NaN if unknown.
 
-    While the pumps stand the cistern's level does not matter.
+    While the pumps are stopped, the cistern's level does not matter.
     """
     if "pumped" in series or "pump state" not in series:
         return series.get("pumped", np.zeros(len(series["rain"])))
@@ -228,19 +228,19 @@ def _pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
 
 
 def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.int64], float]:
-    """Return the step that each row is of, counted from the first row, and its duration (s).
+    """Return the step of each row, counted from the first row, and the duration of steps (s).
 
-    The duration is the median of the rows' spacings. Each row is of the step that begins nearest to
-    its time, half a step off at most: so a clock that was set moves no row that comes after. Two
-    rows can be of one step then.
+    The duration is the median spacing of the rows. A row belongs to the step that begins nearest to
+    its time, at most half a step away, so errors of a clock do not add up. Two rows can then belong
+    to one step.
 
     Args:
         table: for messages.
         times: of its rows.
 
     Raises:
-        ConfigurationError: a time is not later than the one before, the rows are more than a day
-            apart, or more than one in a hundred is off a regular step.
+        ConfigurationError: a time is not later than the previous time, the rows are more than a day
+            apart, or more than one spacing in a hundred is not a whole number of steps.
     """
     since = np.array([time.timestamp() for time in times]) - times[0].timestamp()
     spacing = np.diff(since)
@@ -250,7 +250,7 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
             "must be later than the time of the row before", TIME, int(back[0]) + 1
         )
     step_s = float(np.median(spacing))
-    # A roof drains within hours; longer sums show nothing that rain does not.
+    # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise table.refuse(
             f"the rows are {time_name(step_s)} apart; they must be a day apart at most", TIME, 1
@@ -270,21 +270,21 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
 
 
 def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Steps) -> Values:
-    """Return reference evapotranspiration that is there in every step (mm), shape (steps,).
+    """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
-    A roof dries while its sensors fail, too: a gap of an hour at most takes the straight line
-    between the steps beside it, and a longer one is refused. Rows' times measure a gap, not its
-    steps: where a clock was set on, a step can be without a row though hardly any time is missing.
+    A roof dries even if its sensors fail. So a gap of at most an hour is interpolated linearly, and
+    a longer gap is refused. A gap is measured by the times of rows, not by steps: if a clock was
+    set forward, a step can lack a row though hardly any time is missing.
 
     Args:
         record: its times, and the column's name.
         rows: of the file.
-        values: of each step (mm), NaN where there is none.
-        counts: whether a step is fitted or judged, shape (steps,); a gap in which none is may be of
-            any length.
+        values: of each step (mm), NaN if missing.
+        counts: whether a step is fitted or judged, shape (steps,). A gap without such steps may
+            have any length.
 
     Raises:
-        ConfigurationError: another gap is longer, or it is 0 throughout.
+        ConfigurationError: another gap is longer, or evapotranspiration is 0 throughout.
     """
     column = record.reference_column
     if not np.any(values > 0):
@@ -294,7 +294,7 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
         )
     missing = np.isnan(values)
     since = np.array([time.timestamp() for time in rows.times])
-    # Before the first row and after the last as if there were one more, so that gaps there count.
+    # As if there were one more row at each end, so that gaps there count, too.
     since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
     for low, high in gaps(missing):
         row, after = np.searchsorted(rows.steps, (low, high)).tolist()
@@ -317,24 +317,24 @@ def _from_temperatures(
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
-    A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
-    have begun the day before, where the logger's clock was set. A step has the evapotranspiration
-    of the day that it begins in on the record's own clock. A day without temperatures, or with
-    temperatures of a part of it, has the line between its neighbours', where it counts over three
-    days at most.
+    A temperature belongs to the day of its row, not of its step: if the logger's clock was set, the
+    step of a row at 0:00 can begin on the day before. A step has the evapotranspiration of the day
+    in which it begins on the record's own clock. A day without temperatures, or with less than 0.75
+    of its ``temperature``, is interpolated. For a day that counts, temperatures must exist within
+    three days.
 
     Args:
         record: its times.
         site: its place.
         rows: of the file.
         numbers: of each quantity, among them ``temperature``, or ``least temperature`` and
-            ``greatest temperature`` in any row of their day (degC), NaN where a row has none, shape
+            ``greatest temperature`` in any row of the day (degC), NaN if a row has none, shape
             (rows,).
         counts: whether a step is fitted or judged, shape (steps,).
 
     Raises:
-        ConfigurationError: the site has no place, temperatures are too far apart to show a day's
-            extremes, or more days in a row have none.
+        ConfigurationError: the site has no place; or temperatures are too far apart to show a day's
+            extremes, too far from a day that counts, or least above greatest.
     """
     if site.latitude is None or site.longitude is None:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""The fit: which parameters a record can tell, their values, and how certain they are."""
+"""The fit: which parameters a record identifies, their values, and how certain they are."""
 
 from __future__ import annotations
 
@@ -18,28 +18,27 @@ from greenroof_ros.calibration.simulation import Simulated, least_reading, simul
 from greenroof_ros.model.site import Site
 
 Tell = Callable[[str, float], None]
-"""Is called with what is being done, and the share of the fit that is done, 0 to 1; it never
-falls."""
+"""called with a text on the current stage, and the finished share of the fit, 0 to 1, rising"""
 
 _STAGES = (
     "what the record identifies", "where to begin", "search", "what it identifies there",
     "last search",
 )
-# Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks (s).
+# Duration of sums (s): shorter ones show the sensors' resolution, longer ones lose the peaks.
 _SUM_S = 3600
-# In a simulation the rain of a step comes evenly, and leaves the drainage layer later than its
-# showers do. Step against step, more runoff in all would make up for that: a third more of steps of
-# six hours. Of sums over so many steps the delay does not matter. Over more than so long (s) a
-# record of days has too few of them.
+# A simulation spreads a step's rain evenly, so it leaves the drainage layer later than real showers
+# do. If single steps were compared, the fit would compensate with more runoff in total: a third
+# more with steps of six hours. In sums over this many steps the delay does not matter. But a record
+# of days has too few sums longer than this (s).
 _SUM_STEPS, _LONGEST_SUM_S = 8, 4 * 86400
-# Residuals that belong together: what a storm does to a roof is forgotten after about a week.
+# The residuals of a week are a group: a storm's effect on a roof is gone after about a week.
 _WEEK_S = 7 * 86400
-# In standard deviations of what was measured: beyond it a residual counts in proportion, no longer
-# by its square.
+# In standard deviations of the measurements: beyond it the loss grows in proportion to a residual,
+# no longer with its square.
 _ROBUST_FROM = 10.0
-# Of its range, a parameter moves the simulation too little, or only as others do together.
+# A parameter is not identified if its diagonal of the pivoted QR, over the largest, is below this.
 _TELLS_NOTHING = 1e-3
-# Shares of their ranges at which the search may begin.
+# The coarse grid: shares of the ranges at which the search can begin.
 _GRID = {
     "field_capacity": (0.2, 0.45, 0.7),
     "crop_coefficient": (0.1, 0.25, 0.45, 0.7),
@@ -47,28 +46,28 @@ _GRID = {
 }
 _STEP = 1e-3
 _MOST_EVALUATIONS = 60
-# Of longer steps (s) the drainage time is not fitted: it would make up for rain that comes evenly.
+# With longer steps (s) the drainage time is not fitted: it would compensate for the even rain.
 _TELLS_DRAINAGE_S = 3600
-# A half of its interval this large, as a share of the parameter or of its range, says little.
+# If half an interval exceeds this share of the value or range, the data hardly constrain it.
 _HARDLY = 0.5
 _END = 0.005
 _CONFIDENCE = 0.95
 FILLED = "filled"
-# Of the available water, where nothing says how much was there.
+# Share of the available water on the roof at first, if nothing is known about it.
 _HALF_FILLED = 0.5
 _DRAINAGE = "drainage_time"
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a parameter may be.
+    """The range of a parameter.
 
     Attributes:
         name: of a site's parameter, or ``filled``: the share of the available water that is on the
             roof when the record begins.
         low: least value.
         high: greatest value.
-        logarithmic: whether its ratios count, not its differences.
+        logarithmic: whether its scale is logarithmic.
     """
 
     name: str
@@ -90,12 +89,12 @@ class Range:
 
 
 def ranges(site: Site, record: Record) -> list[Range]:
-    """Return what is to be fitted.
+    """Return the ranges of the parameters to fit.
 
-    Field capacity and wilting point never cross: what the driest level leaves is above the wilting
-    point. The drainage layer's storage is not among them: its outflow k V^2 depends on
-    storage times time constant alone, as long as it is not full. Nor is its time constant where
-    steps are longer than an hour.
+    The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
+    separates them. The drainage layer's storage is not fitted: while the layer is not full, its
+    outflow k V^2 depends only on storage times time constant. With steps longer than an hour its
+    time constant is not fitted either.
     """
     if record.level is None:
         most = max(0.1, (site.wilting_point or 0.0) + 0.01)
@@ -113,12 +112,12 @@ def ranges(site: Site, record: Record) -> list[Range]:
     ]
 
 
-# m, within the 0.002 to 0.04 of drainage mats and gravel, and not full in an ordinary storm.
+# In m: drainage mats and gravel have 0.002 to 0.04. An ordinary storm does not fill it.
 _TYPICAL_STORAGE = 0.02
 
 
 def measured_roof(site: Site) -> Site:
-    """Return a site as a measured roof: with typical values of what it has not."""
+    """Return a site as a measured roof, with typical values of parameters that it lacks."""
     if site.field_capacity is None:
         site = replace(
             site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
@@ -129,17 +128,17 @@ def measured_roof(site: Site) -> Site:
     return site
 
 
-# Of the water that plants can take, what may be gone: 'a value of 0.50 for p is commonly used for
-# many crops' (FAO-56, chapter 8).
+# Share of the plants' available water that may be used up: 'a value of 0.50 for p is commonly used
+# for many crops' (FAO-56, chapter 8).
 _MAY_BE_GONE = 0.5
 
 
 def reachable_target(site: Site) -> Site:
-    """Return the site with a target that its roof can hold; itself where it holds the present one.
+    """Return the site with a target that its roof can hold; unchanged if it holds the present one.
 
-    What is above field capacity drains, so that a target there would be pumped for without end. A
-    record says nothing of the target: it is set half-way between wilting point and field capacity,
-    and its owner is asked to choose another.
+    Water above field capacity drains, so pumping to a target there would never end. A record says
+    nothing about the target. It is set half-way between wilting point and field capacity, and the
+    site's owner is asked to choose another.
 
     Args:
         site: of a measured roof.
@@ -147,7 +146,7 @@ def reachable_target(site: Site) -> Site:
     if site.x2_star < site.z_cap:
         return site
     volume = site.wilting_volume + (1 - _MAY_BE_GONE) * site.available_volume
-    depth = float(f"{volume / site.a2:.6g}")  # as it stands in the site file
+    depth = float(f"{volume / site.a2:.6g}")  # with the digits of the site file
     return replace(site, z_veg=depth, x2_star=site.a2 * depth)
 
 
@@ -157,14 +156,14 @@ class Parameter(NamedTuple):
     name: str
     value: float
     low: float
-    """of the 95 % interval; NaN where the data cannot tell"""
+    """end of the 95 % interval; NaN if the data do not determine it"""
     high: float
     words: str
-    """empty where the data tell it, otherwise why not"""
+    """why it was not fitted, or is uncertain; empty if the data determine it"""
 
     @property
     def interval(self) -> str:
-        """Its 95 % interval for people; empty where the data do not determine it."""
+        """Its 95 % interval as text; empty if the data do not determine it."""
         return "" if np.isnan(self.low) else f"{self.low:.4g} to {self.high:.4g}"
 
 
@@ -174,22 +173,22 @@ class Fit(NamedTuple):
     site: Site
     parameters: list[Parameter]
     simulated: Simulated
-    """of the whole record, as its meter would show it"""
+    """the whole record as simulated, as its meter would show it"""
 
 
 class _Stages:
-    """Counts the simulations of a fit, stage by stage.
+    """Counts the simulations of a fit, and reports its progress.
 
-    How many a search needs nobody knows before it ends. So the stages are the steps of the share,
-    and within one it grows by the simulations of the most that it can need; a search that needs
-    fewer ends with a leap.
+    The number of simulations that a search needs is unknown in advance. So each stage has an equal
+    part of the progress. Within a stage, progress is the number of simulations over the largest
+    number possible; if a search needs fewer, progress jumps at its end.
     """
 
     def __init__(self, tell: Tell) -> None:
         self._tell, self._stage, self._simulations = tell, -1, 0
 
     def begin(self, most: int) -> None:
-        """Begin the next stage, of so many simulations at most."""
+        """Begin the next stage, of at most this many simulations."""
         self._stage, self._most, self._before = self._stage + 1, most, self._simulations
         self.simulated(0)
 
@@ -208,24 +207,24 @@ def fit(
 ) -> Fit:
     """Fit a measured roof to some steps of a record.
 
-    Sums of what ran off, and means of the level, are brought near to what was measured, by least
-    squares within bounds: over an hour, or eight steps where that is longer, or four days where
-    that is shorter, as rain comes evenly in a simulated step. The loss grows only in
-    proportion beyond ten standard deviations of what was measured ("soft_l1"), so that a broken
-    sensor does not decide. The simulation counts as the record's meter would show it. The
-    search begins at the best of a coarse grid.
+    Sums of runoff and means of the level are fitted to the measured ones by least squares within
+    bounds. Each is over an hour or, with longer steps, over eight steps but at most four days,
+    because a simulated step spreads its rain evenly. Beyond ten standard deviations of the
+    measurements the loss grows only in proportion ("soft_l1"), so that a broken sensor does not
+    dominate. The simulation is compared as the record's meter would show it. The search begins at
+    the best point of a coarse grid.
 
-    Parameters that the record cannot tell stay as the site has them: the drainage time where steps
-    are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
-    sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
-    Intervals are by :func:`half_intervals`, with weeks as groups. They are wider by how far a
-    parameter would follow others that cannot be told apart from it, anywhere in their ranges.
+    Parameters that the record does not identify stay as the site has them: the drainage time if
+    steps are longer than an hour, and any parameter with a column of the Jacobian, over its range,
+    that is small or a sum of others (QR with column pivoting; Golub and Van Loan, Matrix
+    Computations, 5.5.7). Intervals are by :func:`half_intervals`, with weeks as groups. They are
+    widened by how far a parameter follows the held ones anywhere in the ranges of those.
 
     Args:
-        site: where the search begins, and what is held.
-        record: what was measured.
+        site: start of the search, and values of the parameters that are held.
+        record: the measurements.
         steps: that count; the roof is simulated through all.
-        tell: how far the fit is, with each simulation.
+        tell: called after each simulation.
     """
     site = measured_roof(site)
     every = ranges(site, record)
@@ -247,11 +246,11 @@ def fit(
         return residuals(simulated(shares, least)[1])
 
     def jacobian() -> Values:
-        """Return how residuals change along the whole of each range, shape (n, ranges).
+        """Return the derivatives of residuals by the shares of ranges, shape (n, ranges).
 
-        It is of a meter without a least reading. That makes steps of a smooth simulation: a short
-        difference sees a few of them, and takes a parameter for identified, or equal columns for
-        different ones.
+        The meter has no least reading here, because that turns a smooth simulation into steps. A
+        short difference across a few steps makes a parameter look identified, or equal columns
+        look different.
         """
         base = differences(at, 0.0)
         columns = []
@@ -271,7 +270,7 @@ def fit(
             near[free] = shares
             return differences(near)
 
-        # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
+        # Each evaluation can be followed by a Jacobian: one simulation for each parameter.
         stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
         solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
@@ -281,8 +280,8 @@ def fit(
         return solution
 
     free, _ = tell_apart()
-    # A large store that evaporates little and a small one that evaporates much leave a ridge
-    # between them that no search from one side crosses.
+    # Between a large store with little evaporation and a small store with much, there is a ridge
+    # that no search crosses.
     grid = itertools.product(*(
         _GRID.get(span.name, (share,)) if is_free else (share,)
         for span, share, is_free in zip(every, at, free, strict=True)
@@ -291,12 +290,12 @@ def fit(
     stages.begin(len(tried))
     at = min(tried, key=lambda shares: _cost(differences(shares)))
     solve()
-    # Once more where the roof now is: what tells there may differ from where the search began.
+    # Again at the solution: it may identify other parameters than the start of the search.
     free, why = tell_apart()
     at[~free] = as_it_was[~free]
     solution = solve()
-    # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
-    # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
+    # Rows and residuals are scaled for the robust loss as in scipy's least_squares: their product
+    # is the gradient, in which a residual has the weight (1 + z)^(-1/2).
     robust = 1 + (solution.fun / _ROBUST_FROM) ** 2
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
@@ -315,16 +314,16 @@ def fit(
 
 
 def _cost(residuals: Values) -> float:
-    """Return what the search makes least, but for a factor."""
+    """Return what the search minimises, except for a constant factor."""
     return float(np.sum(np.sqrt(1 + (residuals / _ROBUST_FROM) ** 2) - 1))
 
 
 def _comparison(
     record: Record, steps: Steps
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
-    """Return what makes residuals of a simulation, and the week of each of them.
+    """Return a function for the residuals of a simulation, and the week of each residual.
 
-    They are in standard deviations of what was measured.
+    Residuals are in standard deviations of the measurements.
     """
     counts = steps & record.known
     seconds = record.seconds[counts]
@@ -345,9 +344,9 @@ def _comparison(
 
 
 def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
-    """Return which parameters the data tell, and of each why they do not, empty where they do."""
+    """Return which parameters the data identify, and for the others why not."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
-    # Fewer residuals than parameters tell no more of these than there are of those.
+    # With fewer residuals than parameters, no more parameters than residuals are identified.
     size = np.zeros(len(names))
     size[order[:len(triangle)]] = np.abs(np.diag(triangle))
     free = size > _TELLS_NOTHING * size.max()
@@ -365,29 +364,29 @@ def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str
 
 
 def _moved_by_held(own: Values, held: Values, shares: Values) -> Values:
-    """Return by how much the fitted parameters move if the held ones are elsewhere in their ranges.
+    """Return how far the fitted parameters move if the held ones are elsewhere in their ranges.
 
     Args:
-        own: Jacobian of what is fitted, shape (n, fitted).
-        held: Jacobian of what is held, shape (n, held).
-        shares: at which each is held, shape (held,).
+        own: Jacobian of the fitted parameters, shape (n, fitted).
+        held: Jacobian of the held parameters, shape (n, held).
+        shares: values of the held parameters, as shares of their ranges, shape (held,).
 
     Returns:
-        Shares of the ranges, shape (fitted,): of each the root of the sum of squares over the held,
-        each at the end of its range that is further away.
+        Shares of the ranges, shape (fitted,): the root of the sum of squares over the held
+        parameters, each moved to the end of its range that is further away.
     """
     follows = np.linalg.lstsq(own, held, rcond=None)[0]
     return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
 def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
-    """Return a parameter with its interval, and in words what is wrong with it.
+    """Return a parameter with its interval, and words on what is wrong with it.
 
     Args:
-        parameter: which, and its range.
-        share: of its range, where it is.
-        half: of its interval, likewise; NaN where the data do not determine it.
-        why: they do not.
+        parameter: its name and range.
+        share: its value, as a share of the range.
+        half: half of its interval, likewise; NaN if the data do not determine it.
+        why: the reason if they do not.
     """
     value = parameter.value(share)
     if math.isnan(half):
@@ -402,16 +401,16 @@ def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
 
 
 def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
-    """Return by how much a least-squares fit moves without one group, shape (groups, parameters).
+    """Return how far a least-squares fit moves without each group, shape (groups, parameters).
 
-    Those fits are linear: to leave out a group with Jacobian J_g and residuals r_g moves the
-    parameters by (J'J - J_g'J_g)^-1 J_g' r_g.
+    The fit is treated as linear: without a group of Jacobian J_g and residuals r_g the parameters
+    move by (J'J - J_g'J_g)^-1 J_g' r_g.
 
     Args:
         jacobian: at the fit, shape (n, parameters).
         residuals: there, shape (n,).
-        groups: number of the group that each residual belongs to, shape (n,). Those of one group
-            may depend on each other.
+        groups: number of each residual's group, shape (n,). Residuals of one group may depend on
+            each other.
     """
     normal = jacobian.T @ jacobian
     moved = []
@@ -422,25 +421,25 @@ def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Val
 
 
 def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
-    """Return the degrees of freedom of each parameter's variance by the jackknife.
+    """Return the degrees of freedom of each parameter's jackknife variance.
 
-    That variance is a sum of squares of what :func:`moves` returns. With residuals that are
-    independent and alike it is near to a chi-squared distribution of as many degrees as give its
-    mean and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002, 169-181).
-    Groups that all tell the same about a parameter have one less than there are; with groups that
-    tell more than others there are fewer, and Student's t is wider (Imbens and Kolesar 2016,
+    That variance is a sum of squares of what :func:`moves` returns. If residuals are independent
+    with equal variances, it is nearly chi-squared, with the degrees of freedom that match its mean
+    and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002, 169-181). If all
+    groups are equally informative about a parameter, the degrees are the number of groups less one.
+    If some are more informative there are fewer, and Student's t is wider (Imbens and Kolesar 2016,
     doi:10.1162/REST_a_00552).
 
     Args:
         jacobian: at the fit, shape (n, parameters).
-        groups: number of the group that each residual belongs to, shape (n,).
+        groups: number of each residual's group, shape (n,).
     """
     normal = jacobian.T @ jacobian
     own = np.array([
         jacobian[groups == group].T @ jacobian[groups == group] for group in np.unique(groups)
     ])
     without = np.linalg.pinv(normal - own)
-    # Moves are linear in the residuals: their covariances between all groups, for each parameter.
+    # Moves are linear in the residuals. These are their covariances between groups, by parameter.
     shares = own @ without
     alone = np.einsum("gkp,gkp->gp", without, shares)
     shared = np.einsum("gkp,kl,hlp->pgh", shares, np.linalg.pinv(normal), shares)
@@ -453,18 +452,18 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
 def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
     """Return half of each 95 % interval, from how each value moves without one group.
 
-    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. One group says
-    nothing: the halves are infinite.
+    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. With a single
+    group the halves are infinite.
 
     Args:
-        moved: shape (groups, values), but for what is the same in each group.
-        freedom: degrees of freedom of each value; None takes as many as there are groups, less one.
+        moved: shape (groups, values); a constant added to all groups does not matter.
+        freedom: degrees of freedom of each value; None for the number of groups less one.
     """
     count = len(moved)
-    if count < 2:  # nothing is left without the only group
+    if count < 2:  # without the only group nothing is left
         return np.full(moved.shape[1], np.inf)
     variance = np.var(moved, axis=0) * (count - 1)
-    from scipy.stats import t as student  # half of what the command imports, before it refuses
+    from scipy.stats import t as student  # half of all import time, and not needed for a refusal
 
     quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
     return np.asarray(quantile * np.sqrt(variance))

@@ -35,8 +35,8 @@ from greenroof_ros.report.drawing import (
 from greenroof_ros.report.page import page_of
 
 MEASURED, SIMULATED = "measured", "simulated"
-# Points with neither value above this share of the largest are left out of a scatter: there are
-# thousands of them, all in one corner.
+# A scatter leaves out points with both values below this share of the largest: there are thousands
+# of them, all in one corner.
 _SEEN = 0.01
 
 
@@ -47,13 +47,13 @@ def render(
     """Return the page.
 
     Args:
-        record: what was measured in the months that count.
-        halves: of it, which were fitted and judged.
+        record: the measurements in the months that count.
+        halves: the steps that were fitted, and the steps for validation.
         fit: the result.
         scores: of each quantity, in the fit and in the validation.
-        site_file: that was written.
-        spans: from when to when each part is.
-        findings: what speaks against the fit, and what was found beside the roof's parameters.
+        site_file: text of the site file that was written.
+        spans: time span of each half, as text.
+        findings: objections to the fit, and findings other than the roof's parameters.
     """
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
@@ -73,12 +73,12 @@ def _shown(value: float, form: str) -> str:
     return "-" if np.isnan(value) else format(value, form)
 
 
-# Of each quantity: what its figure is called, and how many mm are one of its unit.
+# For each quantity: title of its figure, and how many mm make one of its unit.
 _QUANTITIES = {"runoff": ("Runoff", 1.0), "level": ("Level on the roof", 1000.0)}
 
 
 def _axis(quantity: str, over_s: int) -> str:
-    """Return what an axis of sums or means over a time (s) is called."""
+    """Return the title of an axis of sums or means over a time (s)."""
     per = f"/{time_name(over_s).removeprefix('1 ')}" if TOGETHER[quantity] is sums else ""
     return f"{quantity} (mm{per})"
 
@@ -139,9 +139,9 @@ def _together(
     quantity: str, record: Record, halves: Mapping[str, Steps], simulated: Values, over_s: int,
     seen: float,
 ) -> Rows:
-    """Return sums or means over a time, a row each, with what is simulated too much.
+    """Return sums or means over a time as rows, with the residual: simulated less measured.
 
-    Pairs with neither value above ``seen`` of the largest of its half are left out.
+    Pairs with both values at most ``seen`` of the largest in their half are left out.
     """
     rows: Rows = []
     for part, steps in halves.items():
@@ -164,7 +164,7 @@ def _together(
 def _scatter(
     quantity: str, name: str, part: str, colour: str, ends: tuple[float, float], over_s: int
 ) -> Panel:
-    """Return simulated over measured of one part, and the line on which a perfect fit lies."""
+    """Return simulated over measured values of one half, with the line of a perfect fit."""
     scale = alt.Scale(domain=ends, nice=True)
     line = reference_line(
         [{"v": end} for end in ends], alt.X("v:Q", scale=scale), alt.Y("v:Q", scale=scale)

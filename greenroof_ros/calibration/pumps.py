@@ -1,4 +1,4 @@
-"""The pumps of a site, from how fast their cistern falls while they run."""
+"""The pumps of a site, fitted to the fall of the cistern's level while they run."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 
-# So long after rain a catchment still runs (s), and so far from the levels of outlet, valve and
-# suction a sensor's noise does not matter (m).
+# For this long after rain the catchment still feeds the cistern (s). At this distance from the
+# levels of outlet, valve and suction a sensor's noise does not matter (m).
 _WET_S = 3600
 _APART_M = 0.05
 _STANDING_STEPS, _STANDING_S = 2, 600
 _FEWEST_LEVELS = 3
 _FEWEST_RUNS = 10
-# Tukey's biweight, in typical residuals: 95 % efficient where nothing is wrong (Holland and Welsch
-# 1977, doi:10.1080/03610927708827533). It begins at Huber's weights, which have one solution.
+# Tukey's biweight, in typical residuals: 95 % efficient for normal residuals (Holland and Welsch
+# 1977, doi:10.1080/03610927708827533). Huber's weights come first: they have a unique solution.
 _BIWEIGHT = 4.685
 _HUBER_ROUNDS, _MOST_ROUNDS, _SETTLED = 5, 50, 1e-3
-# Of shares: the step of a derivative, and the least.
+# For shares: the step of derivatives, and the least value.
 _SHARE, _LEAST_SHARE = 1e-4, 1e-3
-# No level is known better (m).
+# The least typical residual: no level is known better than this (m).
 _LEAST_M = 1e-4
-# A rise of so many typical residuals is no noise: two levels of white noise are as far apart once
-# in a million times.
+# A larger rise, in typical residuals, is not noise: two levels of white noise are this far apart
+# once in a million times.
 _RISE = 7.0
-# Of steps: a delay that is named, and runs too short to be told apart from shorter ones.
+# In steps: the least delay to report, and runs too short to distinguish from shorter ones.
 _NAMED, _SHORT = 0.5, 2
-# So many times its curve's flow no pump lifts, nor so small a part.
+# No pump lifts this many times the flow of its curve, or less than that flow over this.
 _BELIEVABLE = 10.0
-# A half of its interval this large, as a share of the parameter, says little.
+# If half an interval exceeds this share of the value, the data hardly constrain it.
 _HARDLY = 0.5
 
 
 def standing_steps(step_s: float) -> int:
-    """Return from how many steps before a run to how many after it levels count.
+    """Return how many steps before and after a run its levels count.
 
-    By so much the pump state may be late or early: a logger's by a step or two, a drive's
-    by minutes.
+    The pump state can be late or early by this much: a logger's by a step or two, a drive's by
+    minutes.
     """
     return max(_STANDING_STEPS, round(_STANDING_S / step_s))
 
@@ -56,12 +56,12 @@ def standing_steps(step_s: float) -> int:
 def find_runs(
     site: Site, record: Record, command: Values, cistern: Values
 ) -> list[NDArray[np.int64]]:
-    """Return the runs in which nothing but the pumps moves the cistern.
+    """Return the pump runs in which only the pumps change the cistern's level.
 
-    Each is the steps at whose beginnings its levels are, from before its beginning to after its
-    end. A run counts as far as it did not rain for an hour, the level is between the outlet and the
-    lowest at which pumps and mains leave it, and all is known. Where two runs are near each other,
-    each has half of the levels between them.
+    A run is an array of steps, from before the pumps' start to after their stop; its levels are at
+    the beginning of each step. The steps are those without rain for an hour, with a level between
+    the outlet and the levels of suction and mains valve, and without missing values. Two runs that
+    are near each other share the levels between them equally.
     """
     standing = standing_steps(record.step_s)
     quiet = _quiet(site, record, command, cistern, standing)
@@ -84,7 +84,7 @@ def find_runs(
 def _quiet(
     site: Site, record: Record, command: Values, level: Values, standing: int
 ) -> Steps:
-    """Return in which steps nothing but the pumps moves the cistern."""
+    """Return the steps in which only the pumps change the cistern's level."""
     recent = lately(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
     reach = standing + 2
     unknown = np.convolve(np.isnan(command), np.ones(2 * reach + 1), "same") > 0
@@ -94,15 +94,15 @@ def _quiet(
 
 
 class _Solution(NamedTuple):
-    """A fit of shares."""
+    """The result of fitting shares."""
 
     shares: Values
     others: Values
-    """what each run would make of them by its absence, shape (runs, shares)"""
+    """the shares as fitted without each run, shape (runs, shares)"""
     freedom: Values
-    """degrees of each share's interval"""
+    """degrees of freedom of each share's interval"""
     size: float
-    """residual of the median run (m), of those that do not count, too"""
+    """residual of the median run (m), among all runs, even those with no weight"""
 
     @property
     def half(self) -> Values:
@@ -111,24 +111,24 @@ class _Solution(NamedTuple):
 
 
 class _Fall:
-    """What runs leave in the cistern, by the shares that are fitted.
+    """The cistern's levels during runs, as a function of the shares that are fitted.
 
-    These are the delay of the pump state in steps, the flow as a share of the site's, and, if
-    there is a third, 1 / H as a share of the site's. Without it ``a_hat`` makes it.
+    Shares are the delay of the pump state in steps, the flow as a share of the site's and, if there
+    is a third, 1 / H as a share of the site's. With two shares, ``a_hat`` is held and gives H.
     """
 
     def __init__(
         self, site: Site, step_s: float, command: Values, cistern: Values,
         runs: Sequence[NDArray[np.int64]], counts: Steps,
     ) -> None:
-        """Take the levels of all runs (m), and of each step whether its level counts."""
+        """Store the levels of all runs (m), and for each step whether its level counts."""
         self._site, self._step_s = site, step_s
         self._step = np.concatenate(runs)
         self._number = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
         self._counts = counts[self._step]
         self._sizes = np.bincount(self._number, self._counts)
         self._level = level = cistern[self._step]
-        # Mean of each level and the next; at the end of a run that level itself.
+        # Mean of each level and the next; the last level of a run is taken alone.
         last = np.append(self._number[1:] != self._number[:-1], True)
         self._between = np.where(last, level, (level + np.append(level[1:], 0.0)) / 2)
         self._total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(command))))
@@ -137,7 +137,7 @@ class _Fall:
         self._head = self.middle + site.c_hat - site.d
 
     def residuals(self, shares: Values) -> Values:
-        """Return the levels of each run with what the pumps took put back, less their mean (m)."""
+        """Return the levels of each run plus the pumped depth, less their mean in the run (m)."""
         slope = (shares[2] if len(shares) > 2 else shares[1] ** -2) / self._head
         head = np.sqrt(np.maximum(1 + slope * (self._between - self.middle), 0.0))
         steps = np.arange(len(self._total))
@@ -150,9 +150,9 @@ class _Fall:
         return np.where(self._counts, put_back - means[self._number], 0.0)
 
     def jacobian(self, shares: Values) -> Values:
-        """Return how residuals change with the shares, shape (n, shares).
+        """Return the derivatives of residuals by the shares, shape (n, shares).
 
-        With the delay they change by other slopes to both sides of a whole step; this is the mean.
+        By the delay, slopes differ on the two sides of a whole step; this is their mean.
         """
         return np.column_stack([
             (self.residuals(shares + step) - self.residuals(shares - step)) / (2 * _SHARE)
@@ -171,11 +171,11 @@ class _Fall:
         )
 
     def solve(self, shares: int, latest: int) -> _Solution:
-        """Fit two or three shares, with less weight to runs that fit less well.
+        """Fit two or three shares, with less weight on runs that fit less well.
 
         Args:
-            shares: how many.
-            latest: by how many steps the pump state may be late or early.
+            shares: number of shares.
+            latest: largest delay or lead of the pump state, in steps.
         """
         low = np.array([-latest, *[_LEAST_SHARE] * 2])[:shares]
         high = np.array([latest, *[1 / _LEAST_SHARE] * 2])[:shares]
@@ -205,14 +205,14 @@ class _Fall:
 
 
 class PumpFit(NamedTuple):
-    """The pumps as the cistern shows them."""
+    """The pumps as fitted to the cistern's levels."""
 
     site: Site
-    """with their curve; as it was where the record does not tell it"""
+    """with the fitted curve; unchanged if the record does not identify it"""
     parameters: Sequence[Parameter]
-    """``a_hat`` and ``c_hat``; empty likewise"""
+    """``a_hat`` and ``c_hat``; empty if the record does not identify them"""
     findings: Sequence[Finding]
-    """what they lift, what the record leaves open, or why it cannot be true"""
+    """the flow, what the record leaves open, or why the record must be wrong"""
 
 
 def fit_pumps(site: Site, record: Record) -> PumpFit:
@@ -222,27 +222,26 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
 
         q(z) = Q sqrt(1 + (z - Z) / H),  H = Z + c_hat - d,  Q^2 = H / (pipe_resistance - a_hat),
 
-    with Z the mean level: Q is how much they lift, and H what a level changes in it. At a command
-    they lift that share. The levels of each run and of some time before and after it, but for their
-    mean, are brought near to what that leaves in the cistern, by least squares; so a sensor's
-    offset does not count, and its noise is of all levels of a run. How much the pump state is
-    late or early is fitted, too: the levels before and after show when the cistern falls.
+    with Z the mean level. Q is the flow at Z, and H says how it depends on the level. At a command
+    below 1 they lift that share of q. The levels of each run, with some time before and after it,
+    are fitted by least squares after their mean is removed. So a sensor's offset does not matter,
+    and its noise averages over all levels of a run. The delay of the pump state is also fitted: the
+    levels before and after a run show when the cistern falls.
 
-    Runs in which the cistern rises by more than its noise are left out, and others count less the
-    less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals
-    are by :func:`.fit.half_intervals`, with runs as groups, and as many
-    degrees of freedom as the runs have together.
+    Runs in which the cistern rises by more than noise are left out. The others have less weight the
+    less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals are by
+    :func:`.fit.half_intervals`, with runs as groups and the degrees of :func:`.fit.freedom`.
 
-    A cistern that falls by nothing like what the pumps can lift, or at another time than they run,
-    is a refusal among the findings, and tells nothing of the curve. Nor do fewer than ten runs that
-    count, by :func:`find_runs`.
+    If the cistern's fall is far from what the pumps can lift, or at another time than they run, the
+    findings hold a refusal and no curve is fitted. With fewer than ten runs by :func:`find_runs`
+    no curve is fitted either.
 
-    Where levels change the head by too little to tell H, ``a_hat`` stays as it is, and ``c_hat``
-    follows from Q alone.
+    If levels change the head by too little to identify H, ``a_hat`` is held, and ``c_hat`` follows
+    from Q alone.
 
     Args:
-        site: its cistern and pipe, and the curve that is held where the data do not tell it.
-        record: what was measured; without a command or a level of the cistern nothing is found.
+        site: its cistern and pipe, and the curve that is held if the data do not identify it.
+        record: the measurements; without a command or a cistern level nothing is found.
     """
     command, cistern = record.command, record.cistern
     if command is None or cistern is None:
@@ -267,10 +266,10 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
             side="after" if delay > 0 else "before",
         )])
     late = round(delay)
-    # The command as it was so many steps earlier.
+    # The command of this many steps earlier.
     command = np.pad(command, abs(late), constant_values=np.nan)[abs(late) + late:][:len(command)]
-    # The levels at which pumps start or stop do not count: the least part of a step by which the
-    # pump state is late moves one of both, whichever the noise prefers, and the flow is too large.
+    # Levels at which pumps start or stop do not count. If the pump state is late by a small part of
+    # a step, the fit moves one of the two, as the noise suggests, and the flow becomes too large.
     counts = ~np.append(False, np.diff(command > 0))
     runs = [
         run for run in find_runs(site, record, command, cistern)
@@ -307,8 +306,8 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
             "pumps", "shifted", "pumps", minutes=abs(delay) * record.step_s / 60,
             side="late" if delay > 0 else "early",
         ))
-    # A logger that writes what it sees once a step makes runs longer or shorter by up to a step;
-    # and of those shorter than a step it sees the longer ones more often.
+    # A logger that samples the pump state once a step makes runs longer or shorter by up to a step,
+    # and it sees more of the longer ones among runs shorter than a step.
     steps = float(np.quantile([np.count_nonzero(command[run] > 0) for run in runs], 0.9))
     if steps <= _SHORT:
         findings.append(FINDINGS.make("pumps", "short", "pumps", steps=steps))

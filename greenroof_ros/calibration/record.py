@@ -1,4 +1,4 @@
-"""What was measured on a roof, step by step; its storms, its months and its two halves."""
+"""Measurements of a roof, step by step, with their storms, months and two halves."""
 
 from __future__ import annotations
 
@@ -18,31 +18,30 @@ Values = NDArray[np.float64]
 Steps = NDArray[np.bool_]
 HOUR_S, DAY_S = 3600, 86400
 
-# So long without rain parts two storms, and so long after it the roof still answers (s). That long
-# without water ends the half before, too.
+# The least time between two storms, and how long a roof responds after rain (s). The halves of a
+# record are also split after that long without water.
 _APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
 
 
 @dataclass(frozen=True)
 class Record:
-    """Steps of equal length, each beginning at its time; NaN where something was not measured.
+    """Steps of equal length, each beginning at its time, with NaN for missing measurements.
 
-    Depths (mm) are over the roof, and of the whole step.
+    Depths (mm) are over the roof's area and for the whole step.
 
     Attributes:
         source: the file or bag.
-        start: of the first step, with its offset from UTC.
+        start: time of the first step, with its offset from UTC.
         step_s: duration of a step (s).
         rain: mm, shape (steps,).
         reference: evapotranspiration of FAO-56's reference grass (mm); never NaN.
-        pumped: onto the roof (mm).
-        runoff: off the roof (mm); None where it was not measured.
-        level: water in the substrate at the beginning of the step (m); None likewise.
-        last_decimal: what 1 in the last decimal place of the runoff is (mm); 0 where it was not
-            rounded.
-        cistern: level of the cistern at the beginning of the step (m); None where not measured.
-        command: mean share of the pumps' maximum flow (1); None where not known.
-        reference_column: that evapotranspiration was read from; empty where it was computed.
+        pumped: water pumped onto the roof (mm).
+        runoff: water that ran off the roof (mm); None if not measured.
+        level: water level in the substrate at the beginning of the step (m); None if not measured.
+        last_decimal: unit of the last decimal place of the runoff (mm); 0 if it was not rounded.
+        cistern: level of the cistern at the beginning of the step (m); None if not measured.
+        command: mean share of the pumps' maximum flow (1); None if unknown.
+        reference_column: column of the evapotranspiration in the file; empty if it was computed.
     """
 
     source: Path
@@ -60,12 +59,12 @@ class Record:
 
     @property
     def steps(self) -> int:
-        """How many there are."""
+        """Number of steps."""
         return len(self.rain)
 
     @property
     def offset_s(self) -> float:
-        """By how much the record's own clock is ahead of UTC (s)."""
+        """Offset of the record's own clock from UTC (s)."""
         offset = self.start.utcoffset()
         assert offset is not None
         return offset.total_seconds()
@@ -82,31 +81,31 @@ class Record:
         return self.seconds.astype("datetime64[s]")
 
     def time(self, step: int) -> str:
-        """Return when a step begins, for people; of one after the last when that begins."""
+        """Return when a step begins, as text; for a step after the last, when the last begins."""
         return str(self.times[min(step, self.steps - 1)]).replace("T", " ")
 
     @property
     def came(self) -> Values:
-        """Water that came onto the roof (mm); what is not known counts as none."""
+        """Rain and pumped water on the roof (mm); unknown amounts count as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
 
     @property
     def measured(self) -> dict[str, Values]:
-        """What a simulation is compared with, by name: ``runoff`` (mm) and ``level`` (m)."""
+        """The series to compare a simulation with, by name: ``runoff`` (mm) and ``level`` (m)."""
         columns = {"runoff": self.runoff, "level": self.level}
         return {name: series for name, series in columns.items() if series is not None}
 
     def only(self, steps: Steps) -> Record:
-        """Return the record with nothing measured outside of some steps: NaN is there instead."""
+        """Return the record with NaN instead of rain, runoff and level outside of some steps."""
         series = {"rain": self.rain, **self.measured}
         there = {name: np.where(steps, values, np.nan) for name, values in series.items()}
         return replace(self, **there)  # type: ignore[arg-type]
 
     @property
     def known(self) -> Steps:
-        """Steps whose water and all of whose :attr:`measured` are there, before and after, too.
+        """Steps with rain, pumped and :attr:`measured` known, also one step before and after.
 
-        A sensor that failed in a step has often seen but a part of the step beside it.
+        A sensor that failed in a step often recorded only a part of the step beside it.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)
@@ -124,18 +123,18 @@ def time_name(seconds: float) -> str:
 
 
 def sums(values: Values | Steps, seconds: NDArray[np.int64], over_s: int) -> Values:
-    """Add up values by the spans of the clock that they begin in, of ``over_s`` seconds each.
+    """Add up values by the clock span of ``over_s`` seconds that each begins in.
 
-    Spans in which there is no value are left out.
+    Spans without values are left out.
     """
     _, index = np.unique(seconds // over_s, return_inverse=True)
     return np.bincount(index, values).astype(np.float64)
 
 
 def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
-    """Average values by the spans of the clock that they begin in, as :func:`sums` adds them up.
+    """Average values by the clock span that each begins in, as :func:`sums` adds them up.
 
-    NaN do not count; of nothing else the mean is NaN.
+    NaN do not count; the mean of a span with only NaN is NaN.
     """
     count = sums(~np.isnan(values), seconds, over_s)
     total = sums(np.nan_to_num(values), seconds, over_s)
@@ -143,24 +142,24 @@ def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
 
 
 TOGETHER = {"runoff": sums, "level": means}
-"""What the values of a span are together, by the names of :attr:`Record.measured`.
+"""How to combine the values of a span, by the names of :attr:`Record.measured`.
 
-Amounts add up. Levels do not: of a span with gaps their sum would tell how long the gaps are.
+Amounts add up. Levels do not: their sum would depend on the length of gaps in the span.
 """
 
 
 def greatest_rise(values: Values) -> float:
-    """Return by how much a value is above an earlier one, at most."""
+    """Return the greatest rise of a value above an earlier value."""
     return float(np.max(values - np.minimum.accumulate(values)))
 
 
 def lately(steps: Steps, count: int) -> Steps:
-    """Return in which steps one of these is, or was among the ``count - 1`` before."""
+    """Return which steps are marked, or follow a marked step by less than ``count``."""
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
 
 
 class Storm(NamedTuple):
-    """The steps from its first rain to a day after its last, or to the next storm."""
+    """A storm: the steps from its first rain to a day after its last, or to the next storm."""
 
     first: int
     end: int
@@ -168,11 +167,11 @@ class Storm(NamedTuple):
     dry: int
     """one after its last rain"""
     rain: float
-    """mm"""
+    """sum over the storm (mm)"""
 
 
 def storms(record: Record) -> list[Storm]:
-    """Return all storms: rain with less than six hours between, and less than a dry step."""
+    """Return all storms, which are separated by six hours without rain, and at least one step."""
     wet = np.flatnonzero(record.rain > 0)
     apart = max(1.0, _APART_S / record.step_s)
     firsts = wet[np.diff(wet, prepend=-np.inf) > apart].tolist()
@@ -185,11 +184,11 @@ def storms(record: Record) -> list[Storm]:
 
 
 def comparable(record: Record) -> Steps:
-    """Return which steps a simulation is compared in: the known ones outside of broken storms.
+    """Return the steps in which a simulation is compared: known steps outside of broken storms.
 
-    A storm is broken where rain, pumped water or runoff is missing in it. What came unseen stays on
-    the roof for all of it. And meters fail when most runs off: what they show before and after
-    their gap is then a part of it, and where that ends nobody knows.
+    A storm is broken if rain, pumped water or runoff is missing in it. Unrecorded water affects the
+    roof for the whole storm. And meters fail when runoff is largest; their values before and after
+    the gap can then be incomplete, for an unknown time.
     """
     steps = record.known
     missing = np.isnan(record.rain) | np.isnan(record.pumped)
@@ -202,18 +201,18 @@ def comparable(record: Record) -> Steps:
 
 
 def halve(record: Record, steps: Steps) -> dict[str, Steps]:
-    """Split steps on the first dry day after half of the rain and of what was pumped has come.
+    """Split steps on the first dry day after half of all rain and pumped water.
 
-    Water is what tells something about a roof: halves of the time may have all storms in one. And a
-    storm in both would be judged by those who have seen it. Without a dry day all steps are in the
-    earlier half.
+    Only water tells something about a roof: with halves of equal time, one could have all storms. A
+    storm in both halves would make the validation depend on data of the fit. Without a dry day all
+    steps are in the earlier half.
 
     Args:
-        record: its rain.
-        steps: that count at all.
+        record: its rain and pumped water.
+        steps: that count.
 
     Returns:
-        The steps of each half, by what it is for: ``fit``, the earlier, and ``validation``.
+        The steps of each half by its purpose: ``fit``, the earlier half, and ``validation``.
     """
     total = np.cumsum(np.where(steps, record.came, 0.0))
     dry = ~lately(record.came > 0, math.ceil(_AFTER_S / record.step_s))
@@ -222,10 +221,10 @@ def halve(record: Record, steps: Steps) -> dict[str, Steps]:
 
 
 def month_numbers(span: str) -> list[int]:
-    """Return the months of a span such as ``4-10``, or ``11-3`` over new year; both ends count.
+    """Return the months of a span such as ``4-10``, or ``11-3`` over new year, ends included.
 
     Raises:
-        ConfigurationError: it is no such span.
+        ConfigurationError: the text is not such a span.
     """
     match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
     first, last = map(int, match.groups()) if match else (0, 0)
@@ -241,7 +240,7 @@ def in_months(record: Record, span: str | None) -> Steps:
     """Return which steps begin in a span of months, by the record's own clock; None means all.
 
     Raises:
-        ConfigurationError: none does, or it is no such span.
+        ConfigurationError: no step does, or the text is not a span.
     """
     if span is None:
         return np.full(record.steps, True)

@@ -1,4 +1,4 @@
-"""How near a simulated series comes to a measured one."""
+"""Scores for the agreement of a simulated series with a measured one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from greenroof_ros.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
 
 
 class Scores(NamedTuple):
-    """Of one series in one half of a record.
+    """The scores of one series in one half of a record.
 
-    The efficiencies are of sums of runoff, or means of levels, over a time (s), by that time:
-    1 is perfect, and an NSE of 0 no better than the mean of what was measured.
+    Efficiencies are of sums of runoff, or means of levels, over a time (s), and listed by that
+    time. 1 is perfect; an NSE of 0 is no better than the mean of the measurements.
     """
 
     quantity: str
@@ -26,13 +26,13 @@ class Scores(NamedTuple):
     kge: dict[int, float]
     """Gupta et al. 2009, doi:10.1016/j.jhydrol.2009.08.003, Eq. 9"""
     volume_error: float
-    """what is simulated too much in all, as a share of what was measured"""
+    """simulated less measured total, as a share of the measured total"""
 
 
 def efficiency(simulated: Values, measured: Values) -> float:
-    """NSE: 1 less the squared errors over the squared deviations from the measured mean.
+    """Return NSE: 1 less the squared errors over the squared deviations from the measured mean.
 
-    NaN where what was measured does not vary: nothing can be judged by it.
+    NaN if the measurements do not vary, because then they cannot judge a simulation.
     """
     if np.ptp(measured) == 0:
         return float("nan")
@@ -41,9 +41,9 @@ def efficiency(simulated: Values, measured: Values) -> float:
 
 
 def kling_gupta(simulated: Values, measured: Values) -> float:
-    """KGE: 1 less the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
+    """Return KGE: 1 less the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
 
-    NaN where either does not vary, as there is no correlation then.
+    NaN if either series does not vary, because then there is no correlation.
     """
     if np.ptp(measured) == 0 or np.ptp(simulated) == 0:
         return float("nan")
@@ -57,14 +57,14 @@ def score(
     quantity: str, part: str, simulated: Values, measured: Values, seconds: NDArray[np.int64],
     step_s: float,
 ) -> Scores:
-    """Score a series by its steps, and by the hours and days that are longer.
+    """Score a series over its steps, and over hours and days if they are longer.
 
     Args:
         quantity: ``runoff`` or ``level``.
         part: of the record.
         simulated: shape (n,).
         measured: the same steps, without NaN.
-        seconds: start of each on a clock, since 1970-01-01.
+        seconds: start of each step on a clock, since 1970-01-01.
         step_s: duration of a step (s).
     """
     step = round(step_s)

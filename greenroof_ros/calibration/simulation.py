@@ -1,4 +1,4 @@
-"""A measured roof under a record's rain, pumping and evapotranspiration, and what meters show."""
+"""Simulation of a measured roof under a record's weather and pumping, as its meters show it."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil
 
-# Less in the drainage layer does not count: its outflow falls with the square (m3 per m2).
+# Less water in the drainage layer does not count: outflow falls with its square (m3 per m2).
 _EMPTY = 1e-9
-# Within less the drainage layer's inflow hardly changes, and within less the soil dries so little
-# that its water stress stays (s).
+# Longest parts of steps (s): with water, the drainage layer's inflow hardly changes within one; in
+# dry weather, the soil's water stress hardly changes.
 _WET_S, _DRY_S = 600.0, 3600.0
-# So far a reading may be off by the digits of other programs, as a share: five digits.
+# Other programs may round readings to five digits: the largest error, as a share.
 _DIGITS = 5e-5
 
 
 class Simulated(NamedTuple):
-    """What a record of the simulated roof would hold."""
+    """The measurements that the simulated roof would give."""
 
     runoff: Values
-    """off the roof in each step (mm), shape (steps,)"""
+    """runoff in each step (mm), shape (steps,)"""
     level: Values
-    """of the water in the substrate at the beginning of each step (m), shape (steps,)"""
+    """water level in the substrate at the beginning of each step (m), shape (steps,)"""
 
 
 def simulate(site: Site, record: Record, filled: float, least: float = 0.0) -> Simulated:
-    """Follow a measured roof through a record's steps.
+    """Simulate a measured roof through a record's steps.
 
-    It is the roof of :class:`greenroof_ros.model.plant.Plant` with short ticks: how much percolates
-    is solved for the whole of a step. So is what runs off, but for an inflow that is constant:
-    steps longer than ten minutes are parted while water arrives, and those longer than an hour
-    always. What comes in a step comes evenly. Rain that was not measured counts as none. The soil
-    is asked only in steps in which something moves, which are few in a dry week.
+    The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
+    percolation is solved for a whole step. Runoff is solved for a constant inflow; so steps longer
+    than ten minutes are divided while water arrives, and steps longer than an hour always. Water
+    arrives evenly within a step. Unknown rain counts as 0. The soil is computed only in steps in
+    which water moves, which are few in a dry week.
 
     Args:
         site: with a ``field_capacity``.
         record: rain, pumped water and reference evapotranspiration.
-        filled: share of the available water that is there at first, 0 to 1.
-        least: runoff of a step (mm) below which a meter shows none.
+        filled: share of the available water on the roof at first, 0 to 1.
+        least: runoff of a step (mm) below which a meter shows 0.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
     came = record.came
@@ -78,10 +78,10 @@ def simulate(site: Site, record: Record, filled: float, least: float = 0.0) -> S
 
 
 def least_reading(record: Record) -> float:
-    """Return the runoff of a step (mm) below which a record's meter shows none.
+    """Return the runoff of a step (mm) below which a record's meter shows 0.
 
-    It is the least reading above 0. A counter of tips misses nothing: what is less than a tip adds
-    up to the next. For it, and without a meter, it is 0.
+    It is the least reading above 0. A tipping bucket misses nothing, because less than a tip adds
+    to the next. For it, and without a meter, the result is 0.
     """
     if record.runoff is None:
         return 0.0
@@ -92,11 +92,11 @@ def least_reading(record: Record) -> float:
 
 
 def _counted(readings: Values, last_decimal: float) -> bool:
-    """Whether readings, in rising order, are multiples of one tip, but for their rounding.
+    """Whether readings, in rising order, are multiples of one tip, apart from rounding.
 
-    A reading of n tips, rounded by h at most, says that a tip is (reading - h) / n to
-    (reading + h) / n. Each is asked for its n at the tip that those before it allow, as the least
-    reading alone can be half a tip off by its rounding.
+    A reading of n tips with a rounding error up to h limits a tip to (reading - h) / n to
+    (reading + h) / n. Its n follows from the range of tips that earlier readings allow, because
+    rounding can make the least reading alone wrong by half a tip.
     """
     low, high = 0.0, 2 * float(readings[0])
     for reading in readings.tolist():

@@ -1,4 +1,4 @@
-"""The site file of a fitted roof: the one that the fit began with, and what was fitted in it."""
+"""The site file of a fitted roof: the file that the fit began with, with fitted values."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ CROP_NOTE = (
     "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
     "weather file's own column"
 )
-"""What a crop coefficient does in a run."""
+"""Where a crop coefficient has an effect."""
 INTERVAL_NOTE = (
     "The intervals allow for what the record cannot tell apart, wherever it lies in its range. All "
     "else is as the site file has it."
 )
-"""What the interval of a fitted parameter leaves out."""
+"""What the intervals of fitted parameters cover."""
 
 _COMMENT = 30
 _UNITS = {parameter.name: parameter.unit for parameter in site_parameters()}
 _FROM_SHEET = "fitted to points of the data sheet"
-# Written in this order where the file has none of them.
+# Written in this order if the file has none of them.
 _ROOF = (
     "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
     "crop_coefficient",
@@ -37,21 +37,21 @@ _ROOF = (
 
 
 Entries = dict[str, tuple[float, str]]
-"""What is to stand in a site file: of each name a value, and the words behind its unit."""
+"""entries for a site file: by name a value, and the words that follow its unit"""
 
 
 def sheet_entries(sheet: PumpCurve) -> Entries:
-    """Return the entries of a curve that was fitted to a data sheet."""
+    """Return the entries of a pump curve that was fitted to a data sheet."""
     return {name: (value, _FROM_SHEET) for name, value in sheet._asdict().items()}
 
 
 def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
-    """Return the entries of a fit: each with its interval, or why the record cannot tell it.
+    """Return the entries of a fit: each with its interval, or why the record does not identify it.
 
     Args:
-        fit: the result, with the pumps' parameters if the record tells something of them.
-        target: depth on the roof (m) that the site file had.
-        sheet: what was fitted to the pumps' data sheet before.
+        fit: the result, with the pumps' parameters if the record has data on them.
+        target: target depth on the roof (m) in the original site file.
+        sheet: pump curve that was fitted to the data sheet before.
     """
     entries: Entries = {name: (getattr(fit.site, name), "as it was, not fitted") for name in _ROOF}
     entries |= {} if sheet is None else sheet_entries(sheet)
@@ -72,17 +72,17 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
 
 
 def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> str:
-    """Return the text of a site file with other entries; all else in it stays as it is.
+    """Return the text of a site file with some entries replaced.
 
-    What it has from a file that it extends is put into it, so that it stands by itself.
+    Entries of a file that it extends are copied into it, so that it needs no other file.
 
     Args:
-        file: with the site.
-        entries: by name; an entry that the file does not have comes last.
+        file: the site file.
+        entries: by name; an entry that is not in the file is appended.
         heading: lines for the top.
 
     Raises:
-        ConfigurationError: the text would be no site, since a value is out of its range.
+        ConfigurationError: the result is not a valid site, because a value is out of its range.
     """
     yaml = site_yaml()
     values = {name: f"{value:.6g}" for name, (value, _) in entries.items()}
@@ -111,10 +111,10 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
 
 
 def _comment(site: CommentedMap, name: str, text: str) -> None:
-    """Replace the comment behind an entry; what is on lines of their own below stays.
+    """Replace the comment after an entry, and keep comments on the lines below.
 
-    The reader keeps all comments up to the next entry with the one before it. Those that are
-    indented go on with the comment that is replaced.
+    The YAML reader stores all comments up to the next entry together. Indented lines continue the
+    comment after the entry, and are replaced with it.
     """
     token: Any = site.ca.items.get(name, [None] * 4)[2]
     below = token.value.partition("\n")[2].splitlines(keepends=True) if token else []

@@ -1,1 +1,1 @@
-"""What every part shares: errors, files, command line, times, the interface."""
+"""Code that every part shares: errors, files, command line, times, the interface."""

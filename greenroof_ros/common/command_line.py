@@ -1,4 +1,4 @@
-"""What every command has in common: exit codes, how it reports a mistake, where its output goes."""
+"""What every command has in common: exit codes, error reports, and output streams."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = 130
-# The least number of an option that must be greater than 0, as far as people are concerned.
+# Lower limit of options that must be greater than 0; messages say "greater than 0" instead of it.
 _TINY = 1e-9
 
 
 def exit_code(error: Exception) -> int:
-    """Return the exit code of a wrong set-up: 3 where another graph is in the way, otherwise 2."""
+    """Return the exit code of a wrong set-up: 3 if another graph is in the way, otherwise 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
 class OutputError(Exception):
-    """What a command has to say could not be printed.
+    """The output of a command could not be printed.
 
     Attributes:
-        quiet: whether nobody is there who reads it, as behind ``| head``.
+        quiet: whether nobody reads the output any more, as after ``| head``.
     """
 
     def __init__(self, error: OSError, elsewhere: str) -> None:
@@ -48,14 +48,14 @@ class OutputError(Exception):
 class _Stream(io.FileIO):
     """Standard output or standard error, which keeps its first error instead of raising it.
 
-    A progress bar whose terminal is gone must not end a run, and a summary that cannot be printed
-    is in its file.
+    A run must not end because its progress bar has lost the terminal, and a summary that cannot be
+    printed is in its file, too.
     """
 
     error: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """Write, or keep why that was not possible."""
+        """Write; if that fails, keep the error."""
         try:
             return super().write(data)
         except OSError as error:
@@ -64,7 +64,7 @@ class _Stream(io.FileIO):
 
 
 def _stream(number: int, replaced: TextIO | None) -> TextIO:
-    """Return a stream to a file descriptor, in the encoding of the one that it replaces."""
+    """Return a stream to a file descriptor, with the encoding of the stream that it replaces."""
     return io.TextIOWrapper(
         io.BufferedWriter(_Stream(number, "w", closefd=False)),
         encoding=getattr(replaced, "encoding", None),
@@ -74,17 +74,17 @@ def _stream(number: int, replaced: TextIO | None) -> TextIO:
 
 
 def _set_up_streams() -> None:
-    """Have standard output and error keep their errors, also where they are closed.
+    """Make standard output and standard error keep their errors, even if they are closed.
 
-    The number of a closed one would go to the next file or pipe that is opened, and what is printed
-    with it. Output is opened for reading instead, so that it answers "Bad file descriptor".
+    The number of a closed stream would go to the next file or pipe that is opened, and printed text
+    with it. Standard output is instead opened for reading only: writes fail, "Bad file descriptor".
     """
     for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_RDWR)):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, mode)  # takes the lowest number that is free, this one
-    # Not those that a caller within Python has put there to read them.
+            os.open(os.devnull, mode)  # takes the lowest free number: this one
+    # Streams that a Python caller has put there to capture the output stay.
     if sys.stdout is sys.__stdout__:
         sys.stdout = _stream(1, sys.stdout)
     if sys.stderr is sys.__stderr__:
@@ -92,13 +92,13 @@ def _set_up_streams() -> None:
 
 
 def flush_output(elsewhere: str = "") -> None:
-    """Hand over all that was printed.
+    """Flush standard output.
 
     Args:
-        elsewhere: where else it is, for the message.
+        elsewhere: where else the output can be found, for the message.
 
     Raises:
-        OutputError: some of it could not be written.
+        OutputError: some of the output could not be written.
     """
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
@@ -107,12 +107,12 @@ def flush_output(elsewhere: str = "") -> None:
 
 
 def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
-    """Make a function a command: it exits with the code that the function returns.
+    """Turn a function into a command, which exits with the code that the function returns.
 
-    A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 where
-    another graph is in the way; a file or an output that cannot be written likewise 1, and Ctrl-C
-    exit code 130; none leaves a traceback. Where the output has no reader any more, as behind
-    ``| head``, nothing is said: exit code 1.
+    A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
+    another graph is in the way. A file or an output that cannot be written becomes one line and
+    exit code 1, and Ctrl-C exit code 130. None of them leaves a traceback. If nobody reads the
+    output any more, as after ``| head``, nothing is printed and the exit code is 1.
     """
 
     @functools.wraps(main)
@@ -122,7 +122,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
         try:
             try:
                 code: str | int | None = main()
-            except SystemExit as end:  # of argparse: --help is done, usage is wrong
+            except SystemExit as end:  # by argparse: after --help, or on wrong usage
                 code = end.code
             flush_output()
         except OutputError as error:
@@ -147,13 +147,13 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
 def within(
     low: float, high: float, kind: Callable[[str], float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
-    """Return what parses an option that must be a number, with ``int`` a whole one, in a range.
+    """Return a parser of an option that must be a number in a range; a whole number for ``int``.
 
     Args:
-        low: the least.
-        high: the greatest.
+        low: the least value.
+        high: the greatest value.
         kind: ``float`` or ``int``.
-        word: that the option takes as well; it stands for 0.
+        word: a word that the option accepts, too; it stands for 0.
     """
     number = "a whole number" if kind is int else "a number"
     number = f"{word}, or {number}" if word else number
@@ -171,20 +171,20 @@ def within(
             raise argparse.ArgumentTypeError(f"must be {number} {expected}, not {text}")
         return value
 
-    # What the option takes, where it is documented.
+    # The documentation shows this as what the option accepts.
     parse.__name__ = f"{number.removeprefix('a ')} {limits}"
     return parse
 
 
 def namespace(text: str) -> str:
-    """Return a namespace as ROS writes it, ``/site1``; empty for none."""
+    """Return a namespace as ROS writes it, ``/site1``; empty if there is none."""
     name = text.strip("/")
     if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
         raise ValueError
     return f"/{name}" if name else ""
 
 
-# argparse puts it into its message
+# argparse shows this in its error message
 namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
@@ -194,8 +194,8 @@ class Finding:
 
     Attributes:
         check: what the part must do.
-        problem: what it does instead; empty where it is right.
-        came: what it did, where that is right and worth a number.
+        problem: what it does instead; empty if the check passed.
+        came: the result, if the check passed and the result is worth showing.
     """
 
     check: str
@@ -204,7 +204,7 @@ class Finding:
 
 
 def print_findings(title: str, findings: Sequence[Finding]) -> int:
-    """Print findings as a table, and return the exit code: whether all is right."""
+    """Print findings as a table; return exit code 0 if every check passed, otherwise 1."""
     from rich.console import Console  # most commands print none
     from rich.table import Table
 
@@ -221,15 +221,15 @@ def print_findings(title: str, findings: Sequence[Finding]) -> int:
 
 
 def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
-    """Refuse a file that has none of some endings, is there already, or cannot be written.
+    """Refuse a file that has the wrong ending, already exists, or cannot be written.
 
     Args:
-        file: to be written.
-        endings: such as ``.html``.
-        key: the option that names it.
+        file: the file to write.
+        endings: the allowed endings, such as ``.html``.
+        key: the option that names the file.
 
     Raises:
-        ConfigurationError: it is so.
+        ConfigurationError: the file is refused.
     """
     def error(expected: str) -> ConfigurationError:
         return ConfigurationError(expected, key=key, value=str(file))

@@ -1,4 +1,4 @@
-"""Writing to disks by a thread of its own, so that nobody who must be in time waits for a disk."""
+"""Writes to disks in a thread of its own, so that time-critical code never waits for a disk."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ from greenroof_ros.common.files import replace_text
 
 _T = TypeVar("_T")
 
-# So much may wait (bytes), with what a job costs itself: minutes of a live site.
+# The most that may wait, and the overhead of one job (bytes): enough for minutes of a live site.
 _ROOM, _JOB = 32_000_000, 200
-# What waits for longer is late (s): the disk hangs.
+# A job that waits for longer than this (s) is late: the disk hangs.
 PATIENCE_S = 2.0
 
 
 class DiskThread:
-    """Does jobs that read or write, one after the other. What has waited for long is late.
+    """Runs jobs that read or write, one after the other. A job that waits too long is late.
 
-    The thread is started with the first job and ends with the process, which does not wait for it.
+    The thread starts with the first job and ends with the process, which does not wait for it.
 
     Attributes:
-        refused: how many jobs found no room, and were not done.
+        refused: how many jobs were not accepted, because there was no room or no thread.
     """
 
     def __init__(self) -> None:
-        """Do nothing yet."""
+        """Start without jobs."""
         self.refused = 0
-        self._room = _ROOM  # that is left (bytes)
-        # What to do, how much room it has, and when it was asked for (steady clock, s).
+        self._room = _ROOM  # free (bytes)
+        # Each job with its size (bytes), and when it was requested (steady clock, s).
         self._jobs: deque[tuple[Callable[[], object], int, float]] = deque()
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
     def do(self, job: Callable[[], object], size: int = 0) -> bool:
-        """Have a job done, and return whether there was room for it.
+        """Queue a job, and return whether it was accepted.
 
         Args:
-            job: sees to its own errors. A method that writes what is newest waits once only,
-                however often it is asked for.
-            size: of what it keeps in memory (bytes).
+            job: handles its own errors. A job that equals a waiting one is not queued again:
+                a method that writes the newest value waits only once.
+            size: the memory that it holds (bytes).
         """
         size += _JOB
         with self._changed:
@@ -66,17 +66,17 @@ class DiskThread:
 
     @property
     def late(self) -> bool:
-        """Whether a job has waited for more than 2 s, or is being done for so long."""
+        """Whether a job was requested more than 2 s ago and is not done yet."""
         with self._changed:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait until all is done, for so long at most (s); return whether it is."""
+        """Wait until all jobs are done, at most this long (s); return whether they are."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 
     def _started(self) -> bool:
-        """Start the thread, and return whether the system has one to give."""
+        """Start the thread if need be; return False if the system cannot create one."""
         if self._thread is None:
             thread = threading.Thread(target=self._do_all, name="disk", daemon=True)
             try:
@@ -93,7 +93,7 @@ class DiskThread:
                 job, size, _ = self._jobs[0]
             try:
                 job()
-            except Exception:  # a mistake in one job keeps no other from being done
+            except Exception:  # an error in one job must not stop the others
                 traceback.print_exc()
             with self._changed:
                 self._jobs.popleft()
@@ -101,29 +101,29 @@ class DiskThread:
                 self._changed.notify_all()
 
 
-# The process has one.
+# The disk thread of this process.
 DISK = DiskThread()
 
 
 class Newest(Generic[_T]):
-    """Has the newest of what it is given written; what waits is passed over for what is newer.
+    """Writes the newest of the values it is given; a newer value replaces a value that still waits.
 
     Attributes:
-        problem: why what was written last is not kept, in words; empty where it is.
+        problem: why the last value could not be written, in words; empty if it was.
     """
 
     def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
-        """Write nothing yet.
+        """Start without a value.
 
         Args:
-            write: called on the disk's thread, with one after the other.
-            explain: puts what that raises into words.
+            write: called in the disk thread, with one value after the other.
+            explain: puts an error into words.
         """
         self.problem = ""
         self._write, self._explain = write, explain
 
     def give(self, value: _T) -> None:
-        """Have a value written."""
+        """Queue a value for writing."""
         self._value = value
         if not DISK.do(self._write_newest):
             self.problem = self._explain(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
@@ -132,7 +132,7 @@ class Newest(Generic[_T]):
         try:
             self._write(self._value)
             self.problem = ""
-        except Exception as error:  # whatever it is, the next value is tried again
+        except Exception as error:  # whatever the error, the next value is tried
             self.problem = self._explain(error)
 
 
@@ -140,26 +140,26 @@ _CLOSE_S = 2.0
 
 
 class Kept:
-    """A file of numbers by name, or of other text; the disk's thread writes it: a disk may hang.
+    """A file of named numbers, or of other text. The disk thread writes it, since a disk may hang.
 
     The file is replaced as a whole: after a power cut it is the old one or the new one.
     """
 
     def __init__(self, file: Path) -> None:
-        """Take the file, which need not be there."""
+        """Take the file, which need not exist."""
         self._file = file
         self._newest = Newest[Callable[[], str]](lambda text: replace_text(file, text()), str)
 
     @property
     def problem(self) -> str:
-        """Why what was last given is not written; empty where it is, or soon will be."""
+        """Why the last value is not written; empty if it is, or soon will be."""
         return "the disk takes nothing" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:
-        """Return what was kept; nothing where there is no file.
+        """Return the numbers in the file; an empty mapping if there is no file.
 
         Raises:
-            ConfigurationError: it cannot be read, or is no mapping of finite numbers.
+            ConfigurationError: it cannot be read, or is not a mapping of names to finite numbers.
         """
         try:
             content: Any = json.loads(self._file.read_text(encoding="utf-8"))
@@ -174,15 +174,15 @@ class Kept:
         return content
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Have numbers written."""
+        """Queue numbers for writing."""
         copy = dict(values)
         self.write_text(lambda: json.dumps(copy, indent=1))
 
     def write_text(self, text: Callable[[], str]) -> None:
-        """Have a text written, which the disk's thread asks for."""
+        """Queue a text for writing; the disk thread calls ``text`` to get it."""
         self._newest.give(text)
 
     def close(self) -> None:
-        """Wait two seconds at most for what is being written."""
+        """Wait at most two seconds until everything is written."""
         DISK.wait(_CLOSE_S)
 

@@ -1,4 +1,4 @@
-"""The errors that a user can repair by editing a file or an option."""
+"""Errors that a user can fix by editing a file or an option."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 
 
 class ConfigurationError(Exception):
-    """A file or an option is wrong; the message says where, what is there, and what would be right.
+    """A file or an option is wrong; the message gives the place, the value, and what is expected.
 
-    Commands end with exit code 2 on it, without a traceback.
+    Commands then end with exit code 2, without a traceback.
 
     Attributes:
         wrong: the message without file and line.
@@ -37,18 +37,18 @@ class ConfigurationError(Exception):
 
 
 class OccupiedError(ConfigurationError):
-    """Another graph is where this one was to run; commands end with exit code 3."""
+    """Another graph already runs where this one should run; commands end with exit code 3."""
 
 
 @contextmanager
 def in_extra(extra: str) -> Iterator[None]:
-    """Import what a plain installation does not have.
+    """Guard the import of a package that a plain installation does not have.
 
     Args:
-        extra: of this package that installs it, such as ``study``.
+        extra: the extra of this package that installs it, such as ``study``.
 
     Raises:
-        ConfigurationError: it is not there; it says what to install.
+        ConfigurationError: the package is missing; the message says what to install.
     """
     try:
         yield
@@ -59,12 +59,12 @@ def in_extra(extra: str) -> Iterator[None]:
         ) from error
 
 
-# How alike two names must be, from 0 to 1: of three letters one may be wrong.
+# The least similarity of two names, 0 to 1: one of three letters may be wrong.
 _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
-    """Return what a mistyped name may stand for, or all that there are: a clause of a message."""
+    """Return a clause for a message: what a mistyped name probably means, or all known names."""
     alike = {
         word: SequenceMatcher(None, name.casefold(), word.casefold()).ratio() for word in known
     }

@@ -45,7 +45,7 @@ def shared_directory() -> Path:
 
 
 def unique_name(file: Path, existing: Container[str]) -> str:
-    """Return a name by which a file can lie beside others: its own, or one with -2, -3, ..."""
+    """Return a name that no existing file has: the file's own, or one with -2, -3, ..."""
     name, number = file.name, 1
     while name in existing:
         number += 1
@@ -54,12 +54,12 @@ def unique_name(file: Path, existing: Container[str]) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return what identifies a file's content; empty where there is no such file."""
+    """Return a hash of a file's content; empty if there is no such file."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file; a byte order mark at its start is left away.
+    """Read a UTF-8 text file; a byte order mark at its start is dropped.
 
     Raises:
         ConfigurationError: it cannot be read, is empty, or is not UTF-8 text.
@@ -83,7 +83,7 @@ def read_text(path: Path) -> str:
     return text
 
 
-# How deep a file may be nested: far more than any of ours, far less than a thread has stack for.
+# Greatest depth of nesting: far more than our files have, far less than a thread's stack allows.
 _DEEPEST = 200
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
@@ -96,15 +96,15 @@ _FLOAT = re.compile(
 
 
 class YamlMapping(dict[str, Any]):
-    """A mapping of a YAML file that remembers the line of each of its keys."""
+    """A mapping from a YAML file, which remembers the line of each key."""
 
     lines: dict[str, int]
 
 
 def _plain(text: str) -> Any:
-    """Return a value that is not quoted, with the numbers of YAML 1.2.
+    """Return the value of an unquoted text, with the numbers of YAML 1.2.
 
-    YAML 1.1, which PyYAML reads, takes 5.78e5 for a text, 016 for 14 and 3:0 for 180.
+    PyYAML follows YAML 1.1, which reads 5.78e5 as a text, 016 as 14 and 3:0 as 180.
     """
     if text in _TRUE | _FALSE:
         return text in _TRUE
@@ -116,7 +116,7 @@ def _plain(text: str) -> Any:
 
 
 def _plain_to_rcl(text: str) -> bool | int | float | str:
-    """Return it as rcl does (rcl_yaml_param_parser, parse.c): 010 is 8, and 1e-5 is a number."""
+    """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
     of_c = text.replace(".inf", "inf").replace(".nan", "nan").encode()
@@ -131,7 +131,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str:
 
 
 def _nesting(text: str) -> int:
-    """Return how deep a YAML text can be nested at most, by its brackets and its indentation."""
+    """Return the greatest depth to which a YAML text can be nested, by brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
         depth = max(0, depth + (1 if bracket in "[{" else -1))
@@ -141,9 +141,9 @@ def _nesting(text: str) -> int:
 
 
 def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML by libyaml, or, if that finds an error in it, by PyYAML, whose words say more.
+    """Parse YAML with libyaml; if that finds an error, with PyYAML, whose messages say more.
 
-    Libyaml is ten times as fast: every process reads the interface first.
+    Libyaml is ten times as fast, and every process reads the interface when it starts.
     """
     try:
         return yaml.compose(text, Loader=_LibYaml)
@@ -152,7 +152,7 @@ def _compose(text: str) -> yaml.Node | None:
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
-    """Read a ROS 2 parameter file, each value as rcl does, which reads it for a node.
+    """Read a ROS 2 parameter file, with each value as rcl reads it for a node.
 
     Raises:
         ConfigurationError: as :func:`read_yaml`.
@@ -165,20 +165,20 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
     Args:
         path: the file.
-        plain: returns the value of a text that is not quoted.
+        plain: returns the value of an unquoted text.
 
     Raises:
-        ConfigurationError: it cannot be read, is not YAML, gives a key twice, or holds no mapping.
+        ConfigurationError: it cannot be read, has tags or a key twice, or is not such a YAML file.
     """
     text = read_text(path)
-    if _nesting(text) > _DEEPEST:  # libyaml would end the process
+    if _nesting(text) > _DEEPEST:  # libyaml would crash the process
         raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
 
     def refuse(node: yaml.Node, problem: str) -> ConfigurationError:
         line = node.start_mark.line + 1
         return ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line)
 
-    @functools.cache  # what several aliases name is made once
+    @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
         if node.tag not in _TAGS:
             raise refuse(node, f"its values must have no tags such as {node.tag!r}")
@@ -233,7 +233,7 @@ def number(path: Path, mapping: YamlMapping, key: str) -> float:
     """Return the number under a key.
 
     Raises:
-        ConfigurationError: it is not a number. ``nan`` and ``inf`` are left to the caller.
+        ConfigurationError: it is not a number. ``nan`` and ``inf`` are returned.
     """
     value = mapping[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)):

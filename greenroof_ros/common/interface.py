@@ -36,13 +36,13 @@ class Qos:
 
 @dataclass(frozen=True)
 class Display:
-    """How an operator is shown a topic's values; what tools show is made from it.
+    """How a topic's values are shown to an operator, in every tool.
 
     Attributes:
         label: what the value is, in an operator's words.
-        unit: of the value as shown, such as ``mm``; empty for a plain number.
-        factor: from the topic's unit to the one shown: 1000 from m to mm.
-        decimals: behind the point, as shown.
+        unit: of the shown value, such as ``mm``; empty for a plain number.
+        factor: from the topic's unit to the shown unit: 1000 from m to mm.
+        decimals: number of decimals of the shown value.
     """
 
     label: str
@@ -76,13 +76,13 @@ class Topic:
 
     @property
     def graph_name(self) -> str:
-        """The name in a node's code: relative, so that a namespace holds a whole graph."""
+        """The name in a node's code: relative, so that a whole graph can be put in a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 
 @functools.cache
 def _topics() -> dict[str, Topic]:
-    """Read the interface once: every site, node and page asks for it."""
+    """Read the interface, once per process: every site, node and page asks for it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     return {
@@ -96,14 +96,14 @@ def _topic(
     undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
     **entry: Any,
 ) -> Topic:
-    """Return a topic by its entry in the interface."""
+    """Return the topic that an entry of the interface describes."""
     low, high = range
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
     }
     return Topic(
         name=name, qos=qos,
-        # No limit there still means a finite value.
+        # Without limits a value must still be finite.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
         undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
         display=None if display is None else Display(**display), **fields,
@@ -111,12 +111,12 @@ def _topic(
 
 
 def read_topics() -> dict[str, Topic]:
-    """Return the interface; the order is as in the file, and in each tick of a bag."""
+    """Return the interface, in the order of the file, which each tick of a bag has, too."""
     return dict(_topics())
 
 
 def read_live_topics() -> dict[str, Topic]:
-    """Read the interface as it is in a live graph, which has no plant."""
+    """Return the interface of a live graph, which has no plant."""
     return {
         name: replace(
             topic,
@@ -136,7 +136,7 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     """Return the topics of a controller's outputs, each with the controller's attribute.
 
     Raises:
-        ConfigurationError: a name is no optional topic of the interface.
+        ConfigurationError: a name is not an optional topic of the interface.
     """
     topics = {name: topic for name, topic in read_topics().items() if topic.optional}
     for name in outputs:
@@ -150,13 +150,13 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
 
 
 def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
-    """Return the topics that a graph has each tick, in bag order.
+    """Return the topics that a graph publishes each tick, in bag order.
 
     Args:
-        outputs: of its controller: of the optional topics it publishes these.
+        outputs: the optional topics that its controller publishes.
 
     Raises:
-        ConfigurationError: one of them is no optional topic of the interface.
+        ConfigurationError: one of them is not an optional topic of the interface.
     """
     optional_topics(outputs)  # refuses others
     return [
@@ -169,16 +169,16 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     """Return the namespace of a graph, from the names of its topics on the wire.
 
     Args:
-        names: of topics, such as ``/site1/roof/level``.
-        needed: names of the interface, such as ``/roof/level``, that a graph must have.
-        bag: that has them, for messages.
+        names: topic names, such as ``/site1/roof/level``.
+        needed: topics of the interface, such as ``/roof/level``, that a graph must have.
+        bag: the bag with these topics, for messages.
 
     Returns:
-        What stands before them, such as ``/site1``; empty where nothing does, or where no
-        namespace has all that is needed.
+        The prefix of the names, such as ``/site1``; empty if they have none, or if no namespace
+        has all needed topics.
 
     Raises:
-        ConfigurationError: more than one namespace has.
+        ConfigurationError: more than one namespace has them.
     """
     first = needed[0]
     namespaces = [
@@ -212,18 +212,18 @@ def markdown_table(topics: Iterable[Topic]) -> str:
 
 
 def _roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, first simulated, then in a live graph."""
+    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What the table says of one code.
+    """What the table of conditions says about one code.
 
     Attributes:
-        meaning: when a status has it.
-        advice: what to do, in the table's words.
+        meaning: when a status has this code.
+        advice: what to do, as the table words it.
         by_role: what to do instead, by the role of the node.
     """
 
@@ -235,8 +235,8 @@ class Condition:
         """Return what to do.
 
         Args:
-            node: its fully qualified name, for the services that the advice names.
-            role: of that node, as the interface calls it.
+            node: fully qualified name of the node, for the services that the advice names.
+            role: role of that node in the interface.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,

@@ -1,8 +1,8 @@
-"""Where an MQTT broker is, and a client that is connected to it.
+"""Where an MQTT broker is, and a client that connects to it.
 
-MQTT 3.1.1 with a clean session: what was said while a client was away is not said to it later. A
-client connects by itself, again and again; what it is to publish meanwhile is dropped, if it is of
-quality of service 0.
+MQTT 3.1.1 with a clean session: the broker keeps no messages for a client that is away. A client
+connects by itself and tries again after each failure. Messages of quality of service 0 that it
+should publish while it is not connected are dropped.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _ADDRESS = re.compile(
     r"(:(?P<port>\d{1,5}))?/?"
 )
 _PORT, _TLS_PORT = 1883, 8883
-# A broker that says nothing for one and a half times as long counts as gone (s).
+# Keep-alive (s): a broker that is silent for one and a half times as long counts as lost.
 _KEEP_ALIVE_S = 5
-# Waits between two attempts to connect (s): the first, and the longest.
+# Waits between two attempts to connect (s): the first and the longest.
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 1, 5
-# The reason code of a connection that ends without one.
+# The reason code if a connection ends without one.
 _UNSPECIFIED = 0x80
 
 
@@ -39,9 +39,9 @@ class Broker:
     Attributes:
         host: name or address.
         port: TCP port.
-        tls: whether the connection is encrypted, and the broker's certificate checked.
-        login: file with ``username`` and ``password``; None for none.
-        authority: file of the certificates that are trusted, PEM; None for the system's.
+        tls: whether the connection is encrypted and the broker's certificate is checked.
+        login: file with ``username`` and ``password``; None for no login.
+        authority: file of trusted certificates (PEM); None for the system's.
     """
 
     host: str
@@ -56,16 +56,16 @@ class Broker:
 
 
 def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> Broker:
-    """Return the broker that an address names.
+    """Return the broker at an address.
 
     Args:
         text: ``mqtt://HOST[:PORT]``, or ``mqtts://HOST[:PORT]`` over TLS.
-        key: what the address is called in an error.
-        login: file with ``username`` and ``password``; empty for none.
-        authority: file of the certificates that are trusted (PEM); empty for the system's.
+        key: name of the address in error messages.
+        login: file with ``username`` and ``password``; empty for no login.
+        authority: file of trusted certificates (PEM); empty for the system's.
 
     Raises:
-        ConfigurationError: it is no such address.
+        ConfigurationError: it is not such an address, or has certificates but no TLS.
     """
     match = _ADDRESS.fullmatch(text)
     port = int(match["port"]) if match and match["port"] else None
@@ -87,16 +87,16 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
 def parse_topic(
     text: str, key: str, login: str = "", authority: str = ""
 ) -> tuple[Broker, str]:
-    """Return the broker and the topic that ``mqtt://HOST[:PORT]/TOPIC`` names.
+    """Return the broker and the topic of an address ``mqtt://HOST[:PORT]/TOPIC``.
 
     Args:
         text: the address.
-        key: likewise, with the rest, see :func:`parse_broker`.
-        login: likewise.
-        authority: likewise.
+        key: as for :func:`parse_broker`.
+        login: as for :func:`parse_broker`.
+        authority: as for :func:`parse_broker`.
 
     Raises:
-        ConfigurationError: it is no such address.
+        ConfigurationError: it is not such an address.
     """
     scheme, mark, rest = text.partition("://")
     place, _, topic = rest.partition("/")
@@ -114,20 +114,20 @@ def make_client(
     on_disconnect: Callable[[str], None] = lambda why: None,
     will: tuple[str, str] | None = None,
 ) -> Client:
-    """Return a client that is not connected yet: ``loop_start`` on it runs its thread.
+    """Return a client that is not connected yet; its ``loop_start`` starts its thread.
 
-    ``connect_async`` has been called, so that the thread connects, again after each failure.
+    ``connect_async`` has been called: the thread connects, and tries again after each failure.
 
     Args:
-        broker: where it connects to.
-        name: its id; the broker throws out another client of the same.
-        on_connect: called in its thread after each connection, to subscribe.
+        broker: where to connect.
+        name: client id; the broker disconnects another client with the same id.
+        on_connect: called in the client's thread after each connection, to subscribe.
         on_message: called in its thread with topic, payload, and whether the message was retained.
-        on_disconnect: called in its thread with why a connection ended or failed.
-        will: topic and payload that the broker publishes, retained, where the client is lost.
+        on_disconnect: called in its thread with the reason why a connection ended or failed.
+        will: topic and payload that the broker publishes, retained, if the client is lost.
 
     Raises:
-        ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+        ConfigurationError: the MQTT library is missing, or the login or certificate file is wrong.
     """
     with in_extra("mqtt"):
         from paho.mqtt.client import Client, MQTTv311
@@ -140,7 +140,7 @@ def make_client(
     if broker.tls:
         try:
             client.tls_set(ca_certs=None if broker.authority is None else str(broker.authority))
-        except OSError as error:  # of ssl, too
+        except OSError as error:  # or ssl.SSLError
             raise ConfigurationError(
                 f"cannot be used as certificates: {error.strerror or error}", file=broker.authority
             ) from error
@@ -159,7 +159,7 @@ def make_client(
 
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
         nonlocal refused
-        if not refused:  # otherwise the reason has been said
+        if not refused:  # otherwise the reason was already reported
             on_disconnect("it broke off" if code.value == _UNSPECIFIED else str(code))
         refused = False
 

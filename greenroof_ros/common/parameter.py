@@ -1,10 +1,10 @@
-"""What a user sets, the one place for its default, unit, range and meaning; and files of it.
+"""Values that a user sets, each with its default, unit, range and meaning in one place; and files.
 
-Frozen dataclasses are read from YAML, each error with file, line, key and value. A dataclass says
-with `entry`, as the default of each field, what the key means and which values it may have; what
-reads a file and what writes its documentation both go by that. Where a key may hold one of several
-dataclasses, those after the first have a static method ``fits`` that says of a mapping whether it
-is theirs.
+Frozen dataclasses are read from YAML; an error names file, line, key and value. The default of each
+field is an `entry`: it gives the meaning and the allowed values of the key, both to the code that
+reads a file and to the code that writes its documentation. If a key may hold one of several
+dataclasses, all but the first have a static method ``fits``, which says whether a mapping is for
+that dataclass.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,8}")
 class Parameter:
     """A value that a user sets: of a controller, of the pump's limits, or of a node.
 
-    From it come the node's declared parameter and its ``--help``, the check of a parameter file and
-    of a study's grid, the command line's option and the table in the documentation.
+    It defines the node's declared parameter and its ``--help``, the check of parameter files and of
+    a study's grid, the command-line option, and the table in the documentation.
 
     Attributes:
         name: lower case, with underscores.
-        default: its value unless given; it gives the type: a number, a whole number, true or false,
-            a text, or a list of texts.
-        unit: of the value, ``1`` if it has none; empty where the meaning says it.
+        default: value unless given. Its type is the parameter's: a number, a whole number, true or
+            false, a text, or a list of texts.
+        unit: of the value, ``1`` if it has none; empty if the meaning gives it.
         low: least value of a number.
-        high: largest value.
+        high: greatest value of a number.
         meaning: one line, without the unit.
         may_change: whether it may change during a run; a controller then has an attribute of
             that name, which is set between two ticks.
-        among: the texts that it may be, where they are few.
-        measured: its default on a roof with a measured soil, where that is another.
+        among: the only texts allowed; empty if any text is.
+        measured: default on a roof with a measured soil; None if it is the same.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Parameter:
 
     @property
     def limits(self) -> str:
-        """Its range, or the texts that it may be; empty where there is no limit."""
+        """Its range, or the allowed texts; empty if there is no limit."""
         if math.isinf(self.low):
             return " or ".join(self.among)
         return f"{self.low} to {self.high}" if self.whole else f"{self.low:g} to {self.high:g}"
@@ -82,7 +82,7 @@ class Parameter:
         return f"must be {kind}from {self.low:g} to {self.high:g}"
 
     def accepts(self, value: float) -> bool:
-        """Whether a number is in the range, and whole where it must be."""
+        """Return whether a number is in the range, and whole if it must be."""
         return self.low <= value <= self.high and not (self.whole and value % 1)
 
 
@@ -96,16 +96,16 @@ def entry(
     default: Any = MISSING,
     factory: Any = MISSING,
 ) -> Any:
-    """Return the field of a dataclass that is a key of a file.
+    """Return a dataclass field that is a key of a file.
 
     Args:
-        meaning: for the documentation, and for who left the key away.
+        meaning: for the documentation, and for the error if the key is missing.
         low: the least number.
         high: the greatest number.
-        unit: of the number, ``1`` if it has none; empty where the meaning says it.
-        choices: the only texts.
-        default: of a key that may be left away.
-        factory: makes it, where it is a mapping.
+        unit: of the number, ``1`` if it has none; empty if the meaning gives it.
+        choices: the only texts allowed.
+        default: the default of an optional key.
+        factory: makes the default, if that is a mapping.
     """
     metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
     result: Any = field(default=default, default_factory=factory, metadata=metadata)
@@ -124,7 +124,7 @@ class Key:
 
 
 def keys(kind: Any) -> list[Key]:
-    """Return the keys that a dataclass reads; fields that are no `entry` are none."""
+    """Return the keys that a dataclass reads: its fields that were made by `entry`."""
     hints = get_type_hints(kind)
     return [
         Key(
@@ -137,7 +137,7 @@ def keys(kind: Any) -> list[Key]:
 
 
 def parameters_of(kind: Any) -> list[Parameter]:
-    """Return the keys of a dataclass as parameters; the default is None where there is none."""
+    """Return the keys of a dataclass as parameters; a required key has the default None."""
     return [
         replace(key.entry, name=key.name, default=None if key.default is MISSING else key.default)
         for key in keys(kind)
@@ -145,7 +145,7 @@ def parameters_of(kind: Any) -> list[Parameter]:
 
 
 class _Wrong(Exception):
-    """What is wrong with the value under a key, which is given by its parts."""
+    """What is wrong with the value of a key, which is given by its parts."""
 
     def __init__(self, parts: tuple[str, ...], expected: str, value: object = None) -> None:
         self.parts, self.expected, self.value = parts, expected, value
@@ -155,12 +155,12 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping) -> Record:
     """Return a dataclass with the values of a file.
 
     Args:
-        kind: a frozen dataclass whose fields are made by `entry`.
-        file: that was read.
-        mapping: as `files.read_yaml` reads it.
+        kind: a frozen dataclass with fields made by `entry`.
+        file: the file that was read.
+        mapping: its content, as `files.read_yaml` returns it.
 
     Raises:
-        ConfigurationError: a key is unknown or missing, or a value of the wrong kind or out of
+        ConfigurationError: a key is unknown or missing, or a value is of the wrong kind or out of
             range.
     """
     try:
@@ -174,13 +174,13 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping) -> Record:
 
 
 def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> ConfigurationError:
-    """Return what is wrong with a key such as ``registers.control``, with its line and its value.
+    """Return the error for a key such as ``registers.control``, with its line and its value.
 
     Args:
-        file: that was read.
-        content: of it.
-        key: by names, and in lists by numbers that begin with 1.
-        expected: what is wrong with what stands there, or is missing.
+        file: the file that was read.
+        content: its content.
+        key: names, and for items of lists numbers from 1, joined by points.
+        expected: what is wrong with the value, or what is missing.
     """
     line, place = find(content, key)
     value = None if isinstance(place, (list, YamlMapping)) else place
@@ -188,9 +188,9 @@ def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> Confi
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
-    """Return line and value of a key, by names, and in lists by numbers that begin with 1.
+    """Return line and value of a key: names, and for items of lists numbers from 1.
 
-    Where there is none: the line of the last part of it that there is, and None.
+    If there is no such key: the line of the last part of it that exists, and None.
     """
     return _find(content, key.split("."))
 
@@ -259,7 +259,7 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
 
 
 def _key(kind: Any, key: str, entry: Parameter, parts: tuple[str, ...]) -> Any:
-    """Return a mapping's key as what it was; `files.read_yaml` hands keys over as text."""
+    """Return a mapping's key in its own type; `files.read_yaml` returns keys as text."""
     if kind is str:
         return key
     return _scalar(kind, int(key) if key.isdecimal() else key, entry, parts)

@@ -1,4 +1,4 @@
-"""Processes: how they end, locks that exclude each other, and what is said to systemd."""
+"""Processes: how they end, locks between them, and messages to systemd."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from pathlib import Path
 from typing import Any
 
 _PR_SET_PDEATHSIG = 1
-# The environment variable by which a process asks a child to end with it: its own number.
+# The environment variable that asks a child process to end with its parent: the parent's number.
 _PARENT = "GREENROOF_ROS_PARENT"
 
 
 def asked_to_end_with_this() -> dict[str, str]:
     """Return an environment in which a command of this package ends with the present process.
 
-    The child itself sees to it, at its start: Python code between fork and exec (``preexec_fn``)
-    can lock up where the parent has threads.
+    The child itself arranges that when it starts: Python code between fork and exec
+    (``preexec_fn``) can deadlock if the parent has threads.
     """
     return {**os.environ, _PARENT: str(os.getpid())}
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, even by kill -9, if that asked for it.
+    """Have the kernel end this process when its parent dies, even by kill -9, if the parent asked.
 
-    By SIGTERM: what runs in the background of a shell may ignore SIGINT. A parent that died before
-    this was called counts, too.
+    The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
+    died before this call, the process ends, too.
     """
-    parent = os.environ.pop(_PARENT, None)  # what this process starts is not the other's child
+    parent = os.environ.pop(_PARENT, None)  # children of this process have another parent
     if parent is None:
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -43,12 +43,12 @@ def end_with_parent() -> None:
 
 
 def end_with(process: int) -> None:
-    """End this process at once when another one, not its parent perhaps, has ended in any way."""
+    """End this process at once when another process, parent or not, has ended in any way."""
 
     def watch() -> None:
         try:
             select.select([os.pidfd_open(process)], [], [])
-        finally:  # or it has ended before
+        finally:  # also if it had ended before
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -61,7 +61,7 @@ class LockedError(Exception):
     """Another process has the lock.
 
     Attributes:
-        holder: its number; None where it could not write it, on a full disk.
+        holder: its process number; None if it could not write that, as on a full disk.
     """
 
     def __init__(self, path: Path, holder: int | None) -> None:
@@ -70,16 +70,16 @@ class LockedError(Exception):
 
 
 def take_lock(path: Path, mode: int = 0o600) -> FileIO:
-    """Return the open file of a lock; the lock is held until it is closed.
+    """Return the open file of a lock; the lock is held until the file is closed.
 
     Args:
-        path: of its file, which is made if need be; no link is followed. Who has the lock may
-            remove it.
+        path: the lock's file, which is created if need be; symbolic links are not followed. The
+            holder of the lock may remove the file.
         mode: of that file, whatever the umask.
 
     Raises:
-        LockedError: another process has it.
-        OSError: its file cannot be opened.
+        LockedError: another process has the lock.
+        OSError: the file cannot be opened.
     """
     while True:
         lock = _open(path, mode)
@@ -89,21 +89,21 @@ def take_lock(path: Path, mode: int = 0o600) -> FileIO:
             text = lock.read(32).decode("ascii", "replace").strip()
             lock.close()
             raise LockedError(path, int(text) if text.isdecimal() else None) from None
-        # Who had it may have removed the file between our opening and locking it.
+        # The last holder may have removed the file after we opened it and before we locked it.
         if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
             break
         lock.close()
-    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
+    with contextlib.suppress(OSError):  # a full disk: the lock holds all the same
         lock.truncate(0)
         lock.write(f"{os.getpid()}\n".encode())
     return lock
 
 
 def _open(path: Path, mode: int) -> FileIO:
-    """Return the file, made if need be.
+    """Return the file, created if need be.
 
-    Where it is there it is opened without O_CREAT: in a directory such as /tmp the kernel refuses
-    that for another user's.
+    An existing file is opened without O_CREAT: in a directory such as /tmp the kernel refuses that
+    flag for another user's file.
     """
     while True:
         try:
@@ -119,15 +119,15 @@ _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class InterruptedRun(Exception):
-    """Ctrl-C, or SIGTERM, or the terminal was closed; the message says which."""
+    """The run was ended by Ctrl-C, SIGTERM or a closed terminal; the message names the signal."""
 
 
 class Signals:
-    """Notes that a signal came; the run looks at it where it can end cleanly.
+    """Notes that a signal came; the run checks for it where it can end cleanly.
 
-    An exception out of the handler could fall into the middle of anything, the end of the nodes
-    among it. A signal that is ignored stays so: ``nohup`` ignores the end of the terminal, and a
-    shell Ctrl-C for what it starts in the background.
+    An exception from the handler could interrupt anything, even the ending of the nodes. A signal
+    that was ignored stays ignored: ``nohup`` ignores the end of the terminal, and a shell ignores
+    Ctrl-C for background processes.
     """
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ class Signals:
         self._came = signal.Signals(signum)
 
     def ignore(self) -> None:
-        """Take no further signal: the end of the interpreter would be ended by it."""
+        """Ignore further signals, which would interrupt the shutdown of the interpreter."""
         for number in _NUMBERS:
             signal.signal(number, signal.SIG_IGN)
 
@@ -151,7 +151,7 @@ class Signals:
 
 
 def notify(*lines: str) -> None:
-    """Tell systemd, where it is what started this process; elsewhere nothing happens.
+    """Send lines to systemd if it started this process; otherwise do nothing.
 
     Args:
         lines: such as ``READY=1`` and ``STATUS=all nodes are here``.
@@ -159,8 +159,8 @@ def notify(*lines: str) -> None:
     path = os.environ.get("NOTIFY_SOCKET")
     if not path:
         return
-    address = f"\0{path[1:]}" if path.startswith("@") else path  # a socket without a file
-    # A service manager that is restarted, or slow, must not stop what it watches.
+    address = f"\0{path[1:]}" if path.startswith("@") else path  # an abstract socket
+    # A service manager that restarts or is slow must not stop the process that it watches.
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.setblocking(False)
         sender.sendto("\n".join(lines).encode(), address)

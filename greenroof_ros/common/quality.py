@@ -1,4 +1,4 @@
-"""What a check of somebody's data found: a code, how grave it is, and the figures that say so."""
+"""What a check of a user's data found: a code, its severity, and the figures that show it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Severity(Enum):
     REFUSAL = "refusal"
     """the data are not used, unless the finding's code is accepted"""
     WARNING = "warning"
-    """they are used, and everybody who sees the result is warned"""
+    """the data are used, and everybody who sees the result is warned"""
     NOTE = "note"
-    """it is worth knowing"""
+    """worth knowing"""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Finding:
     """One thing that a check found.
 
     Attributes:
-        code: of its kind, for ``--accept`` and for programs.
-        case: which of the cases of that code.
+        code: the kind of finding, for ``--accept`` and for programs.
+        case: which case of that code.
         about: what it is about, such as a column of a record.
-        figures: what it rests on, by name.
+        figures: the values that show it, by name.
         severity: what follows from it.
         sentence: for people, with the names of figures in braces.
     """
@@ -50,7 +50,7 @@ class Finding:
 
 
 class Findings:
-    """The table of what some checks can find: codes, and the sentence of each case."""
+    """The table of what checks can find: codes, and a sentence for each case."""
 
     def __init__(self, file: Path) -> None:
         """Read the table, in which each code has ``severity``, ``when`` and sentences by case."""
@@ -58,20 +58,20 @@ class Findings:
 
     @property
     def refusals(self) -> dict[str, str]:
-        """The codes that can be accepted, and when there is such a finding."""
+        """The codes that can be accepted, each with when there is such a finding."""
         refusal = Severity.REFUSAL.value
         return {
             code: row["when"] for code, row in self._rows.items() if row["severity"] == refusal
         }
 
     def make(self, code: str, case: str, about: str, **figures: float | str) -> Finding:
-        """Return a finding of the table with its figures."""
+        """Return a finding from the table, with its figures."""
         row = self._rows[code]
         return Finding(code, case, about, figures, Severity(row["severity"]), row[case])
 
 
 def accept(findings: Sequence[Finding], accepted: Collection[str], file: Path) -> list[Finding]:
-    """Return findings, in which refusals that are accepted are warnings and say so.
+    """Return the findings, with accepted refusals turned into warnings that say so.
 
     Args:
         findings: of all checks.
@@ -79,8 +79,8 @@ def accept(findings: Sequence[Finding], accepted: Collection[str], file: Path) -
         file: with the data.
 
     Raises:
-        ConfigurationError: there are refusals that nobody accepted: a line for each, and the option
-            that accepts them.
+        ConfigurationError: some refusals are not accepted. The message has a line for each, and the
+            option that accepts them.
     """
     grave = [finding for finding in findings if finding.severity is Severity.REFUSAL]
     refused = [finding for finding in grave if finding.code not in accepted]

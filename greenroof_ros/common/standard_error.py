@@ -1,7 +1,7 @@
-"""What people read on standard error: lines that a thread writes, and how far something is.
+"""What users read on standard error: lines that a thread writes, and progress.
 
-Who must be in time has its lines written by a thread. Progress is a bar, or where that is no
-terminal a line every ten seconds.
+Time-critical code has its lines written by a thread. Progress is a bar on a terminal, and otherwise
+a line every ten seconds.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from contextlib import contextmanager
 
 from greenroof_ros.common.disk import DiskThread
 
-# So many wait at most, and the end of the process waits for them for so long (s).
+# How many lines may wait, and how long the end of the process waits for them (s).
 _MOST, _END_S = 1000, 2.0
-# Progress is said so often.
+# How often progress is printed (s).
 _EVERY_S = 10.0
 
 
 class Lines:
-    """Lines to a file descriptor that may take nothing: a full pipe, a terminal at Ctrl-S.
+    """Lines to a file descriptor that may block: a full pipe, or a terminal stopped by Ctrl-S.
 
-    They have a thread of their own: logs and summary do not wait for who reads standard error.
-    Where too many wait, the oldest are dropped, and how many is said.
+    A thread of their own writes them: logs and summary do not wait for the reader of standard
+    error. If too many lines wait, the oldest are dropped, and how many is printed.
     """
 
     def __init__(self, number: int) -> None:
-        """Say nothing yet.
+        """Start without lines.
 
         Args:
-            number: the file descriptor. It is written past Python's stream: a thread that hangs
-                in that holds its lock, for which the end of the interpreter would wait.
+            number: the file descriptor. Python's stream is bypassed: a thread that hangs in it
+                holds its lock, and the end of the interpreter would wait for that lock.
         """
         self._number = number
         self._waiting: deque[str] = deque()
@@ -44,11 +44,11 @@ class Lines:
         self._thread = DiskThread()
 
     def say(self, text: str) -> None:
-        """Have a line written, or several; return at once."""
+        """Queue one or more lines for writing; return at once."""
         self.write(f"{text}\n")
 
     def write(self, text: str) -> None:
-        """Have a text written; with the next two this is the file of a bar of progress."""
+        """Queue a text for writing; with the next two methods this is a file for progress bars."""
         with self._lock:
             if len(self._waiting) == _MOST:
                 self._waiting.popleft()
@@ -57,18 +57,18 @@ class Lines:
         self._thread.do(self._write)
 
     def flush(self) -> None:
-        """All is written as soon as it can be."""
+        """Do nothing: everything is written as soon as possible."""
 
     def isatty(self) -> bool:
-        """Whether it is a terminal."""
+        """Return whether the file descriptor is a terminal."""
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait until all is written, for so long at most (s); return whether it is."""
+        """Wait until everything is written, at most this long (s); return whether it is."""
         return self._thread.wait(within)
 
     def _write(self) -> None:
-        """Write what waits, on the thread; what nobody can read is lost."""
+        """Write the waiting texts, in the thread; a text that cannot be written is lost."""
         while True:
             with self._lock:
                 if not self._waiting:
@@ -85,21 +85,21 @@ class Lines:
                 continue
 
 
-# The lines of the process, which are written before it ends.
+# The lines of this process, which are written before it ends.
 LINES = Lines(2)
 say = LINES.say
 atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
-    """Prints how far something is, every ten seconds, and nothing before the first ten."""
+    """Prints progress every ten seconds; nothing within the first ten."""
 
     def __init__(self) -> None:
-        """Begin to count."""
+        """Start the first ten seconds."""
         self._due = time.monotonic() + _EVERY_S
 
     def tell(self, text: str) -> None:
-        """Say how far it is; printed where a line is due."""
+        """Report progress; it is printed if a line is due."""
         now = time.monotonic()
         if now >= self._due:
             self._due = now + _EVERY_S
@@ -108,12 +108,12 @@ class ProgressLines:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Show how far something is.
+    """Show progress.
 
     Yields:
-        What is called with what is done now, and the share of all that is done, 0 to 1.
+        A function to call with the present task, and the share of all tasks that is done, 0 to 1.
     """
-    from rich.console import Console  # nodes print lines, and need none of this
+    from rich.console import Console  # nodes print only lines, and do not need this
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
@@ -121,7 +121,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
-        refresh_per_second=2,  # a thread that takes its share of two cores
+        refresh_per_second=2,  # its thread takes time from two cores
     ) as progress:
         task = progress.add_task("", total=1.0)
 

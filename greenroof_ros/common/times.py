@@ -1,4 +1,4 @@
-"""Times: reading and writing them, as nanoseconds, and clocks that nobody sets."""
+"""Times: reading and writing them, nanoseconds since 1970, and clocks that cannot be set."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from datetime import datetime, timedelta, tzinfo
 
 from greenroof_ros.common.errors import ConfigurationError
 
-# Those that ROS 2 and bag time stamps hold whole.
+# The years that the time stamps of ROS 2 and of bags cover in full.
 FIRST_YEAR, LAST_YEAR = 1971, 2037
 
-# The start of the paper's window; also the example of a time in messages.
+# The start of the paper's window; also the example time in messages.
 DEFAULT_START = "2021-07-07T02:00-05:00"
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
@@ -20,16 +20,16 @@ def parse_time(text: str) -> datetime:
     """Read an ISO 8601 time; a final ``Z`` stands for UTC.
 
     Raises:
-        ValueError: it is no time, or not within :data:`FIRST_YEAR` and :data:`LAST_YEAR`.
+        ValueError: it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
     """
     return _within_years(datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip())))
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
-    """Read a time of a clock, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
+    """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
 
     Raises:
-        ValueError: it is no time, says an offset, or is not within the years.
+        ValueError: it is not such a time, has an offset, or is outside the years.
     """
     match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[ T](\d{1,2}):(\d\d)", text.strip())
     if match is None:
@@ -50,7 +50,7 @@ def to_minutes(time: datetime) -> str:
 
 
 def to_people(time: datetime) -> str:
-    """Write a time as headings have it, ``2021-07-07 02:00-05:00``; seconds where there are any."""
+    """Write a time for headings, ``2021-07-07 02:00-05:00``; with seconds if there are any."""
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
@@ -66,17 +66,17 @@ def hours_minutes_seconds(seconds: float) -> str:
 
 
 def epoch_ns(time: datetime) -> int:
-    """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
+    """Return nanoseconds since 1970-01-01 UTC, without intermediate rounding."""
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def hours_since_1970(time: datetime) -> int:
-    """Whole hours since 1970-01-01 UTC, of a time that begins on none those before it."""
+    """Return hours since 1970-01-01 UTC, rounded down."""
     return (time - _EPOCH) // timedelta(hours=1)
 
 
 def from_epoch_ns(nanoseconds: int) -> datetime:
-    """Return the time in UTC that is so many nanoseconds after 1970-01-01, to the microsecond."""
+    """Return the UTC time this many nanoseconds after 1970-01-01, to the microsecond."""
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
@@ -86,10 +86,10 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
     Args:
         text: the time.
         zone: of a time without an offset.
-        key: what messages call it.
+        key: its name in messages.
 
     Raises:
-        ConfigurationError: it is not an ISO 8601 time, or has no offset where there is no zone.
+        ConfigurationError: it is not an ISO 8601 time, or has no offset and no zone is given.
     """
     try:
         start = parse_time(text)
@@ -108,14 +108,14 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
 
 
 def boot_time() -> float:
-    """Return the time since the machine started (s), that in which it was suspended included.
+    """Return the time since the machine started (s), including suspends.
 
-    ``time.monotonic()`` stands still in a suspend: by it what was measured before is still new
-    afterwards.
+    ``time.monotonic()`` stands still during a suspend: by that clock, values measured before a
+    suspend would still be new after it.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def suspended_time() -> float:
-    """Return for how long the machine was suspended since it started (s)."""
+    """Return how long the machine has been suspended since it started (s)."""
     return boot_time() - time.monotonic()

@@ -1,4 +1,4 @@
-"""The versions of what computes a run's numbers."""
+"""The versions of the software that computes a run's numbers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from greenroof_ros import __version__
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what computes a run's numbers.
+    """Return the versions of the software that computes a run's numbers.
 
-    ``source`` is a hash of this package's source files: no commit, since an installed package knows
-    none, and a file that was changed has none.
+    ``source`` is a hash of this package's source files. It is not a commit, since an installed
+    package does not know its commit, and changed files have none.
     """
     result = {
         "greenroof_ros": __version__,
@@ -27,19 +27,19 @@ def versions() -> dict[str, str]:
         try:
             result[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
-            continue  # rclpy, where there is no ROS
+            continue  # rclpy, if there is no ROS
     return result
 
 
 def versions_text(by_name: Mapping[str, str]) -> str:
-    """Write versions for people, who know no hash of ours by its name."""
+    """Write versions for people, with the hash under a name that they understand."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
 @functools.cache
 def _source() -> str:
-    """Twelve digits that identify this package's code; a version has many commits."""
+    """Return twelve digits that identify this package's code; a version has many commits."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

@@ -1,4 +1,4 @@
-"""What a controller that looks ahead expects of the days after its forecast."""
+"""What a look-ahead controller assumes for the days after its forecast."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
-# What a roof loses in the mean, as a share of the evapotranspiration: 1 - rain / evapotranspiration
-# is 0.31 in the mean over Toronto's seasons of 2015 to 2025, May to October, and 0.04 to 0.55 each.
+# Mean net loss of a roof over its evapotranspiration. 1 - rain / evapotranspiration is 0.31 in the
+# mean over Toronto's seasons (May to October) of 2015 to 2025, and 0.04 to 0.55 in single seasons.
 _NET_DRYING = 0.3
 
-# As far as forecasts of a service pay: doc/running/seasons.md.
+# Longest horizon at which a service's forecasts pay (h): doc/running/seasons.md.
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, LONGEST_HORIZON,
@@ -37,24 +37,24 @@ Array = NDArray[np.float64]
 
 
 class AfterForecast:
-    """Lengthens a forecast by days in which the roof dries slowly.
+    """Extends a forecast by days in which the roof dries slowly.
 
-    What is on the roof at the end of the forecast does not vanish: without rain it stays for days,
-    since only evapotranspiration takes it off. Who plans for the forecast's time alone fills the
-    roof before a rain at its end, at no cost to the plan, and has too much on it afterwards. The
-    shorter the forecast, the more of that. So the deviation counts for ``days_after`` more
-    days, in which there is no rain, and evapotranspiration is 0.3 of its mean over the past day:
-    what rain and evapotranspiration leave between them in a usual summer. The mean is over a
-    whole day, so that it is right at night, too; at first it is the forecast's first day's.
+    Water on the roof at the end of the forecast does not vanish: without rain it stays for days,
+    since only evapotranspiration removes it. A controller that plans only for the forecast's time
+    fills the roof before rain at its end, at no cost in the plan, and has too much water on it
+    afterwards. The shorter the forecast, the larger this error. So the deviation also counts for
+    ``days_after`` more days, without rain and with 0.3 of the mean evapotranspiration of the past
+    day, the usual net loss after rain in summer. The mean covers a whole day, so that it is also
+    right at night; it starts with the mean of the forecast's first day.
 
-    Without these days the forecast's end is the end of all. That is right for a study whose runs
-    end there, as the paper's 12 h do, and for no roof that lives on.
+    Without these days, nothing counts after the end of the forecast. That is right for a study
+    whose runs end there, such as the paper's of 12 h, but not for a real roof.
 
     Attributes:
-        edges: ends of all steps (s from now), of the forecast and of the days after it, the
-            first 0, shape (steps + days_after + 1,).
-        steps: of the forecast.
-        mean: evapotranspiration over the past day (m3/s); 0 before the first forecast.
+        edges: ends of all steps, of the forecast and of the days after it (s from now), the first
+            0, shape (steps + days_after + 1,).
+        steps: number of the forecast's steps.
+        mean: exponential mean of evapotranspiration over a day (m3/s); 0 before the first forecast.
     """
 
     def __init__(self, site: Site, horizon: float, days_after: float) -> None:
@@ -72,15 +72,15 @@ class AfterForecast:
     def checked(
         self, rain: Sequence[Any], evapotranspiration: Sequence[float], most: int
     ) -> tuple[Array, Array]:
-        """Return forecasts as arrays, of shape (members, steps) and (steps,).
+        """Return the forecasts as arrays of shape (members, steps) and (steps,).
 
         Args:
             rain: (m/s), of all members or of one.
             evapotranspiration: (m3/s).
-            most: members at most.
+            most: largest number of members.
 
         Raises:
-            ConfigurationError: they are not of this shape.
+            ConfigurationError: they have another shape, or too many members.
         """
         rains = np.array(rain, dtype=float, order="C", ndmin=2)
         evaporated = np.array(evapotranspiration, dtype=float)
@@ -94,19 +94,19 @@ class AfterForecast:
         return rains, evaporated
 
     def pass_tick(self, evapotranspiration: Array) -> None:
-        """Take a tick's forecast into the mean (m3/s, shape (steps,)); its first entry is now."""
+        """Update the mean with a tick's forecast (m3/s, shape (steps,)); its first entry is now."""
         if not self._begun:
-            # No dot product: the order of its sums may follow where in memory they lie.
+            # No dot product: its order of summation can depend on the memory address.
             self.mean = float((self._first_day * evapotranspiration).sum())
             self._begun = True
         self.mean += self._gain * (float(evapotranspiration[0]) - self.mean)
 
     def lengthen(self, rain: Array, evapotranspiration: Array) -> tuple[Array, Array]:
-        """Return rain (m/s) and evapotranspiration (m3/s) of all steps.
+        """Return rain (m/s) and evapotranspiration (m3/s) for all steps.
 
         Args:
-            rain: that is forecast, shape (members, steps).
-            evapotranspiration: likewise, shape (steps,).
+            rain: the forecast, shape (members, steps).
+            evapotranspiration: the forecast, shape (steps,).
 
         Returns:
             Shape (members, steps + days_after) and (steps + days_after,).

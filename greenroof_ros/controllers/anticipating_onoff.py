@@ -20,46 +20,45 @@ from greenroof_ros.model.soil import soil_of
 
 Array = NDArray[np.float64]
 
-# So often it looks whether to wait on (s).
+# Interval at which it checks whether to go on waiting (s).
 _LOOK_S = 60.0
 
 
 class AnticipatingOnOff:
-    """Pumps as the on/off controller does, but not where rain will do it.
+    """Pumps like the on/off controller, but not if rain will do the work.
 
-    The paper asks for it: a 'less expensive, hybrid' design, an on/off controller that anticipates
-    the weather (Conclusion). The paper's on/off controller, Eq. (12), fills the roof to its target
-    x2*. If rain comes then, the roof stays too wet for days. This one looks at how the roof would
-    be if it were left alone, by rain and evapotranspiration, of a measured roof also by what
-    percolates. It pumps while the roof would be
+    The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
+    anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
+    x2*. If rain comes then, the roof stays too wet for days. This controller predicts the roof's
+    volume without pumping, from rain and evapotranspiration, on a measured roof also from
+    percolation. It pumps while the roof would be
 
         too dry for more than half of the time from now to t, for every t,
 
-    t being the ends of the steps to the horizon and of the days after it
+    where t is each end of the steps to the horizon and of the days after it
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
-    Why: pump a little now, and the roof is that much wetter at every later time. That is a gain at
-    those times at which it would otherwise be below its target, and a loss at those at which it
-    would be above. What is not pumped now can still be pumped at t; then only the time until t
-    counts. So it is best to pump where the gain is larger than the loss for every t, and to wait
-    where it is not for one of them. This is the plan of the least sum of |x2 - x2*| for pumps of
-    any flow: with y_i what is missing in step i, the volumes pumped by then are the isotonic
-    regression of y in L1, and its first value is the least, over t, of the medians of y until t.
-    It is above zero where the rule says so (Stout 2008, Unimodal regression via prefix isotonic
-    regression, Comput. Stat. Data Anal. 53:289-297).
+    Why: water pumped now makes the roof that much wetter at every later time. This is a gain
+    whenever the roof would otherwise be below its target, and a loss whenever it would be above.
+    Water that is not pumped now can still be pumped at t; then only the time until t counts. So it
+    is best to pump if the gain exceeds the loss for every t, and otherwise to wait. For pumps of
+    any flow this is the plan with the least sum of |x2 - x2*|: if y_i is the volume missing in step
+    i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is the
+    minimum over t of the medians of y until t. It is above zero if the rule says so (Stout 2008,
+    Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
 
-    It looks once a minute, and while it pumps in each tick.
+    It checks the rule once a minute, and in each tick while it pumps.
 
-    One thing this leaves out: that pumping takes time (a minute and a half at full flow for the
-    paper's site). Of a dry forecast it makes the paper's controller.
+    The rule neglects that pumping takes time (a minute and a half at full flow for the paper's
+    site). With a dry forecast it is the paper's controller.
 
-    For a microcontroller: once a minute go through the hours of the forecast, adding up rain times
-    the bed's area less evapotranspiration to what is on the roof. Add up the hours with too little,
-    less those with too much, and stop, not pumping, if that sum is not above zero. Two sums more,
-    kept tick by tick, make it fit for a real site:
+    For a microcontroller: once a minute, go through the hours of the forecast and add rain times
+    the bed's area less evapotranspiration to the water on the roof. Sum up the hours with too
+    little water less those with too much. If this sum is not above zero at any hour, do not pump. A
+    real site needs two more sums, updated in each tick:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
-    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits what a forecast of rain
-    that never comes can do.
+    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of forecast rain
+    that never comes.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -84,11 +83,11 @@ class AnticipatingOnOff:
         Args:
             site: the parameters of Table I.
             horizon: how far to look ahead (h).
-            days_after: days that count after it.
+            days_after: days after the horizon that count.
             fraction: v.
-            observer_time_constant: over how long (s) readings of the roof's level are averaged.
+            observer_time_constant: averaging time of the roof's level readings (s).
             waiting_budget: what waiting for rain may cost (h of an empty roof).
-            waiting_share: and besides, as a share of what plain on/off costs.
+            waiting_share: what it may cost in addition, as a share of the cost of plain on/off.
         """
         self._site, self._soil = site, soil_of(site)
         self.fraction = fraction
@@ -96,11 +95,11 @@ class AnticipatingOnOff:
         self._lengths = np.diff(self._after.edges)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
-        self._waited = math.inf  # since it looked and did not pump (s)
+        self._waited = math.inf  # since a check found that it should wait (s)
 
     @property
     def learned(self) -> dict[str, float]:
-        """What waiting has cost."""
+        """The costs of waiting and of plain on/off so far."""
         return self._regret_budget.learned
 
     @learned.setter
@@ -141,19 +140,19 @@ class AnticipatingOnOff:
         return command
 
     def skip(self) -> None:
-        """Wait for the next reading."""
+        """Let a tick pass without a reading."""
         self._observer.skip()
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Whether the roof, left alone, is too dry for most of the time until each step's end.
+        """Whether the roof, without pumping, is too dry for most of the time until each step's end.
 
-        Of a measured roof a time counts by the share of what is pumped now that is left then.
+        On a measured roof each time is weighted by the share of water pumped now that is left then.
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
         changes = self._soil.free_changes(x2, *weather)
-        # Half-way through each step, since there the sum is the step's mean.
+        # At the middle of each step, where the course equals the step's mean.
         course = x2 + np.cumsum(changes) - changes / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
         dry_s = dry_s * self._soil.lasting_share(x2, changes, *weather)

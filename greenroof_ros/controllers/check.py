@@ -1,4 +1,4 @@
-"""Whether a class is a controller: what every other part relies on, tried out."""
+"""Checks that a class is a controller, by trying everything that the other parts rely on."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 
-# Levels (m) as shares of the cistern's outlet and of the roof's target, and rates of rain (m/s) and
-# evapotranspiration (m3/s): dry, usual, a cloudburst, and what a wrong sensor may read.
+# Levels, as shares of the cistern's outlet level and of the roof's target; rates of rain (m/s) and
+# evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor can read.
 _CISTERN = (0.0, 0.2, 0.25, 0.8, 1.0, 1.5)
 _ROOF = (0.0, 0.5, 0.999, 1.0, 1.001, 2.0)
 _RAIN = (0.0, 1e-7, 2e-5)
@@ -29,30 +29,30 @@ _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
 class _ProblemError(Exception):
-    """A controller does not keep to a rule; the message says how."""
+    """A controller breaks a rule; the message says how."""
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A controller, and the site at which it is tried."""
+    """A controller, and the site that it is tried on."""
 
     choice: ControllerChoice
     site: Site
 
     @property
     def steps(self) -> int:
-        """How many entries a forecast has."""
+        """Number of entries of a forecast."""
         horizon = self.choice.defaults(self.site).get("horizon")
         return self.site.M if horizon is None else len(growing_steps(horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
-        """Return a forecast of rain from the second step on, in the shape that it gets."""
+        """Return a forecast of rain from the second step on, in the shape that it takes."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield levels and forecasts: each, or one in so many."""
+        """Yield levels and forecasts: every ``stride``-th combination."""
         points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
         for cistern, roof, rain, evaporated in islice(points, 0, None, stride):
             yield (
@@ -61,23 +61,23 @@ class _Trial:
             )
 
     def make(self, **changes: float) -> Controller:
-        """Make a controller with its defaults, but for these parameters."""
+        """Make a controller with its default parameters, except for these changes."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
     def ask(self, controller: Controller, stride: int = 1) -> list[float]:
-        """Ask for a command at all levels and forecasts, or at one in so many."""
+        """Ask for commands at every ``stride``-th combination of levels and forecasts."""
         return [_checked_command(controller, *inputs) for inputs in self.inputs(stride)]
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
-    """Hold a controller to :class:`~greenroof_ros.controllers.protocol.Controller`.
+    """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
-    Every check makes its own controllers and asks them over levels and forecasts from a dry to a
-    flooded site. What it relies on is what node graph, ``simulate``, studies and reports rely on.
+    Every check asks new controllers for commands, with levels and forecasts from a dry to a flooded
+    site. The checks cover what the node graph, ``simulate``, studies and reports rely on.
 
     Args:
         choice: the controller.
-        site: at which it is tried.
+        site: the site that it is tried on.
 
     Returns:
         A finding for each check, in the order in which a user should repair them.
@@ -99,7 +99,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
 
 
 def _checked_command(controller: Controller, *inputs: Any) -> float:
-    """Ask for a command and hold it to the rule."""
+    """Ask for a command and check it."""
     command = controller.command(*inputs)
     if isinstance(command, bool) or not isinstance(command, (int, float)):
         raise _ProblemError(f"command() returns {command!r}; it must return a float")
@@ -130,7 +130,7 @@ def _parameters(trial: _Trial) -> None:
 def _whole_range(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if parameter.name == "horizon":
-            continue  # another one needs another forecast
+            continue  # another horizon needs another forecast
         for value in (parameter.low, parameter.high):
             try:
                 trial.ask(trial.make(**{parameter.name: value}), stride=7)
@@ -225,8 +225,8 @@ def _statistics(trial: _Trial) -> None:
         raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")
 
 
-# Each check by what it finds out, in the order in which a user should repair them. It raises a
-# _ProblemError, or whatever the controller does, where that is not so.
+# Each check by what it shows, in the order in which a user should repair failures. A check that
+# fails raises a _ProblemError, or whatever the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names, units, meanings, and defaults within their ranges":
         _parameters,

@@ -1,4 +1,4 @@
-"""When a controller decides, and when the pumps stand still whatever it would decide."""
+"""Whether a controller decides in a tick, or the pumps stand still regardless."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from greenroof_ros.controllers.protocol import Controller, knows_time
 
 
 class NoCommandError(ConfigurationError):
-    """What a controller returns is no command: the controller is broken, not its inputs."""
+    """A controller returned an invalid command: the controller is broken, not its inputs."""
 
 
 def decide(
@@ -23,25 +23,25 @@ def decide(
     evapotranspiration: Sequence[float],
     quiet: bool = False,
 ) -> float:
-    """Return the command of a tick: the controller's where pumping is allowed, 0 elsewhere.
+    """Return the command of a tick: the controller's if pumping is allowed, otherwise 0.
 
-    It is not allowed in frost, which bursts a running pump's pipe, and where an input was refused:
-    the command that follows from a level which was not measured must not reach the pump. In quiet
-    hours it is 0, too; a controller that knows the time then decides all the same, so that it goes
-    on learning and planning.
+    Pumping is not allowed in frost, which bursts a running pump's pipe, or if an input was refused:
+    a command that follows from an unmeasured level must not reach the pump. In quiet hours the
+    command is also 0, but a controller that takes the time still decides, to go on learning and
+    planning.
 
     Args:
         controller: decides, or skips the tick.
-        allowed: whether pumping is.
-        cistern_level: m.
-        roof_level: m.
+        allowed: whether pumping is allowed.
+        cistern_level: (m).
+        roof_level: (m).
         precipitation: forecast of rain (m/s), in the shape that the controller takes.
         evapotranspiration: forecast of evapotranspiration (m3/s).
-        quiet: whether it is in the site's quiet hours.
+        quiet: whether the tick is in the site's quiet hours.
 
     Raises:
-        NoCommandError: what the controller returns is no command.
-        ConfigurationError: it cannot use the forecast.
+        NoCommandError: the controller returned an invalid command.
+        ConfigurationError: the controller cannot use the forecast.
     """
     if not allowed or (quiet and not knows_time(controller)):
         controller.skip()

@@ -1,4 +1,4 @@
-"""The controller that looks ahead: it fills the roof as far as the coming rain lets it."""
+"""The look-ahead controller: it fills the roof as far as the coming rain allows."""
 
 from __future__ import annotations
 
@@ -29,68 +29,68 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
-# A plan is followed for so long (s), and this share of the horizon, at most.
+# A plan is followed for at most this long (s), and at most this share of the horizon.
 _LONGEST_PLAN_S = 3600.0
 _LONGEST_SHARE = 1 / 48
-# So often it looks (s) whether the rain of a member's forecast, with what has fallen since the
-# plan, is another by more than this (m); what comes at another time waits for the next plan.
+# Interval (s) at which it checks whether a member's forecast rain, plus the rain since the plan,
+# has changed by more than this (m). Rain that only shifts in time waits for the next plan.
 _LOOK_S = 60.0
 _CHANGED_M = 1e-3
-# In a plan for an ensemble a step is at least so long (s), and at least this share of the time
-# until then: the forecasts are out by more.
+# In a plan for an ensemble a step is at least this long (s), and at least this share of the time
+# until it begins: the forecasts are less precise than that.
 _LEAST_STEP_S = 3600.0
 _LEAST_SHARE = 1 / 8
-# It pumps nothing at commands below it (1), so that no smaller bound is useful.
+# Smaller commands (1) become 0, so max_command must be at least this.
 _LEAST_COMMAND = 1e-5
 Array = NDArray[np.float64]
 
-# In place of a plan: where the last one is followed on, and where the controller did not decide.
+# The plan's value while the last plan is still followed, and if the controller did not decide.
 _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 
 
 class Lookahead:
-    """Fills the roof to the level that is best for the rain to come, and holds it there.
+    """Fills the roof to the level that is best for the coming rain, and holds it there.
 
-    The level comes from :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo`, for all members
-    of an ensemble of forecasts or for a single one, over steps that grow, and the days after the
-    forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`). What is known of
-    the members' future says
-    :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain`. Without a forecast it fills the
-    roof to its target and holds it there, which is best if no rain comes; but what is missing for a
-    moment ends no wait for rain, since the last plan is followed until it is old. Meanwhile the
-    rain is what the gauge measures, and evapotranspiration the mean of the past day.
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
+    ensemble of forecasts or for a single forecast, over growing steps and the days after the
+    forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
+    :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain` assumes when it becomes known
+    which members are wrong. Without a forecast it fills the roof to its target and holds it there,
+    which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
+    last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
+    evapotranspiration is the mean of the past day.
 
-    It plans again when the plan is an hour old, or a 48th of the horizon, and when a member's rain
-    has become more or less. Between plans it follows the levels of the last one, which it has for
-    whatever the roof holds. The steps of a plan for an ensemble are longer than its forecasts'.
+    It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
+    member's total rain has changed, and when forecasts of rain begin or cease to count. Between
+    plans it follows the levels of the last plan, which it has for every volume on the roof. The
+    steps of a plan for an ensemble are longer than the steps of its forecasts.
 
-    Of quiet hours it plans to pump nothing: the flow that a step may have is less by the share of
-    it that is quiet. It plans again when they begin and end.
+    During quiet hours it plans to pump nothing: a step's largest flow is reduced by the share of
+    the step that is quiet. It makes a new plan when quiet hours begin and end.
 
-    From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
-    the level it follows evapotranspiration with a small flow, which needs no starts.
+    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site. At
+    the level it balances evapotranspiration by a small flow, which needs no starts.
 
-    The roof's level is not taken as read, and forecasts of rain are trusted as far as that paid of
-    late, and not for ever: see :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
+    An observer filters the roof's level, and rain forecasts are trusted only as far as this paid
+    recently, within a budget: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
     :class:`~greenroof_ros.controllers.trust.Trust` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:
         fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
-            NaN where it is left alone, and where the controller did not decide.
+            NaN if it is left alone, or if the controller did not decide.
         trust: share of the room for forecast rain that is left (1).
-        plan: a plan that was made in this tick, a row for each step, shape (steps, 4): the step's
-            end (s from this tick), the mean flow of the pumps in it (m3/s), and the level of the
-            roof that is expected at its end (m), both means over the members; and the level to
-            which the roof is filled in it if no rain has come until then (m), 0 where it is left
-            alone. Shape (0, 4) where the last plan is followed on; one row of NaN where the
-            controller did not decide.
-        planned_deviation: mean deviation over the horizon and the days after it, of all members,
-            that the last plan expects (m3); NaN before the first.
-        solves: how many plans were made.
-        solve_seconds: wall time of each :meth:`command` (s); most plan nothing.
+        plan: the plan made in this tick, shape (steps, 4). Each row is a step: its end (s from this
+            tick); the mean pump flow in it (m3/s) and the expected roof level at its end (m), both
+            means over the members; and the level to which the roof is filled if no rain has come
+            until then (m), 0 if it is left alone. Shape (0, 4) while the last plan is still
+            followed; one row of NaN if the controller did not decide.
+        planned_deviation: mean deviation that the last plan expects, over the horizon, the days
+            after it and all members (m3); NaN before the first plan.
+        solves: number of plans made.
+        solve_seconds: wall time of each :meth:`command` (s); most make no plan.
         time_ns: the time (ns since 1970), at a site with quiet hours.
-        gauge_rain: what the gauge of a live site measures (m/s); 0 without one.
+        gauge_rain: what the rain gauge of a live site measures (m/s); 0 without one.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -156,12 +156,12 @@ class Lookahead:
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
         self._age = 0.0  # of the policy (s)
-        self._rain_counts = True  # for the policy
-        self._unlooked = 0.0  # at the forecast (s)
-        self._planned_rain: Array = np.zeros(0)  # in its horizon, by member (m)
-        self._fallen = 0.0  # since then (m)
+        self._rain_counts = True  # in the policy
+        self._unlooked = 0.0  # since the forecast was last compared (s)
+        self._planned_rain: Array = np.zeros(0)  # total over the forecast, by member (m)
+        self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
-        self._since_start = math.inf  # (s)
+        self._since_start = math.inf  # of the pumps (s)
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -173,12 +173,12 @@ class Lookahead:
 
     @property
     def learned(self) -> dict[str, float]:
-        """What waiting has cost, and how far forecasts are trusted, and why."""
+        """The cost of waiting so far, the trust in forecasts, and the losses behind that trust."""
         return {**self._regret_budget.learned, **self._trust.learned}
 
     @learned.setter
     def learned(self, values: Mapping[str, float]) -> None:
-        values = {name: values[name] for name in self.learned}  # all of it, or nothing
+        values = {name: values[name] for name in self.learned}  # all values or none
         self._regret_budget.learned = values
         self._trust.learned = values
 
@@ -189,7 +189,7 @@ class Lookahead:
 
     @property
     def plan(self) -> Array:
-        """The plan, which is worked out when it is asked for: few do."""
+        """The plan, computed only when asked for."""
         if not isinstance(self._rows, np.ndarray):
             self._rows = self._rows()
         return self._rows
@@ -201,12 +201,12 @@ class Lookahead:
         precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Follow the levels of the last plan, or plan again.
+        """Follow the levels of the last plan, or make a new plan.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         The forecasts are means over the steps of
-        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, shape (members, steps).
+        :func:`greenroof_ros.model.look_ahead.growing_steps`; rain has shape (members, steps).
         """
         started = time.perf_counter()
         site = self._site
@@ -254,7 +254,7 @@ class Lookahead:
         return share
 
     def skip(self) -> None:
-        """Wait for the next reading."""
+        """Let a tick pass without a reading."""
         self._observer.skip()
         self._regret_budget.skip()
         self._rows, self.fill_to = _UNDECIDED, math.nan
@@ -262,14 +262,14 @@ class Lookahead:
         self._pass_tick()
 
     def statistics(self) -> dict[str, float]:
-        """Return how many plans were made, and the time of a tick.
+        """Return the number of plans, and the times of a tick.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
         return self.solve_seconds.statistics(self.solves, 0)
 
     def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
-        """Whether the plan is old, or the forecast another than it was."""
+        """Whether the plan is too old, or the forecast has changed."""
         if self._policy is None or self._age >= self._longest:
             return True
         if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
@@ -281,11 +281,11 @@ class Lookahead:
         return float(np.abs(total - self._planned_rain).max()) > _CHANGED_M
 
     def _total(self, rain: Array) -> Array:
-        """Return what rain is forecast in all (m), shape (members,)."""
+        """Return the total rain of the forecast (m), shape (members,)."""
         return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Find the levels for the forecast, whose members' order changes no bit of them."""
+        """Make a plan; the order of the forecast's members does not change a bit of it."""
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
@@ -304,7 +304,7 @@ class Lookahead:
     def _plan_of(
         self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
     ) -> Array:
-        """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
+        """Return the rows of :attr:`plan`, from a policy and the inputs that it was found for."""
         x1, x2, rain, evaporated, flow = inputs
         flows, roofs, _ = self._program.follow(policy, *inputs, self.trust)
         driest = int((rain @ np.diff(policy.edges)).argmin())
@@ -316,23 +316,23 @@ class Lookahead:
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 
     def _means(self, rates: Array, chosen: list[int]) -> Array:
-        """Return means over a plan's steps of means over the forecast's, both on the last axis."""
+        """Average the forecast's steps to a plan's steps, both on the last axis."""
         amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
         return np.asarray(amounts / np.diff(self._after.edges[chosen]))
 
     def _most_flow(self, x1: float) -> float:
-        """Return the most that is pumped (m3/s) from a cistern of x1 (m3)."""
-        # Without a bound of the commands: pumps that fill the whole soil in a second.
+        """Return the largest pump flow (m3/s) from a cistern that holds x1 (m3)."""
+        # If commands have no bound: a flow that fills the whole soil in a second.
         full = maximum_pump_flow(self._site, x1)
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
 
     def _levels(self, x1: float, x2: Any, trusted: Any) -> Any:
-        """Return what roofs are filled to, or held at (m3); a fuller roof is left alone.
+        """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
 
         Args:
             x1: in the cistern (m3).
             x2: on each roof (m3).
-            trusted: share of the room for forecast rain that each leaves (1).
+            trusted: share of the room for forecast rain that each roof leaves (1).
         """
         policy = self._policy
         if policy is None:
@@ -344,12 +344,12 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that leads to a level, and not beyond it; 0 too early for a start.
+        """Return the command that reaches a level without exceeding it; 0 too early for a start.
 
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
-            level: to which it is filled (m3).
+            level: volume to which the roof is filled (m3).
             rain: in the present tick (m/s).
             evaporated: in the present tick (m3/s).
         """
@@ -372,12 +372,12 @@ class Lookahead:
 
 
 def _put_together(edges: Array, shortest: float, share: float) -> list[int]:
-    """Return which ends of steps stay, the first and the last too, where steps are put together.
+    """Return which step ends remain when short steps are merged; the first and last always do.
 
     Args:
-        edges: of all steps (s from now).
-        shortest: length of a step (s), at least.
-        share: of the time until it begins, likewise (1).
+        edges: ends of all steps (s from now).
+        shortest: least length of a step (s).
+        share: least length as a share of the time until the step begins (1).
     """
     chosen, last = [0], len(edges) - 1
     for index, edge in enumerate(edges):

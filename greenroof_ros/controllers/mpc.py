@@ -19,9 +19,9 @@ from greenroof_ros.model.smooth_plant import linearise
 
 _log = logging.getLogger(__name__)
 
-# Commands are right to 1e-8 (compared with an exact solution in the tests). The adaptation of rho
-# is counted in iterations, since by the clock two equal runs would differ. Beyond max_iter a tick
-# falls back.
+# Commands are accurate to 1e-8 (compared with an exact solution in the tests). The adaptation of
+# rho is timed in iterations: timed by the clock, two equal runs would differ. A tick that needs
+# more than max_iter falls back.
 _SOLVER_SETTINGS: dict[str, Any] = {
     "max_iter": 4000,
     "eps_abs": 1e-10,
@@ -34,8 +34,8 @@ _SOLVER_SETTINGS: dict[str, Any] = {
     "warm_starting": True,
     "verbose": False,
 }
-# This close to a bound a command is at it: ten times the solver's tolerance, a tenth of what the
-# tests allow.
+# A command this close to a bound is set to it: ten times the solver's tolerance, a tenth of what
+# the tests allow.
 _AT_BOUND = 1e-9
 
 Array = NDArray[np.float64]
@@ -51,14 +51,14 @@ class Mpc:
         P = I + G'G / lambda,  q = G'r / lambda,
 
     whose entries are around 1. (The cost as printed is around 1e-6, far below the solver's
-    tolerances.) A solution that the solver does not report as solved is not used: the command is
-    then 0, the pumps stand still for a tick, and ``fallbacks`` counts it.
+    tolerances.) If the solver does not report a solution as solved, it is not used: the command is
+    0, the pumps stand still for a tick, and ``fallbacks`` counts it.
 
     Attributes:
-        weight: lambda, the price of pumping (1); may be changed between two ticks.
+        weight: lambda, the price of pumping (1); can be changed between two ticks.
         cost: J of Eq. (11) at the last tick's solution (m2); NaN after a fallback.
         status: OSQP's status value of the last tick, 1 = solved.
-        fallbacks: how many ticks had no solution.
+        fallbacks: number of ticks without a solution.
         solve_seconds: wall time of each :meth:`command` (s).
     """
 
@@ -82,9 +82,9 @@ class Mpc:
         Args:
             site: the parameters of Table I; ``site.M`` is the look-ahead.
             weight: lambda of Eq. (11), greater than 0.
-            max_command: upper bound of the commands, ``inf`` for none as in the paper.
+            max_command: upper bound of the commands; ``inf`` for none, as in the paper.
         """
-        # Half a second, which those who ask for the parameters alone are spared.
+        # Imported here: it takes half a second, and the class's parameters do not need it.
         import osqp
         import scipy.sparse
 
@@ -140,7 +140,7 @@ class Mpc:
                 "the same site file, and only lookahead all members"
             )
         # Step 6: the operating point. The first disturbance average is the paper's zero; f is
-        # affine in w, so the average cancels from the prediction and sets only where b is taken.
+        # affine in w, so the average cancels in the prediction and only sets where b is evaluated.
         x1 = site.cistern_volume(cistern_level)
         x2 = site.roof_volume(roof_level)
         rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0
@@ -171,7 +171,7 @@ class Mpc:
         # Step 3.
         G = np.array(response)[self._lag]
         r = np.array(free)
-        with np.errstate(all="ignore"):  # what is not finite is refused before it is solved
+        with np.errstate(all="ignore"):  # _solve refuses values that are not finite
             P = self._identity + G.T @ G / self.weight
             q = r @ G / self.weight
         solution = self._solve(P, q)
@@ -181,7 +181,7 @@ class Mpc:
             self._command = 0.0
         else:
             first, objective = solution
-            # At a bound the solver ends within its tolerance of it, on either side.
+            # At a bound the solver ends within its tolerance, on either side.
             if first < _AT_BOUND:
                 first = 0.0
             elif first > self._max_command - _AT_BOUND:
@@ -195,7 +195,7 @@ class Mpc:
         return self._command
 
     def skip(self) -> None:
-        """Do nothing: its averages are of the ticks in which it was asked."""
+        """Do nothing: the averages cover only ticks with a solution."""
 
     def statistics(self) -> dict[str, float]:
         """Return the solver's figures.
@@ -207,7 +207,7 @@ class Mpc:
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command of the program's solution and its objective.
 
-        None where the solver reports anything else than solved.
+        None if the program is not finite or the solver does not report it as solved.
         """
         hessian = P[self._rows, self._columns]
         if not (np.isfinite(hessian).all() and np.isfinite(q).all()):

@@ -22,9 +22,9 @@ LEVEL = Parameter(
 class OnOff:
     """Pumps at a fixed command while the roof is too dry and the cistern holds enough.
 
-    Too dry is below ``level`` times the target. Less than 1 leaves room for rain: without a
-    forecast nothing else can. What it is worth on which roof is in
-    ``doc/explanation/controllers.md``.
+    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, the
+    only way to do so without a forecast. ``doc/explanation/controllers.md`` says what this gains on
+    which roof.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -46,13 +46,13 @@ class OnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) alone; it does not look at the forecasts."""
+        """Decide from the levels (m) alone, without the forecasts."""
         dry = roof_level < self.level * self._site.z_veg
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0
 
     def skip(self) -> None:
-        """Do nothing: it knows nothing of ticks past."""
+        """Do nothing: it has no memory."""
 
     def statistics(self) -> None:
         """It has no solver."""

@@ -1,6 +1,6 @@
-"""How far to fill the roof, at every volume and in every step: a dynamic program.
+"""How far to fill the roof, for every volume on it and every step: a dynamic program.
 
-When the members of an ensemble of forecasts will be known apart is :func:`halved_by_rain`.
+:func:`halved_by_rain` assumes when the members of an ensemble can be told apart.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from greenroof_ros.model.soil import soil_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
+# The roof is held this far below the target (m3), at which the plant stops the pumps, Eq. (3a).
 BELOW_M3 = 1e-6
-# Nodes below and above the target: of each member of an ensemble, whose forecasts err by more than
-# the nodes are apart.
+# Nodes below and above the target, for an ensemble or scarce water: forecasts err by more than the
+# distance between nodes.
 _COARSE = (60, 30)
-# Greater than 0 (m3), for a quotient.
+# A positive volume (m3) that avoids a division by 0.
 _LEAST = 1e-300
-# Nodes of the water that there is, where it may not be enough.
+# Nodes of the available water, if it can run short.
 _WATER_NODES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What to do in each step, whatever the roof holds then; :class:`OrderUpTo` finds it.
+    """What to do in each step, for every volume on the roof; :class:`OrderUpTo` computes it.
 
     Attributes:
         edges: ends of the steps (s from when it was made), the first 0, shape (n + 1,).
         nodes: volumes on the roof (m3), shape (N,).
         water: s of :class:`OrderUpTo` (m3), shape (S,).
-        fill_to: for each step what the roof is to be filled to, and held at (m3), -1 where it is
+        fill_to: for each step the volume that the roof is filled to and held at (m3), -1 if it is
             left alone; shape (groups of the step, S, nodes up to the target).
         group_of: for each step the index of each member's group, shape (members,).
         cost: least mean deviation over all steps and members (m3).
@@ -50,12 +50,12 @@ class Policy:
     cost: float
 
     def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
-        """Return what the roof is to be filled to or held at (m3); a fuller roof is left alone.
+        """Return the volume that the roof is filled to or held at (m3); a fuller one is left alone.
 
-        Between two volumes on the roof it is what is best at the lower one. Between two of the
-        water it is as far between what is best at both; where one leaves the roof alone, what is
-        best with more water. The last water may be pumped, too, though at the node below there is
-        none.
+        Between two nodes of the roof's volume the decision at the lower one applies. Between two
+        nodes of the water the volume is interpolated; if one of them leaves the roof alone, the
+        decision at the upper one applies. So the last water can be pumped, too, although there is
+        none at the node below.
 
         Args:
             step: index of a step.
@@ -73,7 +73,7 @@ class Policy:
 
 
 class Cistern:
-    """The usable water of a cistern, what lies above the suction level (m3), over steps."""
+    """The usable water of a cistern (m3), which is above the suction level, from step to step."""
 
     def __init__(self, site: Site) -> None:
         self._site = site
@@ -84,16 +84,16 @@ class Cistern:
         self._suction = suction
 
     def usable(self, x1: float) -> float:
-        """Return what can be pumped of x1 (m3): not what is above the outlet, and soon gone."""
+        """Return the usable part of x1 (m3); water above the outlet, soon gone, does not count."""
         return min(max(x1 - self._suction, 0.0), self._most)
 
     def scarce(self, x1: float, demand: float, seconds: float) -> float:
-        """Return up to where the water counts (m3); 0 where all that is asked for will be there.
+        """Return up to which volume the water counts (m3); 0 if there will always be enough.
 
         Args:
             x1: what the cistern holds (m3).
-            demand: what may be asked of it (m3).
-            seconds: in which.
+            demand: the most that can be asked of it (m3).
+            seconds: within this time.
         """
         supplied = (self._site.mains_flow or 0.0) * seconds
         if min(self.usable(x1), self._low) + supplied >= demand:
@@ -103,8 +103,8 @@ class Cistern:
     def after(self, water: Array, rain: Array, seconds: float) -> Array:
         """Return the usable water (m3) after a step of rain (m/s), Eq. (2) without pumping.
 
-        What rain and mains bring comes first; then the low outlet takes its flow, whose root falls
-        linearly.
+        Rain and mains come first; then the low outlet drains the cistern, and the square root of
+        its head falls linearly.
         """
         site = self._site
         water = water + rain * (site.effective_catchment * seconds)
@@ -120,30 +120,30 @@ class Cistern:
 
 
 class OrderUpTo:
-    r"""The least mean of \|x2 - x2*\| over the steps, from the last one backwards.
+    r"""The least mean of \|x2 - x2*\| over the steps, computed backwards from the last one.
 
-    With pumps that fill a roof in minutes a plan is a level: fill the roof to y and hold it there
-    while it dries, or leave it alone. Of each member of an ensemble V_i(x) is the least that the
-    deviation will cost from step i on, if the roof holds x (m3 s):
+    Pumps can fill a roof in minutes, so a plan is a level: fill the roof to y and hold it there
+    while it dries, or leave it alone. For each member of an ensemble, V_i(x) is the least cost of
+    the deviation from step i on (m3 s) if the roof holds x. With h the length of the step (s),
 
         F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
-        H(y) = the same, but held at y where it would dry, as far as the pumps can,
+        H(y) = the same, but held at y if it would dry, as far as the pumps can,
         V_i(x) = min(F(x), H(y) + filling),  x <= y <= x*, and y within the pumps' reach.
 
-    The path of a step is taken as straight. Filling from x to y takes t seconds, in which (y - x)/2
-    is missing that H counts as there: it costs t (y - x)/2.
+    The path within a step is assumed to be straight. Filling from x to y takes t seconds. During
+    these, (y - x)/2 is missing on average that H counts as present: filling costs t (y - x)/2.
 
-    What is decided, y or to leave it, is the same for all members of a group, by the mean over
-    them; V is each member's own. If V were averaged as well, each step would draw a new member, and
-    the sums of storms would be lost. With ``risk`` the worst members count alone: the conditional
-    value at risk of V over a group.
+    The decision, y or to leave the roof alone, is the same for all members of a group, by the mean
+    over them; each member has its own V. If V were averaged as well, each step would draw a new
+    member, and the sums of storms would be lost. With ``risk`` only the worst members count: the
+    conditional value at risk of V over a group.
 
-    V is kept at nodes of the volume that are dense about the target, one of them at it, and is a
-    straight line between them.
+    V is stored at nodes of the volume, dense around the target and one at it, and interpolated
+    linearly between them.
 
-    **Water.** Where the cistern may not have all that is asked for, V depends on a second number:
-    s, the usable water and what the roof would take to be as full as it is. Filling leaves s as it
-    is. Where there is enough, s has one node.
+    **Water.** If the cistern can run short, V depends on a second number: s, the usable water plus
+    the water that fills an empty roof to its present volume. Filling does not change s. If there is
+    always enough, s has one node.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class OrderUpTo:
         Args:
             site: its parameters.
             risk: share of the members, the better ones, that do not count (1), below 1.
-            fine: nodes below and above the target, of a single forecast.
+            fine: nodes below and above the target, for a single forecast.
         """
         self._target = site.x2_star
         self._site = site
@@ -166,7 +166,7 @@ class OrderUpTo:
         self._water = np.zeros(1)
 
     def _place(self, below: int, above: int) -> None:
-        """Place the nodes: x* -+ (k / n)^2 of the range."""
+        """Place the nodes at x* -+ (k / n)^2 of the range."""
         most = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
@@ -180,15 +180,15 @@ class OrderUpTo:
     def levels(
         self, policy: Policy, step: int, group: Any, usable: Any, x2: Any, share: Any = 1.0
     ) -> Any:
-        """Return what roofs are filled to, or held at (m3); a fuller roof is left alone.
+        """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
 
         Args:
-            policy: that :meth:`solve` found.
-            step: index of a step of it.
-            group: index of the group in it of each roof, or of all.
+            policy: from :meth:`solve`.
+            step: index of a step of the policy.
+            group: index of a group of the step, for each roof or for all.
             usable: water in the cistern (m3), likewise.
             x2: on each roof (m3).
-            share: of the room for forecast rain that each leaves (1), as :func:`leave`.
+            share: of the room for forecast rain that each leaves (1), as for :func:`leave`.
         """
         def planned(x2: Any) -> Any:
             water = usable + self._content(x2) if len(policy.water) > 1 else 0.0
@@ -199,14 +199,14 @@ class OrderUpTo:
         return leave(share, planned(x2), planned(0.0), self._target)
 
     def usable(self, x1: float) -> float:
-        """Return what can be pumped of a cistern's x1 (m3)."""
+        """Return the volume that can be pumped from a cistern that holds x1 (m3)."""
         return self._cistern.usable(x1)
 
     def solve(
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
     ) -> Policy:
-        """Find the least cost, and what to do for it.
+        """Find the plan of the least cost.
 
         Args:
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
@@ -214,9 +214,9 @@ class OrderUpTo:
             x2: on the roof (m3).
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: most that is pumped in each step (m3/s), may be 0, shape (n,).
-            groups: of the members that nothing distinguishes yet, by the least index in it; a
-                group is part of one of the step before; shape (members, n).
+            flow: largest pump flow in each step (m3/s), can be 0, shape (n,).
+            groups: group of each member in each step, by the least member index in the group; its
+                members cannot be told apart yet; groups only split; shape (members, n).
         """
         members, steps = rain.shape
         lengths = np.diff(edges)
@@ -233,7 +233,7 @@ class OrderUpTo:
         fill_to: list[Array] = []
         group_of: list[Indices] = []
         most, potential = flow * lengths, evapotranspiration * lengths
-        # Pumps and water that are never the limit: the driest roof can be filled in the step.
+        # Neither pumps nor water are a limit: even the driest roof can be filled in the step.
         filled = self._soil.after(np.zeros(steps), most, potential, lengths)
         strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
@@ -263,20 +263,20 @@ class OrderUpTo:
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, share: float, member: int | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Return what a policy pumps (m3/s), the roof at the end, and what it is filled to (m3).
+        """Return a policy's pump flow (m3/s), roof at the end, and volume filled to (m3), by step.
 
         Args:
-            policy: that :meth:`solve` found for the others.
+            policy: that :meth:`solve` found for the other arguments.
             x1: in the cistern (m3).
             x2: on the roof (m3).
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: most that is pumped in each step (m3/s), shape (n,).
+            flow: largest pump flow in each step (m3/s), shape (n,).
             share: of the room for forecast rain that is left (1).
-            member: which is known to come, in place of each member itself (None).
+            member: index of the member whose decisions are followed; None: each follows its own.
 
         Returns:
-            Of each step, three arrays of shape (members, n); filled to 0 is left alone.
+            Three arrays of shape (members, n); filled to 0 means left alone.
         """
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self.usable(x1))
@@ -301,15 +301,15 @@ class OrderUpTo:
         """Move roofs on by a step in which each is filled to a level and held there.
 
         Args:
-            level: of each (m3), -1 where it is left alone.
-            roof: what it holds (m3).
+            level: of each (m3), -1 to leave it alone.
+            roof: volume on each (m3).
             rain: in the step (m/s), for each or for all.
             evapotranspiration: off the whole bed (m3/s).
-            flow: most that is pumped (m3/s), likewise.
+            flow: largest pump flow (m3/s), for each or for all.
             seconds: the step's length.
 
         Returns:
-            What each holds at the end, and what was pumped onto it (m3).
+            The volume on each at the end, and the volume pumped onto it (m3).
         """
         soil, most, potential = self._soil, flow * seconds, evapotranspiration * seconds
         filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, potential, seconds)))
@@ -321,7 +321,7 @@ class OrderUpTo:
         return ended, np.minimum(took, most)
 
     def _content(self, x2: Any) -> Any:
-        """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""
+        """Return the water that fills an empty roof to a volume, or to x* if that is less (m3)."""
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
@@ -331,22 +331,22 @@ class OrderUpTo:
         """Go back by one step.
 
         Args:
-            value: V after it, shape (members, S, N).
-            rain: in it (m/s), shape (members, 1, 1).
-            potential: evapotranspiration off the whole bed in it (m3).
+            value: V after the step, shape (members, S, N).
+            rain: in the step (m/s), shape (members, 1, 1).
+            potential: evapotranspiration off the whole bed in the step (m3).
             flow: of the pumps (m3/s).
-            seconds: its length.
+            seconds: length of the step.
             strong: whether neither pumps nor water are ever the limit.
-            groups: index of the members of each group.
+            groups: indices of the members of each group.
 
         Returns:
-            V before it, and the levels of :class:`Policy`, shape (groups, S, nodes to the target).
+            V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
         """
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
         reach = roof if strong else soil.after(roof, flow * seconds, potential, seconds)
-        # Left alone: what is the same for all members is worked out once.
+        # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
         alone = soil.after(nodes, rain * (self._site.a2 * seconds), potential, seconds)
@@ -385,7 +385,7 @@ class OrderUpTo:
             else:
                 filled = np.minimum(level, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
-                # Exact where nothing is filled: who is held then as who is left alone is no gain.
+                # Exact if nothing is filled: rounding must not make holding look like a gain.
                 costs = np.where(filled > roof, costs, ours)
                 contents = self._content(filled)
             if flow > 0:
@@ -397,7 +397,7 @@ class OrderUpTo:
         return result, levels
 
     def _over(self, values: Array) -> Array:
-        """Return the mean over members, of the worst of them where ``risk`` is above 0."""
+        """Return the mean over members; if ``risk`` is above 0, over the worst of them."""
         if len(values) == 1:
             return np.asarray(values[0])
         if not self._risk:
@@ -410,17 +410,17 @@ class OrderUpTo:
         r"""Return the mean of \|x - x*\| on a straight path between two volumes (m3)."""
         first, last = before - self._target, after - self._target
         total = np.abs(first) + np.abs(last)
-        # Where it crosses x* there are two triangles.
+        # A path that crosses x* encloses two triangles.
         crossing = np.minimum(first * last, 0.0)
         return np.asarray(total / 2 + crossing / np.maximum(total, _LEAST))
 
     def _at(self, value: Array, x2: Array, water: Array) -> Array:
-        """Return V at volumes on the roof and at s (m3); beyond the nodes it is as at the last.
+        """Return V at volumes on the roof and at s (m3); beyond the nodes it stays constant.
 
         Args:
             value: shape (members, S, nodes).
             x2: shape (members or 1, S or 1, any).
-            water: the same, not used where there is one node.
+            water: the same shape; not used if s has one node.
         """
         members, rows, count = value.shape
         above = x2 - self._target
@@ -443,25 +443,25 @@ class OrderUpTo:
 
 
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
-    """Return the node at or below each value, and the part of the way to the next (0 to 1)."""
+    """Return the node at or below each value, and the share of the way to the next (0 to 1)."""
     row = nodes[1:-1].searchsorted(values, side="right")
     return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
 
 
 def _lowest_from_here_up(values: Array) -> Indices:
-    """Return where the least of the values from each place on is, and of several the first."""
+    """Return the index of the least value from each place on; of several, the first."""
     least = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == least, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
 
 
 def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
-    """Return what a roof is filled to, or held at, that leaves a share of a plan's room (m3).
+    """Return the volume that a roof is filled to or held at to leave a share of a plan's room (m3).
 
     Args:
         share: of the room (1).
-        level: that the plan has for what the roof holds (m3), -1 where it is left alone.
-        lowest: that the plan has for an empty roof (m3), likewise.
+        level: the plan's, for the roof's volume (m3), -1 if it is left alone.
+        lowest: the plan's, for an empty roof (m3), likewise.
         target: x2* (m3).
     """
     base = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
@@ -470,24 +470,23 @@ def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of each member in each step, by the least index in the group.
+    """Return the group of each member in each step, by the least member index in the group.
 
-    What is pumped is the same for all members of a group, since nothing tells them apart yet. All
-    are one group at first. At each ``recourse`` each group is halved: into the members with less
-    and with more rain until then, and where that is equal, in the next step, and so on; of an odd
-    number the wetter half has one more. So the groups of a step are the groups of the step before,
-    or parts of them, and in the end each member is alone.
+    All members of a group get the same pumping, since nothing distinguishes them yet. At first all
+    are one group. At each ``recourse`` each group is halved into the members with less and with
+    more rain until then; ties are decided by the next step, and so on. If the number is odd, the
+    wetter half has one more. So groups only split, and in the end each member is alone.
 
-    That each may be answered on its own at once is what no forecast gives: a controller that
-    believes it waits, since soon it will know all. A tree from scenarios that are alike until each
-    stage is by Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic
-    programs, doi:10.1007/s10107-007-0197-2); here the members part by rank, so that it is as large
-    whatever the rain. In which order the members are given does not matter.
+    No forecast tells at once which member will come true. A controller that assumes this waits,
+    since soon it would know everything. Heitsch and Roemisch (2009, Scenario tree modeling for
+    multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios that
+    are alike until each stage; here the members split by rank, so that the tree is equally large
+    whatever the rain. The order in which the members are given does not matter.
 
     Args:
         rain: forecast (m/s), shape (members, n).
         edges: ends of the steps (s from now), the first 0, shape (n + 1,).
-        recourse: from one halving to the next (s).
+        recourse: time from one halving to the next (s).
 
     Returns:
         Shape (members, n).

@@ -1,4 +1,4 @@
-"""What every controller is: the class that a user writes, and what it is asked each tick."""
+"""The interface of every controller: the class that a user writes, and what it is asked."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from greenroof_ros.common.parameter import Parameter
 class Controller(Protocol):
     """Anything that decides once a tick how much to pump.
 
-    It is made as ``Class(site, **parameters)``, with a value for each of its parameters, and keeps
-    to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
-    check-controller package.module:Class`` holds a class to all of this.
+    It is constructed as ``Class(site, **parameters)``, with a value for each of its parameters. The
+    same inputs must give the same commands, at any time and on any machine. ``greenroof
+    check-controller package.module:Class`` checks a class against all of these rules.
 
     Six more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
-    - ``needs_forecast = False``: levels are enough. It is asked without a usable forecast, too,
-      and both forecasts are then empty. Of any other class the on/off controller commands on a
-      live site while there is none; the class is not asked.
+    - ``needs_forecast = False``: levels are enough. It is also asked without a usable forecast;
+      both forecasts are then empty. Any other class is not asked then: on a live site, the on/off
+      controller commands if the forecast stays missing.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
-      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. It is a
-      number, of ``/controller/plan`` a numpy array of shape (steps, 4).
-    - ``learned``: a property, numbers by name that it knows from what has happened and would need
-      weeks to know again. The node of a live site sets it after a restart, to what it was before.
+      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. The value is a
+      number, for ``/controller/plan`` a numpy array of shape (steps, 4).
+    - ``learned``: a property with the numbers, by name, that it has learned and would need weeks to
+      learn again. The node of a live site restores them after a restart.
     - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A
-      class that has it is asked in quiet hours, too, where its command becomes 0; it may plan by
-      ``site.quiet``. Any other class skips these ticks.
-    - ``gauge_rain``: what the gauge of a live site measures (m/s; 0 without one), set before each
-      command: the present rain where there is no forecast, whose first entry says it otherwise.
+      class that has it is also asked in quiet hours, when its command is replaced by 0; it can plan
+      with ``site.quiet``. Any other class skips these ticks.
+    - ``gauge_rain``: what the rain gauge of a live site measures (m/s; 0 without one), set before
+      each command. It is the present rain if there is no forecast.
 
     Attributes:
-        parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as
-            means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`; without
-            it they are of the M ticks that come.
+        parameters: its parameters. One named ``horizon`` (h) sets how far the forecasts reach; they
+            are then means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`.
+            Without it they cover M ticks.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]]
@@ -55,13 +55,13 @@ class Controller(Protocol):
             roof_level: water depth on the roof (m).
             precipitation: forecast of rain (m/s), the first entry now, shape (steps,); with
                 ``ensemble = True`` shape (members, steps).
-            evapotranspiration: forecast of evapotranspiration off the whole bed (m3/s), likewise,
-                shape (steps,).
+            evapotranspiration: forecast of evapotranspiration off the whole bed (m3/s), the first
+                entry now, shape (steps,).
 
-        A forecast may be missing: empty, of another length, or with entries that are no numbers.
-        The answer to it is a command or a
-        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; on a
-        live site it counts as no forecast.
+        A forecast can be missing: empty, of another length, or with entries that are NaN. The
+        method must then return a command or raise a
+        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; a live
+        site treats it as a missing forecast.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
@@ -69,28 +69,25 @@ class Controller(Protocol):
         ...
 
     def skip(self) -> None:
-        """Let a tick pass in which the command is 0: in frost, or where an input was refused.
+        """Let a tick pass in which the command is 0: in frost, or if an input was refused.
 
-        In quiet hours, too, of a class without ``time_ns``.
-
-        Or in which on/off commands, on a live site without a forecast; an object of the class that
-        has let it pump is not asked again: a new object is.
+        A class without ``time_ns`` also skips the ticks of quiet hours. A class that needs a
+        forecast also skips the ticks of a live site without one; if on/off has pumped in these, the
+        node replaces the object by a new one.
         """
         ...
 
     def statistics(self) -> dict[str, float] | None:
-        """Return the solver's figures: ``solves``, ``fallbacks``, and times in seconds.
+        """Return the solver's figures, or None if there is no solver.
 
-        ``mean_s``, ``p99_s`` and ``max_s`` are of a tick, whether something was solved in it
-        or not.
-
-        None where it has no solver.
+        They are ``solves``, ``fallbacks``, and the times of a tick (s) ``mean_s``, ``p99_s`` and
+        ``max_s``, whether or not something was solved in it.
         """
         ...
 
 
 class ControllerClass(Protocol):
-    """A class of controllers, as the registry finds it."""
+    """A controller class, as the registry returns it."""
 
     parameters: tuple[Parameter, ...]
 
@@ -100,32 +97,32 @@ class ControllerClass(Protocol):
 
 
 def learned_by(controller: Controller) -> dict[str, float] | None:
-    """Return what a controller has learned; None of one that learns nothing."""
+    """Return what a controller has learned; None if it learns nothing."""
     learned: dict[str, float] | None = getattr(controller, "learned", None)
     return learned
 
 
 def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
-    """Let a controller go on with what another of its kind had learned.
+    """Let a controller continue with what another one of its class has learned.
 
     Raises:
-        KeyError: something is missing.
+        KeyError: a value is missing.
     """
     controller.learned = learned
 
 
 def knows_time(controller: Controller) -> bool:
-    """Whether a controller is given the time, so that it can plan for quiet hours."""
+    """Whether a controller takes the time, so that it can plan for quiet hours."""
     return hasattr(controller, "time_ns")
 
 
 def set_time(controller: Any, time_ns: int) -> None:
-    """Let a controller that asks for it know the time (ns since 1970)."""
+    """Set the time (ns since 1970) of a controller that takes it."""
     if knows_time(controller):
         controller.time_ns = time_ns
 
 
 def set_gauge_rain(controller: Any, rain: float) -> None:
-    """Let a controller that asks for it know what the gauge measures (m/s)."""
+    """Set what the rain gauge measures (m/s) in a controller that takes it."""
     if hasattr(controller, "gauge_rain"):
         controller.gauge_rain = rain

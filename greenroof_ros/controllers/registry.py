@@ -1,4 +1,4 @@
-"""The controllers by name: of this package, of other packages, and any class by its path."""
+"""Finds controllers: by name, of this and other packages, and any class by its path."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from greenroof_ros.controllers.protocol import Controller, ControllerClass
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
-# Other packages add to these by an entry point of this group: NAME = package.module:Class.
+# Other packages register controllers as entry points of this group: NAME = package.module:Class.
 GROUP = "greenroof_ros.controllers"
 _HERE = "greenroof_ros.controllers"
 BUILT_IN = {
@@ -29,13 +29,13 @@ BUILT_IN = {
     "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
     "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
-# Names that are no more.
+# Names of removed controllers.
 _REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
-# The controller that runs unless another is asked for.
+# The controller that runs unless a user chooses another.
 DEFAULT = "mpc"
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
-# A controller's node is named after it, beside these.
+# A controller's node is named after it. These nodes run beside it.
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
@@ -47,11 +47,11 @@ _OF_EVERY_NODE = {
 
 @dataclass(frozen=True)
 class ControllerChoice:
-    """A controller that was chosen, by whatever reference.
+    """A chosen controller.
 
     Attributes:
-        name: of its node, its section in a parameter file, and in results.
-        reference: finds it again: the name of a registered controller, or ``package.module:Class``.
+        name: of its node, of its section in a parameter file, and in results.
+        reference: what the user gave: a registered name, or ``package.module:Class``.
         path: ``package.module:Class``.
     """
 
@@ -61,14 +61,14 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class; a solver's library is imported only when it is asked for.
+        """The class, imported on first use; a solver's library only by :meth:`make`.
 
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
         """
         module_name, _, class_name = self.path.partition(":")
         if self.reference == self.path and "" not in sys.path and str(Path.cwd()) not in sys.path:
-            # A console script does not look beside the current directory; python -m does.
+            # A console script does not search the current directory; python -m does.
             sys.path.insert(0, str(Path.cwd()))
         try:
             kind = getattr(importlib.import_module(module_name), class_name)
@@ -99,27 +99,27 @@ class ControllerChoice:
 
     @property
     def ensemble(self) -> bool:
-        """Whether it takes all members of an ensemble of forecasts; the others get the first."""
+        """Whether it takes all members of an ensemble of forecasts; others get the first one."""
         return bool(getattr(self.kind, "ensemble", False))
 
     @property
     def needs_forecast(self) -> bool:
-        """Whether it needs a forecast to decide; one that does not say so does."""
+        """Whether it needs a forecast to decide; this is the default."""
         return bool(getattr(self.kind, "needs_forecast", True))
 
     @property
     def uses_forecast(self) -> bool:
-        """Whether a forecast matters to it: it needs one, or its ``horizon`` says how far."""
+        """Whether it uses a forecast: it needs one, or has a ``horizon``."""
         return self.needs_forecast or "horizon" in self.parameters
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Topics that its node publishes beside the command, each with its attribute."""
+        """Topics that its node publishes beside the command, each with the value's attribute."""
         return dict(getattr(self.kind, "outputs", {}))
 
     @property
     def source(self) -> str:
-        """Twelve digits that identify the code of a controller of another package; else empty."""
+        """Twelve digits that identify the code of a controller outside this package; else empty."""
         if self.reference in BUILT_IN:
             return ""
         file = inspect.getsourcefile(cast(type, self.kind))
@@ -129,7 +129,7 @@ class ControllerChoice:
         """Make the controller.
 
         Raises:
-            ConfigurationError: what it solves its program with cannot be imported.
+            ConfigurationError: its solver's library cannot be imported.
         """
         try:
             return self.kind(site, **parameters)
@@ -143,7 +143,7 @@ class ControllerChoice:
         )
 
     def parameters_on(self, site: Site) -> list[Parameter]:
-        """Return its parameters, each with the default that it has on a site's roof."""
+        """Return its parameters, each with its default for a site's roof."""
         if not soil_of(site).measured:
             return list(self.kind.parameters)
         return [
@@ -153,9 +153,9 @@ class ControllerChoice:
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
-        """Return the value of each parameter on a site unless a user gives another.
+        """Return the value of each parameter on a site, unless a user gives another.
 
-        They come from ``config/NAME.yaml``, which a user edits, where there is such a file.
+        Built-in controllers read it from ``config/NAME.yaml``, which a user can edit, if it exists.
         """
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():
@@ -163,10 +163,10 @@ class ControllerChoice:
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
-        """Read its parameters from a ROS 2 parameter file; those that are not there are default.
+        """Read its parameters from a ROS 2 parameter file; those not in it have their defaults.
 
-        The section is named ``/**/NAME``, which holds in any namespace, ``NAME``, or ``/**``, which
-        is for every node.
+        The section is ``/**/NAME``, which applies in any namespace, ``NAME``, ``/NAME``, or
+        ``/**``, which applies to every node.
 
         Raises:
             ConfigurationError: the file or a value in it is wrong.
@@ -188,10 +188,10 @@ class ControllerChoice:
         return values | read_numbers(path, entries, self.parameters)
 
     def check_name(self, key: str, path: Path, line: int) -> None:
-        """Refuse the name of a parameter that it does not have.
+        """Refuse a name that is not one of its parameters.
 
         Raises:
-            ConfigurationError: it has none of that name.
+            ConfigurationError: it has no parameter of that name.
         """
         if key not in self.parameters:
             raise ConfigurationError(
@@ -203,7 +203,7 @@ class ControllerChoice:
 def read_numbers(
     path: Path, entries: YamlMapping, parameters: Mapping[str, Parameter]
 ) -> dict[str, Any]:
-    """Return the values of those parameters that a mapping of a file has.
+    """Return the values that a file's mapping gives for these parameters.
 
     Raises:
         ConfigurationError: a value is not a number, or not in its range.
@@ -231,7 +231,7 @@ def find_controller(reference: str) -> ControllerChoice:
         reference: a registered name, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: there is none of that name.
+        ConfigurationError: there is no such controller, or its node's name is taken by another.
     """
     if ":" not in reference:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
@@ -257,12 +257,12 @@ def find_controller(reference: str) -> ControllerChoice:
 @functools.cache
 def _of_other_packages() -> dict[str, str]:
     """Return the path of each controller that an installed package registers, by name."""
-    from importlib import metadata  # a tenth of a node's imports, and most need none of it
+    from importlib import metadata  # a tenth of a node's import time, and seldom needed
 
     return {entry.name: entry.value for entry in metadata.entry_points(group=GROUP)}
 
 
 def _node_name(class_name: str) -> str:
-    """Return a class's name in lower case, its words separated by underscores."""
+    """Return a class's name in lower case, with underscores between its words."""
     words = re.sub(r"([a-z0-9])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3_\2\4", class_name)
     return words.lower().strip("_")

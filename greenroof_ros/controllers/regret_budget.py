@@ -1,4 +1,4 @@
-"""A budget for what trust in forecasts may cost."""
+"""A budget for the cost of trusting forecasts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from greenroof_ros.model.soil import left_after_tick, soil_of
 
 _log = logging.getLogger(__name__)
 
-# What a low outlet took cannot be pumped until it rains: it counts as missing so long (s).
+# Water lost to a low outlet cannot be pumped until it rains: it counts as missing this long (s).
 _GONE_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
@@ -27,51 +27,50 @@ WAITING_SHARE = Parameter(
 
 
 class RegretBudget:
-    """Counts what waiting for rain has cost beside plain on/off, and ends the waiting at a limit.
+    """Counts what waiting for rain has cost compared with plain on/off, and limits it.
 
-    A controller that leaves room for rain which does not come is worse off than the on/off
-    controller, which has filled the roof. No rule can avoid that: while it waits, the true forecast
-    and the false one are the same. What can be had is a limit. This class follows what on/off, Eq.
-    (12), would have on the roof and in the cistern now - only the difference, so that errors of
-    model and sensor are in both - and adds up
+    A controller that leaves room for rain that does not come is worse off than the on/off
+    controller, which has filled the roof. No rule can avoid this: while it waits, the true forecast
+    and the false one are the same. But the cost can be limited. This class follows what on/off, Eq.
+    (12), would now have on the roof and in the cistern - only the difference, so that errors of
+    model and sensor affect both alike - and sums up
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain by waiting counts as negative: it pays for losses that come later. Where L, with what it
-    will cost to fill the roof as on/off has, is above
+    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of filling
+    the roof as on/off has, is above
 
         waiting_budget x2* + waiting_share D,
 
-    forecasts of rain do not count, and the controller fills the roof as on/off does. They count
-    again when the roof is filled and L is within the limit, which D raises as time goes on. So at
-    any time, whatever the forecasts said, on/off has cost D and this controller at most
+    forecasts of rain do not count, and the controller fills the roof like on/off. They count again
+    when the roof is filled and L is within the limit, which grows with D. So at any time, whatever
+    the forecasts said, if on/off has cost D, this controller has cost at most
 
         (1 + waiting_share) D + waiting_budget x2*,
 
-    but for a tick's loss, what the pumps wait for their next start, and what evapotranspiration
-    slows the filling. For while forecasts count L is below the limit, and when they cease to, the
-    filling was in it. A promise of this kind is the robustness of an online algorithm with
-    predictions; that a good forecast is not harmed is its consistency (Lykouris and Vassilvitskii
-    2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In
-    frost nothing may be pumped, and the loss goes on.
+    apart from the loss of one tick, the pumps' wait for their next start, and the time by which
+    evapotranspiration slows the filling. Reason: L is below the limit while forecasts count, and
+    the limit already covers the filling when they cease to. Such a guarantee is the robustness of
+    an online algorithm with predictions; not to harm a good forecast is its consistency (Lykouris
+    and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
+    doi:10.1145/3447579). In frost nothing may be pumped, and the loss continues.
 
-    A cistern that overflows while the controller waits loses what on/off has pumped by then. That
-    is no loss until a drought empties the cistern: then it is missing as long as the drought goes
-    on, L with it, whatever the limit. It is counted as it comes, and forecasts do not count until D
-    has made up for it, so that it happens once and not in each drought.
+    If the cistern overflows while the controller waits, it loses water that on/off has pumped by
+    then. This costs nothing until a drought empties the cistern. Then the water is missing, and L
+    grows, until the drought ends, whatever the limit. The loss is counted when it occurs, and
+    forecasts do not count until D has made up for it. So it happens once, not in every drought.
 
-    While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
-    What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
-    missing for a week.
+    While the controller waits, a low outlet of the cistern can drain the water meant for the roof.
+    The volume that on/off has on the roof, beyond what will stay in the cistern, costs as much as
+    if it were missing for a week.
 
-    Where the mains fill the cistern more slowly than the pumps empty it, and it holds less than
-    the roof lacks, filling takes longer than is counted, and L may go beyond the limit.
+    If the mains fill the cistern more slowly than the pumps empty it, and it holds less than the
+    roof lacks, filling takes longer than counted, and L can exceed the limit.
 
-    The budget belongs to a site: a live controller that is started again goes on with the L and D
-    of before.
+    The budget belongs to a site: a restarted live controller continues with its previous L and D.
 
-    The difference rests on pumps that do what is commanded. With minimum times on and off, or
-    another flow than the site file's, the count is wrong by what they pump beside the command.
+    The comparison assumes that the pumps do what is commanded. With minimum times on and off, or
+    a flow other than the site file's, the count is wrong by what they pump beyond the command.
 
     Attributes:
         loss: L so far (m3 s); negative is a gain.
@@ -90,8 +89,8 @@ class RegretBudget:
         self._site, self._soil = site, soil_of(site)
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
         self._share = waiting_share
-        self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
-        self._stored = 0.0  # and in the cistern (m3)
+        self._more = 0.0  # on the roof with on/off, less the actual volume (m3)
+        self._stored = 0.0  # the same in the cistern (m3)
         self._unseen = 0
         self._warned = False
         self.loss = 0.0
@@ -100,7 +99,7 @@ class RegretBudget:
 
     @property
     def learned(self) -> dict[str, float]:
-        """L and D: what must not be forgotten where a live controller is started again (m3 s)."""
+        """L and D (m3 s), which must survive a restart of a live controller."""
         return {"waiting_loss_m3_s": self.loss, "onoff_cost_m3_s": self.onoff_cost}
 
     @learned.setter
@@ -108,7 +107,7 @@ class RegretBudget:
         self.loss, self.onoff_cost = (values[name] for name in self.learned)
 
     def judge(self, x1: float, x2: float, fraction: float) -> bool:
-        """Count the present tick and return whether forecasts of rain do not count in it.
+        """Count the present tick, and return whether to ignore forecasts of rain in it.
 
         Args:
             x1: in the cistern (m3).
@@ -121,7 +120,7 @@ class RegretBudget:
         seconds, self._unseen = (1 + self._unseen) * site.tau, 0
         self.onoff_cost += seconds * theirs
         self.loss += seconds * excess
-        # What has to be pumped to be where on/off is, or at the target.
+        # Volume to pump to catch up with on/off, or to reach the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
         flow = fraction * maximum_pump_flow(site, x1)
         drained = self._drained(x1, x2)
@@ -135,13 +134,13 @@ class RegretBudget:
                     "used up, and forecasts of rain count only as it grows; further times are not "
                     "reported", self.loss,
                 )
-        # Who follows on/off is a tick behind it until both are filled.
+        # A controller that follows on/off is a tick behind it until both have filled the roof.
         elif behind <= site.tau * flow / 2:
             self.exhausted = False
         return self.exhausted
 
     def skip(self) -> None:
-        """Let a tick pass in which nothing was pumped and nothing was asked."""
+        """Let a tick pass without pumping and without a decision."""
         self._unseen += 1
 
     def move(
@@ -153,10 +152,10 @@ class RegretBudget:
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
-            after: on the roof at the end of the tick (m3), 0 at least.
+            after: on the roof at the end of the tick (m3), at least 0.
             fraction: as for :meth:`judge`.
-            pumped: what is pumped in truth (m3/s).
-            precipitation: rain in the tick (m/s); it matters on a measured or an empty roof.
+            pumped: actual pump flow (m3/s).
+            precipitation: rain in the tick (m/s); it matters only on a measured or an empty roof.
             evapotranspiration: off the whole bed (m3/s), likewise.
         """
         site = self._site
@@ -170,15 +169,15 @@ class RegretBudget:
         self._stored += site.tau * (pumped - flow - overflowed + supplied)
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
-        """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""
+        """Return the cost (m3 s) of following on/off to the target, behind it all the way."""
         stays = self._soil.kept_share(x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
-        missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off
+        missing = max(0.0, self._site.x2_star - x2 - self._more)  # on the roof with on/off
         return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
-        """Return what it costs (m3 s) that a low outlet takes what on/off has on the roof."""
+        """Return the cost (m3 s) of losing to a low outlet what on/off has on the roof."""
         site = self._site
         if site.low_outlet_level is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""How much water is on the roof, by model and sensor together."""
+"""Estimates the water on the roof from model and level sensor together."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import left_after_tick, soil_of
 
-# Where all readings of so long (s), and so many at least, are further (m) off what was predicted,
-# and to the same side, that is no noise but something that the model does not know of: pumps of
-# another flow, a hand valve. Of noise, however large, less than half is so far off on either side.
+# If all readings of this long (s), and at least this many, differ from the prediction by more than
+# this (m) to the same side, it is not noise but something unknown to the model: pumps of another
+# flow, a hand valve. Of noise, however large, less than half is that far off on either side.
 _LOST_S = 15.0
 _LOST_READINGS = 10
 _LOST_M = 0.001
-# What happens in a gap of so long (s) is less than what the next readings need to show.
+# A gap of up to this long (s) is bridged: too little happens in it for the next readings to show.
 _GAP_S = 15.0
 
 OBSERVER_TIME_CONSTANT = Parameter(
@@ -25,38 +25,38 @@ OBSERVER_TIME_CONSTANT = Parameter(
 
 
 class RoofObserver:
-    """Follows the roof's mass balance, Eq. (1), and moves toward what the sensor reads.
+    """Follows the roof's mass balance, Eq. (1), and corrects it toward the sensor's readings.
 
-    A controller that pumps whenever the level is read below its target follows the lowest of the
-    readings: with a noise of 0.5 mm it soon has a millimetre too much on the roof, and nothing
-    takes it off again. So the volume is predicted from rain, evapotranspiration, drainage and what
-    was pumped, and each reading corrects it by one part in (observer_time_constant / tau) of the
-    difference: an observer of first order, which is the steady-state Kalman filter for that ratio
-    of trust in model and sensor. It begins with the mean of the first readings, as that filter
-    would that knows nothing before them. Where both are exact it is the reading, but for roundings.
+    A controller that pumps whenever a reading is below the target follows the lowest readings: with
+    a noise of 0.5 mm the roof soon holds a millimetre too much, and nothing removes it. So the
+    volume is predicted from rain, evapotranspiration, drainage and pumping, and each reading
+    corrects it by tau / observer_time_constant of the difference. This is a first-order observer,
+    the steady-state Kalman filter for that ratio of trust in model and sensor. It starts with the
+    mean of the first readings, like a Kalman filter without prior knowledge. If model and sensor
+    are exact, it equals the reading, apart from rounding.
 
-    Pumps that give more than the model has them give would be left on while the observer catches
-    up. So where all readings of fifteen seconds, or ten of them if ticks are long, are more than a
-    millimetre off to the same side, it moves by their mean at once; a single one, however far off,
-    does no more than any other. After more than fifteen seconds without a reading it begins again.
+    If the pumps deliver more than the model assumes, they would stay on while the observer catches
+    up. So if all readings of fifteen seconds (at least ten readings) are off by more than a
+    millimetre to the same side, it moves by their mean difference at once. A single outlier counts
+    like any other reading. After more than fifteen seconds without a reading it starts again.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
-        """Take the site, and over how long (s) readings are averaged; 0 takes each as it is."""
+        """Take the site and the averaging time of the readings (s); 0 uses each reading alone."""
         self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:
             self._gain = min(1.0, site.tau / observer_time_constant)
         self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
-        self._readings = 0  # since it began
-        self._surprises: deque[float] = deque(  # the last readings less what was predicted (m3)
+        self._readings = 0  # since its start
+        self._surprises: deque[float] = deque(  # the last readings less their predictions (m3)
             maxlen=max(_LOST_READINGS, round(_LOST_S / site.tau))
         )
         self._gap = 0.0  # since the last reading (s)
 
     def correct(self, roof_level: float) -> float:
-        """Return the volume (m3) in the present tick, in which the sensor reads a level (m)."""
+        """Return the volume (m3) in the present tick, given the sensor's level (m)."""
         reading = self._site.roof_volume(roof_level)
         if self._gain == 1.0:
             return reading
@@ -75,14 +75,14 @@ class RoofObserver:
         return max(0.0, self._predicted + correction)
 
     def _is_lost(self) -> bool:
-        """Whether the last readings cannot be noise about what was predicted."""
+        """Whether the last readings differ from their predictions by more than noise."""
         last = self._surprises
         if abs(last[-1]) <= self._lost or len(last) != last.maxlen:
             return False
         return min(last) > self._lost or max(last) < -self._lost
 
     def skip(self) -> None:
-        """Let a tick pass without a reading, in which nothing is pumped."""
+        """Let a tick pass without a reading and without pumping."""
         self._gap += self._site.tau
 
     def predict(
@@ -91,13 +91,13 @@ class RoofObserver:
         """Move on by one tick.
 
         Args:
-            x2: what :meth:`correct` returned (m3).
+            x2: the volume that :meth:`correct` returned (m3).
             precipitation: rain in the tick (m/s).
             evapotranspiration: off the whole bed (m3/s).
             pumped: flow onto the roof (m3/s).
 
         Returns:
-            The volume that is expected then (m3).
+            The volume predicted for the next tick (m3).
         """
         arriving = precipitation * self._site.a2 + pumped
         self._predicted = left_after_tick(

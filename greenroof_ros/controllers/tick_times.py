@@ -1,4 +1,4 @@
-"""How long the ticks of a run took, of any number of them in the same memory."""
+"""Statistics of the wall times of a run's ticks, in constant memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-# The newest ticks, for the percentile.
+# Number of ticks that the percentile covers.
 _MOST_KEPT = 65_536
 
 
@@ -17,7 +17,7 @@ class TickTimes:
     """
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Start without ticks."""
         self._count = 0
         self._sum = 0.0
         self._largest = 0.0
@@ -35,11 +35,11 @@ class TickTimes:
         self._largest = max(self._largest, seconds)
 
     def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
-        """Return a solver's figures, for a controller's; the times are 0 of no ticks.
+        """Return the figures for a controller's ``statistics``; without ticks the times are 0.
 
         Args:
-            solves: how many programs were solved, or tried.
-            fallbacks: how many of them had no solution.
+            solves: number of programs solved or tried.
+            fallbacks: number of these without a solution.
         """
         return {
             "solves": solves,

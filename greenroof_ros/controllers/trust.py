@@ -1,4 +1,4 @@
-"""How far a forecast of rain is trusted: as far as roofs that trusted it did well of late."""
+"""How far forecasts of rain are trusted: by the recent record of roofs that trusted them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from greenroof_ros.model.site import Site
 Array = NDArray[np.float64]
 
 _DAY_S = 86_400.0
-# The shadow roofs are moved on so often (s).
+# Interval at which the shadow roofs are updated (s).
 _STEP_S = 600.0
-# Two roofs hold the same when they are as near as this to each other (share of the target).
+# Two roofs hold the same if they differ by less than this (share of the target).
 _ALIKE = 1e-3
-# By how much less another must have cost to be followed (days of an empty roof). Less is luck: GEM
-# at Budva gained 0.5 days over ten months of 2024, and was behind by 0.2 within them.
+# Another shadow is followed if it has cost less by more than this (days of an empty roof). Less is
+# luck: GEM at Budva gained 0.5 days over ten months of 2024, and was behind by 0.2 within them.
 _LESS = 0.2
 
 TRUST_MEMORY = Parameter(
@@ -29,37 +29,37 @@ TRUST_MEMORY = Parameter(
 )
 
 SHARES: Array = np.arange(4) / 3
-"""Shares of the room for forecast rain that the shadow roofs leave; 0 is for none."""
+"""Shares of the room for forecast rain that the shadow roofs leave; 0 leaves none."""
 
 
 class Trust:
-    r"""Shadow roofs that trust the forecast by degrees; the real one follows the best of them.
+    r"""Shadow roofs that trust the forecast to various degrees; the real one follows the best one.
 
-    A plan fills the roof to a level y below the target x*, and leaves x* - y for the rain to come.
-    Beside the real roof four are followed by the model alone, in the rain that really falls. One is
+    A plan fills the roof to a volume y below the target x*, and leaves x* - y for the coming rain.
+    Beside the real roof, four shadow roofs are simulated in the rain that really falls. One is
     filled to the target, as without a forecast; the others leave a third, two thirds, and all of
-    the room that the plan asks for. What each has cost, in days of an empty roof, is
+    the room that the plan asks for. The cost of each, in days of an empty roof, is
 
         L <- exp(-d / ``trust_memory``) L + d |x2 - x2*| / x2*,   d the step (days).
 
-    The real roof is filled as the shadow that it follows, at first the one of all trust. It changes
-    to the shadow with the least L, where it is less by a margin, when both hold the same and are to
-    be filled to the same. Then no wait for rain is under way, whose end is not known, and to change
-    costs nothing; who judged each hour by itself would give up a wait in the middle, and lose
-    twice. Where rain is promised for ever and never comes, that never is. What that costs, and
-    forecasts that are right and wrong in turns, is limited by
-    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
+    The real roof is filled like the shadow that it follows, at first the one with full trust. It
+    switches to the shadow with the least L if this is less by a margin, and if both shadows hold
+    the same volume and are to be filled to the same volume. Then no wait for rain is under way
+    whose outcome is unknown, and switching costs nothing. A rule that judged each hour by itself
+    would give up a wait half-way, and lose twice. If rain is always forecast and never comes, there
+    is no such moment. The cost of this, and of forecasts that are right and wrong by turns, is
+    limited by :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
-    All shadows have the real cistern. Ticks in which nothing is decided do not count.
+    All shadows have the real cistern. Ticks without a decision do not count.
 
     Attributes:
-        roofs: what each shadow holds (m3), shape (shadows,).
-        losses: L (days of an empty roof), likewise.
+        roofs: volume on each shadow roof (m3), shape (shadows,).
+        losses: L of each (days of an empty roof), shape (shadows,).
         share: of the room for forecast rain that is left (1).
     """
 
     def __init__(self, site: Site, program: OrderUpTo, memory: float) -> None:
-        """Take the site, what moves a roof on, and the memory (days); 0 for trust without end."""
+        """Take the site, the simulator of roofs, and the memory (days); 0: trust without end."""
         self._target = site.x2_star
         self._program = program
         self._tau = site.tau
@@ -105,12 +105,12 @@ class Trust:
         return self._seconds >= _STEP_S - tau / 2
 
     def move(self, flow: float, levels: Callable[[Array, Array], Array]) -> None:
-        """Move the shadows on by a step, and follow another if that has done better.
+        """Move the shadows on by a step, and follow another one if it has done better.
 
         Args:
-            flow: most that can be pumped (m3/s).
-            levels: returns what roofs of these volumes (m3) are filled to or held at (m3) where
-                they leave these shares of the room; an array of their shape.
+            flow: largest pump flow (m3/s).
+            levels: returns the volumes (m3) that roofs with these volumes (m3) are filled to or
+                held at if they leave these shares of the room; an array of the same shape.
         """
         seconds = self._seconds
         targets = levels(self.roofs, SHARES)

@@ -15,27 +15,27 @@ from greenroof_ros.model.plant import maximum_pump_flow
 
 Values = NDArray[np.float64]
 
-# As tight as HiGHS takes them: a tick's evapotranspiration is not much above its usual 1e-7 of x2*.
+# The tightest that HiGHS accepts: a tick's evapotranspiration is usually only 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 
 _BLOCK_S = 60.0
 
 
 class NoBoundError(Exception):
-    """The solver found no optimum; the message is its own."""
+    """The solver found no optimum; its own message says why."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """What no controller can better, and a plan that shows how near to it one can come.
+    """A bound that no controller can beat, and a plan that shows how close one can come.
 
     Attributes:
-        bound_m3: no run of these inputs has a smaller total deviation (m3, summed over the ticks),
-            if no command is above the one that the bound was made for.
+        bound_m3: no run with these inputs has a smaller total deviation (m3, summed over the
+            ticks), unless a command exceeds the largest one that the bound allows.
         plan_m3: total deviation of the plan, run through the exact plant.
         pumped_m3: volume that the plan pumps.
         block: ticks in a block of the linear program.
-        solver: what the solver said.
+        solver: the solver's message.
     """
 
     bound_m3: float
@@ -46,7 +46,7 @@ class Bound:
 
     @property
     def gap(self) -> float | None:
-        """How far the plan is above the bound, as a share of it; None where the bound is 0."""
+        """How far the plan is above the bound, as a share of it; None if the bound is 0."""
         return self.plan_m3 / self.bound_m3 - 1 if self.bound_m3 > 0 else None
 
 
@@ -54,40 +54,40 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
-    plant can make satisfies its constraints, so that it can only be lower than the best run:
+    plant can make satisfies its constraints, so that the bound is at most the best run's deviation:
 
     - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
       lift. That is tau times the largest command times the full flow, Eq. (3e), at the initial
       cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
-      frost, below the pumps' suction level, and where the roof holds a2 z_veg even at the least.
-      A roof that runs dry changes by minus all that it held, and that is its least volume or more.
-    - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), is that over
-      the volumes which the roof can have; it is 0 where they are all below z_cap.
-    - The volumes which the roof can have come from following both ends of their range through the
+      frost, below the pumps' suction level, and if even the roof's least volume reaches a2 z_veg.
+      A roof that runs dry loses all that it held, which is at least its least volume.
+    - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), covers the
+      volumes that the roof can have; it is 0 if they are all below z_cap.
+    - The volumes that the roof can have are found by following both ends of their range with the
       same balance. Pumping ends at z_veg, so it lifts the upper end at most one tick's flow above.
-    - All that is pumped before a tick is at most the initial volume and all rain until then less
-      what stays below the suction level, plus one tick's flow, for the last tick that pumped began
-      at the suction level or above. It is at most all that the cistern ever held, too.
+    - All water pumped before a tick is at most the initial volume plus all rain until then, minus
+      what stays below the suction level, plus one tick's flow, because the last tick that pumped
+      began at the suction level or above. It is also at most all that the cistern ever held.
 
-    Of a measured roof the volume after a tick less a slope times that before has limits, and the
-    drainage layer has no part in it; doc/explanation/bound.md has the proof.
+    On a measured roof the limits apply to the volume after a tick minus a slope times the volume
+    before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
 
-    What is dropped, and can leave a gap: the outflow of the cistern; that the flow falls with its
-    level; that pumping stops at z_veg where the roof may, but need not, be below; that drainage and
-    a dry roof follow from the volume. The plan's cost, from the plant itself, shows the gap.
+    The program neglects the following, which can leave a gap: the outflow of the cistern; that the
+    flow falls with its level; that pumping stops at z_veg, if the roof may but need not be below;
+    that drainage and a dry roof follow from the volume. The cost of the plan shows the gap.
 
     In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
-    tick k, G_k - x_{k,2} never falls, and neither do then its means from block to block: the mean
+    tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
     volume rises at most as the mean of G does. The same holds for the least changes, and the limits
-    of the volume hold for its mean. So the bound stays valid. On the paper's soil one of larger
-    blocks that are whole multiples is never above one of smaller blocks; on a measured roof, whose
-    limits are made for each size of blocks, some are larger by up to 0.4 %.
+    of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound never
+    rises if blocks are enlarged to whole multiples. On a measured roof, which has other limits for
+    each size of blocks, it can rise by up to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
         max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1; if not given, a minute's.
+        block: number of ticks that share one variable, at least 1; by default a minute's.
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -103,16 +103,16 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
 
 
 def _sums(first: float, changes: Values) -> Values:
-    """Return the values that have these changes, shape (N+1,) for N changes."""
+    """Return the values with these changes, shape (N+1,) for N changes."""
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 
 def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
-    """Return what every run keeps to; :func:`clairvoyant_bound` says why.
+    """Return the limits of every run; :func:`clairvoyant_bound` derives them.
 
     Returns:
-        How the volume on the roof changes in each tick without pumping, drainage or a dry roof
-        (m3), shape (N,); and its range and changes.
+        The change of the roof's volume in each tick without pumping, drainage or running dry (m3),
+        shape (N,); and the limits of its volume and changes.
     """
     site, tau = run.site, run.site.tau
     rain, evapotranspiration, frost = (
@@ -120,7 +120,7 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
         for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
     )
     still = tau * (rain * site.a2 - evapotranspiration)
-    # As if the valve of the mains were always open.
+    # As if the mains' valve were always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     before = received[:-1]
     flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
@@ -140,28 +140,28 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
 def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
     """Solve the program of :func:`clairvoyant_bound`.
 
-    With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it is to
-    minimise the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1}
-    is 0 and p, m and c have bounds. Of p_b and m_b one is 0 in the optimum, so that limits of y_b
-    are limits of each.
+    With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
+    sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
+    and c have bounds. On a measured roof y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
+    that limits of y_b are limits of each.
 
-    The cost is the dual's: as every variable z is between two numbers, and the balance A z is
-    0, any multipliers v make the sum of the least (w - A'v) z a bound of w z from below, whatever
-    the solver's tolerance.
+    The cost is the dual's: every variable z is between two numbers, and the balance A z is 0. So
+    for any multipliers v, the sum of the least values of (w - A'v) z is a lower bound of w z,
+    whatever the solver's tolerance.
 
     Args:
         run: the run.
-        limits: what it keeps to.
+        limits: its limits.
         edges: first tick of each block, shape (B,).
 
     Returns:
-        Mean deviation in each block (m3), shape (B,); a bound of the cost (m3); what the solver
-        said.
+        Mean deviation in each block (m3), shape (B,); a lower bound of the cost (m3); the solver's
+        message.
 
     Raises:
         NoBoundError: the solver found no optimum.
     """
-    # Half a second, which a study's first process, which solves nothing, is spared.
+    # Imported here: it takes half a second, and a study's first process solves nothing.
     from scipy.optimize import linprog
     from scipy.sparse import diags, hstack, identity
 
@@ -181,7 +181,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
         least, greatest = (part / unit + factors - 1 for part in (least, greatest))
     zero = np.zeros_like(floor)
     lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), least])
-    # Where nothing can be pumped both are equal, and rounding must not set them apart.
+    # If nothing can be pumped both are equal, and rounding must not set them apart.
     upper = np.concatenate(
         [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(greatest, least)]
     )
@@ -198,7 +198,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
     deviation = unit * (result.x[:blocks] - result.x[blocks : 2 * blocks])
     prices = weights - balance.T @ result.eqlin.marginals
     cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
-    # What is left of a sum of zeros.
+    # Anything less is the rounding error of a sum of zeros.
     cost = cost if cost > ROUNDING * unit * run.steps else 0.0
     return deviation, cost, str(result.message)
 
@@ -206,12 +206,12 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return by what the means of a measured roof's blocks follow from those before, shape (B,).
+    """Return how the mean of each block of a measured roof follows from the one before it.
 
     Returns:
-        A factor, and the least and the largest of a block's mean less that factor times the mean
-        before (m3). The factor is 0 of blocks that do not follow from one of the same length; then
-        these are the limits of the volume.
+        A factor, and the least and the largest of a block's mean minus that factor times the mean
+        before (m3), each of shape (B,). The factor is 0 for blocks that do not follow one of the
+        same length; then these are the limits of the volume.
     """
     floor, ceiling = limits.low, limits.high
     sizes = np.diff(edges, append=len(floor))
@@ -226,7 +226,7 @@ def _changes(
         factor, low, high = _composed(slope, limits.least, limits.greatest, block)
         factor, low, high = factor[:count], low[:count], high[:count]
         mean = factor.reshape(following, block).mean(axis=1)
-        # Of each tick the factor is a little off its block's.
+        # A tick's factor differs a little from its block's.
         off = factor - np.repeat(mean, block)
         ends = off * floor[:count], off * ceiling[:count]
         factors[1 : following + 1] = mean
@@ -238,9 +238,9 @@ def _changes(
 def _composed(
     slope: Values, least: Values, greatest: Values, ticks: int
 ) -> tuple[Values, Values, Values]:
-    """Return slope, least and greatest of so many ticks in a row, from each tick on.
+    """Return slope, least and greatest of ``ticks`` ticks in a row, from each tick on.
 
-    Slopes are not negative, so that the least comes of the least.
+    Slopes are not negative, so that the least result comes from the least volume.
     """
     factor, low, high = slope, least, greatest
     for done in range(1, ticks):
@@ -256,11 +256,11 @@ def _targets(
 ) -> Values:
     """Return the roof's volume (m3) that the plan aims at in each tick, shape (N+1,).
 
-    What pumping and drainage add up to is known in the middles of the blocks. All that is added
-    until the next middle is best added at once while the roof is below x2*, and not beyond, unless
-    the next middle itself is: pumping stops at x2*, so that what is to be above it, as before
-    frost, can only come in one tick. Elsewhere it is interpolated. The weather's part, which jumps
-    from hour to hour, comes on top.
+    The sum of pumping and drainage is known in the middle of each block. While the roof is below
+    x2*, all that is added until the next middle is best added at once, but only up to x2*, or up to
+    the volume at the next middle if that is above. (Pumping stops at x2*, so a volume above it, as
+    before frost, can only be reached in one tick.) Otherwise the sum is interpolated. The weather's
+    part, which jumps from hour to hour, is added to it.
     """
     site = run.site
     weather = _sums(run.x2, still)

@@ -1,4 +1,4 @@
-"""The run in one process, without ROS: the same parts in the same order as the node graph."""
+"""The run in one process, without ROS: the same parts in the same order as in the node graph."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
 from greenroof_ros.recording.trajectory import Trajectory
 
-# Makes a named tuple of a tuple in half the time that its own class takes.
+# Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
 
 
@@ -39,21 +39,21 @@ class Tick(NamedTuple):
     precipitation: float
     """m/s"""
     evapotranspiration: float
-    """m3/s, before the limits to what the roof holds and what dry plants evaporate"""
+    """m3/s, before it is limited by the roof's water and by dry plants"""
     frost: float
-    """1 where there is frost, which commands 0; 0 where there is none or it is unknown"""
+    """1 in frost, when the command is 0; 0 without frost, or if unknown"""
     command: float
     """share of the maximum flow"""
     flows: Flows
-    """m3/s; those of the last tick are not applied, since the run ends in its state"""
+    """m3/s; not applied in the last tick, since the run ends in its state"""
 
 
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
-    """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
+    """Run the ticks 0..N, adding to ``metrics``; each tick is yielded before its step."""
     site, series, steps, until = run.site, run.series, run.steps, 0
     plant = Plant(site, run.x1, run.x2)
     sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
-    # Here once: the time of a tick counts.
+    # Looked up once: the time of a tick counts.
     reading, pumps = sensor.reading, pump.flow
     coming_rain, coming_loss = run.forecast.precipitation, run.forecast.evapotranspiration
     observe, add = metrics.observe, metrics.step
@@ -101,8 +101,8 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
 
     Args:
         run: the run.
-        ticks: of it.
-        every: of so many ticks the first is kept, beside the last of all.
+        ticks: of the run.
+        every: the first of this many ticks is kept, and the last one of the run.
     """
     values = attrgetter("k", *_RECORDED.values())
     rows = array("d")

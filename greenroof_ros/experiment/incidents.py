@@ -1,4 +1,4 @@
-"""Incidents of a run: each loss of a drive, a sensor or a node, from its start to its return."""
+"""Incidents of a run: each loss of a drive, a sensor or a node, from its start to its end."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from greenroof_ros.common.disk import DISK
 
 # The file's name in the directory of a run, beside the bag.
 INCIDENTS = "incidents.jsonl"
-# How many are kept in memory and in the summary; all are counted.
+# Number kept in memory and in the summary; all are counted.
 MOST = 200
-# The part that stands for a node's own process.
+# Name of the part that stands for a node's own process.
 PROCESS = "process"
 
 _LOST = frozenset({"ERROR", "STALE"})
@@ -29,11 +29,11 @@ class Rule(NamedTuple):
     """When a part of a node is lost.
 
     Attributes:
-        at: levels of its diagnosis at which it is.
-        lasts_s: how long that must last to be an incident (s).
-        follows: whether it is lost because of something else, as a rule: an incident of its own
-            only where nothing else is lost.
-        stops_pump: whether no pump starts meanwhile; one that runs may go on.
+        at: levels of its diagnosis at which it is lost.
+        lasts_s: how long the loss must last to be an incident (s).
+        follows: whether its loss usually follows from another loss: it is an incident only if
+            nothing else is lost.
+        stops_pump: whether no pump starts meanwhile; a running pump may go on.
     """
 
     at: frozenset[str] = _LOST
@@ -42,8 +42,8 @@ class Rule(NamedTuple):
     stops_pump: bool = True
 
 
-# By a part, or by a code of it, which then counts. A sensor's value counts for some seconds, so
-# that one bad answer changes nothing; and inputs count again some time after a loss.
+# By part, or by a code of its diagnosis, which has priority. A sensor's value counts for some
+# seconds, so that one bad answer changes nothing; inputs count again some time after a loss.
 _RULES = {
     **dict.fromkeys(("drive", "pump", "state file", "suspend"), Rule()),
     **dict.fromkeys(("recording", "disk"), Rule(stops_pump=False)),
@@ -58,13 +58,13 @@ _RULES = {
 
 
 class Part(NamedTuple):
-    """A part of a node whose loss would be an incident, as it was said last.
+    """A part of a node whose loss would be an incident, as last reported.
 
     Attributes:
-        node: that says so.
+        node: the node that reports it.
         name: of the part.
-        said: its diagnosis.
-        rule: by which it is lost.
+        diagnosis: as reported.
+        rule: when it is lost.
     """
 
     node: str
@@ -79,7 +79,7 @@ class Part(NamedTuple):
 
 
 def parts_in(reports: Mapping[str, Mapping[str, Any]]) -> Iterator[Part]:
-    """Yield those parts that the nodes speak of in their last reports."""
+    """Yield the parts that are in the nodes' last reports."""
     for node, report in reports.items():
         for name, diagnosis in report.get("diagnoses", {}).items():
             rule = _RULES.get(diagnosis["code"]) or _RULES.get(name)
@@ -92,15 +92,15 @@ class Incident:
     """A loss, and its end.
 
     Attributes:
-        number: 1, 2, ... in the order in which they began.
-        node: that says so, or that was lost.
+        number: 1, 2, ... in the order of their beginning.
+        node: the node that reported the loss, or that was lost.
         part: of the node, as in its diagnoses; ``process`` for the node itself.
-        cause: in words, as it was at the start.
+        cause: in words, as at the start.
         began: wall time (UTC, ISO 8601).
-        ended: the same; None while it lasts.
-        began_tick: of simulated time; None on a live site.
-        ended_tick: the same; None while it lasts, too.
-        code: for programs; of :mod:`greenroof_ros.common.interface`.
+        ended: wall time; None while it lasts.
+        began_tick: in simulated time; None on a live site.
+        ended_tick: in simulated time; None on a live site, and while it lasts.
+        code: for programs; from :mod:`greenroof_ros.common.interface`.
     """
 
     number: int
@@ -128,7 +128,7 @@ class Incident:
 
 
 def read_incidents(directory: Path) -> list[Incident]:
-    """Return the incidents of a run with a drive or of a live site, as they began.
+    """Return the incidents of a run with a drive, or of a live site, in the order of their numbers.
 
     Each line of the file is an incident as it was known when the line was written; the last line
     with a number counts.
@@ -138,7 +138,7 @@ def read_incidents(directory: Path) -> list[Incident]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: a line is no incident; but for the last one, which a crash may have cut short.
+        ValueError: a line is not an incident. An incomplete last line, cut by a crash, is ignored.
     """
     path = directory / INCIDENTS
     if not path.exists():
@@ -155,37 +155,37 @@ def read_incidents(directory: Path) -> list[Incident]:
 
 
 class IncidentLog:
-    """Finds incidents in what nodes say of their parts, says them, and keeps them.
+    """Finds incidents in the nodes' diagnoses, prints them and stores them.
 
-    The same for a drive in the loop and a live site, so that both say the same of the same loss.
+    A drive in the loop and a live site share it, so that both report the same loss alike.
 
     Attributes:
-        incidents: the newest of them.
-        count: of all.
-        changes: how often one began or ended.
+        incidents: the newest ones.
+        count: number of all incidents.
+        changes: how often an incident began or ended.
     """
 
     def __init__(self, say: Callable[[str], None], file: Path | None = None) -> None:
-        """Begin without any.
+        """Start without incidents.
 
         Args:
             say: prints a line for people.
-            file: where each change is kept at once, by the disk's thread; None for nowhere.
+            file: where the disk's thread stores each change at once; None for nowhere.
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
         self._began = wall_time()
-        self._before = 0  # number of the last incident that the file has of before
+        self._before = 0  # number of the last incident from earlier starts in the file
         self._say = say
         self._file = file
         self._open: dict[tuple[str, str], Incident] = {}
         self._good: set[tuple[str, str]] = set()
-        # Lost, for not long enough yet: when first seen (steady clock, s), and what it would be.
+        # Not lost for long enough yet: when first seen (steady clock, s), and the incident.
         self._pending: dict[tuple[str, str], tuple[float, Incident]] = {}
 
     @property
     def lasting(self) -> bool:
-        """Whether something is lost now."""
+        """Whether anything is lost now."""
         return bool(self._open)
 
     def as_dicts(self) -> list[dict[str, Any]]:
@@ -193,7 +193,7 @@ class IncidentLog:
         return [asdict(incident) for incident in self.incidents]
 
     def go_on(self) -> None:
-        """Keep what the file has of earlier starts; what lasted then ended by now, at the latest.
+        """Continue the file of earlier starts; an incident that lasted then ends at this start.
 
         Raises:
             OSError: the file cannot be read or written.
@@ -214,12 +214,12 @@ class IncidentLog:
         self, reports: Mapping[str, Mapping[str, Any]], tick: int | None = None, *,
         starting: bool = False,
     ) -> None:
-        """Begin and end incidents by what the nodes said last.
+        """Begin and end incidents according to the nodes' last reports.
 
         Args:
             reports: the last report of each node.
             tick: of simulated time; None on a live site.
-            starting: only what was good before can be lost; the rest has not come yet.
+            starting: only what was good before can be lost; the rest may not have started yet.
         """
         for part in parts_in(reports):
             about = part.node, part.name
@@ -232,7 +232,7 @@ class IncidentLog:
                 self._suspect(about, part, tick)
 
     def _suspect(self, about: tuple[str, str], part: Part, tick: int | None) -> None:
-        """Begin an incident that has lasted long enough."""
+        """Begin an incident once it has lasted long enough."""
         now = time.monotonic()
         cause, began = part.diagnosis["message"], wall_time()
         if tick is None and about not in self._good:
@@ -247,7 +247,7 @@ class IncidentLog:
             self._begin(incident)
 
     def fail(self, node: str, cause: str) -> None:
-        """Begin the incident of a node's own process; one that lasts ends."""
+        """Begin the incident of a node's own process, and end its earlier one, if any."""
         self.end(node, PROCESS)
         self._begin(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
 
@@ -281,7 +281,7 @@ class IncidentLog:
             DISK.do(partial(self._write, self._file, json.dumps(asdict(incident)) + "\n"))
 
     def _write(self, file: Path, line: str) -> None:
-        """Write a line, on the disk's thread; a full disk stops nobody, the summary has it, too."""
+        """Write a line on the disk's thread; a full disk stops nothing: the summary has it, too."""
         try:
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(line)
@@ -290,12 +290,12 @@ class IncidentLog:
 
 
 def with_incidents(text: str, count: int) -> str:
-    """Return how a run ended, with how many incidents there were, if any."""
+    """Return how a run ended, with the number of incidents, if any."""
     if count == 0:
         return text
     return f"{text}, with {count} incident{'s' if count > 1 else ''}"
 
 
 def wall_time() -> str:
-    """Return the time as an incident has it (UTC, ISO 8601)."""
+    """Return the present time in the form of an incident's times (UTC, ISO 8601)."""
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

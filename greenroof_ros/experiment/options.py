@@ -43,7 +43,7 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE
 
-_PARAMETER = "parameter_"  # begins the names of the controller's parameters among the arguments
+_PARAMETER = "parameter_"  # prefix of the controller's parameters among the arguments
 
 
 def add_run_arguments(
@@ -81,12 +81,12 @@ def add_controller_arguments(
     parser: argparse.ArgumentParser, group: argparse._ArgumentGroup,
     arguments: Sequence[str] | None = None,
 ) -> None:
-    """Add the options for the controller's name and, by the controller, for its parameters.
+    """Add the options for the controller's name and for the parameters of that controller.
 
     Args:
         parser: of the command.
-        group: of the controller's name; its parameters are a group of their own.
-        arguments: the command line, in which its name is looked for; ``sys.argv`` if None.
+        group: for the controller's name; its parameters get a group of their own.
+        arguments: the command line that is searched for its name; ``sys.argv`` if None.
 
     Raises:
         ConfigurationError: there is no such controller.
@@ -96,7 +96,7 @@ def add_controller_arguments(
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
-    # Its parameters are options, so that its name is needed before the rest is parsed.
+    # Its parameters are options, so its name is needed before the rest is parsed.
     name = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     name.add_argument("--controller", nargs="?", default=DEFAULT)
     controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
@@ -113,7 +113,7 @@ def add_controller_arguments(
 def _add_parameters(
     group: argparse._ArgumentGroup, parameters: Iterable[Parameter], prefix: str = ""
 ) -> None:
-    """Add an option for each parameter; its argument has a name that begins with the prefix."""
+    """Add an option for each parameter; the names of their arguments begin with the prefix."""
     for parameter in parameters:
         low, high = parameter.low, parameter.high
         unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
@@ -125,12 +125,12 @@ def _add_parameters(
 
 
 def _option(parameter: str) -> str:
-    """Return a parameter's option."""
+    """Return the option of a parameter."""
     return f"--{parameter.replace('_', '-')}"
 
 
 def add_site_arguments(group: argparse._ArgumentGroup) -> None:
-    """Add the options of site, weather, initial state, start and length."""
+    """Add the options for site, weather, initial state, start and length."""
     group.add_argument(
         "--start", default=None, metavar="ISO",
         help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset from "
@@ -180,7 +180,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
 
 
 def add_forecast_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options that some kinds of forecast have."""
+    """Add the options that only some forecasts have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
         help="errors, ensemble: how good they are. real: as weather services' forecasts; "
@@ -238,7 +238,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentG
 def parse_run_arguments(
     parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 ) -> argparse.Namespace:
-    """Parse a command line; where an option is unknown, say which the controller has."""
+    """Parse a command line; if an option is unknown, name the options of the controller."""
     parsed, unknown = parser.parse_known_args(arguments)
     if unknown:
         controller = find_controller(parsed.controller)
@@ -271,7 +271,7 @@ def controller_from_arguments(
 def run_from_arguments(arguments: argparse.Namespace) -> Run:
     """Build and check the run that a command line asks for.
 
-    Of a command without ``--controller`` only site, weather and initial state matter.
+    For a command without ``--controller``, only site, weather and initial state matter.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
@@ -323,11 +323,11 @@ def forecast_from_arguments(
 
     Args:
         arguments: parsed with the options of :func:`add_forecast_options`.
-        text: which forecasts, a model or a path.
-        key: the option or argument that has it, for messages.
+        text: which forecasts: a model or a path.
+        key: the option or argument that gives it, for messages.
 
     Raises:
-        ConfigurationError: there are no such forecasts, or they do not have an option.
+        ConfigurationError: there are no such forecasts, or an option does not apply to them.
     """
     try:
         choice = choose(text)

@@ -1,4 +1,4 @@
-"""Plans that are made in perfect knowledge of the weather, carried out in the exact plant."""
+"""Plans made with perfect knowledge of the weather, and carried out in the exact plant."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from greenroof_ros.model.soil import soil_of
 
 Wanted = Callable[[int, float, float], float]
 
-# Of the recursion: length of a step (s), at most so many of them, for the memory of their levels,
-# and nodes below and above the target.
+# For the recursion: length of a step (s); largest number of steps, since their levels need memory;
+# nodes below and above the target.
 _STEP_S, _MOST_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
@@ -32,12 +32,12 @@ class CarriedOut(NamedTuple):
 
 
 def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
-    """Run a plan through the exact plant, whatever errors the run has of sensor and pumps.
+    """Run a plan through the exact plant, without the run's errors of sensor and pumps.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        target: returns what the roof is to hold at the end of a tick (m3), by the tick's index and
-            what cistern and roof hold (m3).
+        target: returns the volume that the roof shall have at the end of a tick (m3), given the
+            tick's index and the volumes in cistern and on roof (m3).
         max_command: largest command (share of the maximum flow).
     """
     site, soil, series, n = run.site, soil_of(run.site), run.series, run.steps
@@ -46,7 +46,7 @@ def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
     for k, (rain, potential, frost) in enumerate(zip(*weather, strict=True)):
         command = 0.0
         if not frost:
-            # As a controller sees them, whose levels have been rounded.
+            # As a controller sees them: from levels, which are rounded.
             cistern, roof = plant.levels()
             x1, x2 = site.cistern_volume(cistern), site.roof_volume(roof)
             command = command_to(site, soil, x1, x2, target(k, x1, x2), rain, potential)
@@ -61,11 +61,11 @@ def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
-    """Carry out the plan of ``lookahead``'s recursion for a run whose whole weather is known.
+    """Carry out the plan of ``lookahead``'s recursion for a run with known weather.
 
-    It is :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` over the run, whose end is the
-    end of all, in steps of five minutes, or of a ten-thousandth of a long run. It keeps the soil as
-    it is. So its total is the upper side of the least that is possible, on every site.
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the whole run, after which
+    nothing counts, in steps of five minutes, or of a ten-thousandth of a long run. It does not
+    simplify the soil. Its total bounds the least possible total from above, on every site.
 
     Args:
         run: as for :func:`carry_out`.

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-# Often enough for an eye, seldom enough to cost nothing.
+# Often enough for the eye, seldom enough to cost nothing.
 INTERVAL_S = 0.2
 
 
@@ -34,7 +34,7 @@ class RunProgress:
             TextColumn("{task.percentage:>3.0f} %"),
             TextColumn("{task.fields[state]}"),
             console=Console(stderr=True, file=file),
-            # Redrawn when there is news, not by a thread that would take its share of two cores.
+            # Redrawn when there is news, not by a thread that needs a share of two cores.
             auto_refresh=False,
         )
         self._task = self._progress.add_task("", total=steps, clock="0:00:00", state="starting")
@@ -45,12 +45,12 @@ class RunProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the bar as it stands."""
+        """Leave the bar in its last state."""
         self._progress.refresh()
         self._progress.stop()
 
     def warn(self, warnings: Iterable[str]) -> None:
-        """Print those warnings above the bar that were not printed yet."""
+        """Print the warnings that were not printed yet above the bar."""
         for text in warnings:
             if text not in self._warned:
                 self._warned.add(text)
@@ -61,7 +61,7 @@ class RunProgress:
         self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def waiting(self, for_what: str) -> None:
-        """Say what the run waits for before its first tick."""
+        """Show what the run waits for before its first tick."""
         self._progress.update(self._task, state=for_what, refresh=True)
 
     def update(self, tick: int, cistern: float, roof: float, command: float) -> None:

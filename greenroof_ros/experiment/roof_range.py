@@ -1,4 +1,4 @@
-"""The volumes that the roof can have in a run, and by how much they can change, tick by tick."""
+"""The volumes that the roof can have in a run, and the changes that it can make in each tick."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, left_after_tick, s
 
 Values = NDArray[np.float64]
 
-# Beyond the rounding of a year of ticks, and far below anything that shows in a bound.
+# Larger than the rounding errors of a year of ticks, and far too small to show in a bound.
 ROUNDING = 1e-9
 
 
 class RoofRange(NamedTuple):
-    """What the roof keeps to, whatever the controller; volumes in m3."""
+    """Limits of the roof's volume, whatever the controller does; volumes in m3."""
 
     low: Values
     """least volume, shape (N+1,)"""
     high: Values
     """largest volume, shape (N+1,)"""
     least: Values
-    """least of the volume after each tick less slope times that before, shape (N,)"""
+    """least of the volume after each tick minus slope times the volume before it, shape (N,)"""
     greatest: Values
-    """largest of it, shape (N,)"""
+    """largest of the same, shape (N,)"""
     unpumped: Values
     """largest change in each tick without pumping, shape (N,)"""
     slope: Values | None = None
-    """1 in each tick, for the change alone, where it is None; shape (N,), from 0 to 1"""
+    """from 0 to 1, shape (N,); None means 1 in each tick: limits of the change alone"""
 
 
 def roof_range(
     site: Site, x2: float, rain: Values, evapotranspiration: Values, pumped: Values
 ) -> RoofRange:
-    """Follow the range of the roof's volume under all that the pumps can do.
+    """Follow the range of the roof's volume for everything that the pumps can do.
 
     Args:
         site: its parameters.
@@ -53,7 +53,7 @@ def roof_range(
     for fell, potential, most in zip(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
-        # Nothing is pumped where the roof is above its target even at the least.
+        # Nothing is pumped if even the roof's least volume is above its target.
         tick = low, high, fell, potential, most if low <= target else 0.0
         if isinstance(soil, PaperSoil):
             after = _of_paper(site, soil, *tick)
@@ -80,13 +80,13 @@ def _of_paper(
         most: the most that the pumps can lift in the tick (m3).
 
     Returns:
-        The fields of :class:`RoofRange`; without the slope, which is always 1.
+        The fields of :class:`RoofRange`, without the slope, which is always 1.
     """
     change = site.tau * (rain - potential)
     after, drained = [low, high], [0.0]
     if high >= (1 - ROUNDING) * site.z_cap:
-        # Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are
-        # at the ends of the range and on both sides of z_cap.
+        # Drainage starts at z_cap with a jump and grows linearly from there, so the extremes are at
+        # the ends of the range and on both sides of z_cap.
         after, drained = [], []
         for x2 in (low, min(max(low, site.z_cap), high), high):
             if x2 < (1 + ROUNDING) * site.z_cap:
@@ -99,7 +99,7 @@ def _of_paper(
     if most > 0:
         wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + most)
     unpumped = change - min(drained)
-    # A roof that runs dry loses what it held, low at the least.
+    # A roof that runs dry loses what it held, at least low.
     return (
         max(0.0, min(after) + change), max(0.0, wettest + change), change - max(drained),
         max(unpumped + most, -low), max(unpumped, -low),
@@ -112,10 +112,10 @@ def _of_measured(
 ) -> tuple[float, ...]:
     """Follow the range of the volume in the substrate of a measured roof, as :func:`_of_paper`.
 
-    Of what arrives the share that stays falls with the volume, what evaporates and what leaves
-    above field capacity rise with it. So the change without pumping is largest at the least volume.
-    The volume after a tick rises with that before by about the slope of the chord over the range:
-    less that, what is left to choose is little.
+    The share of arriving water that stays falls with the volume; evaporation and the excess above
+    field capacity rise with it. So the change without pumping is largest at the least volume. The
+    volume after a tick rises with the volume before it, by about the slope of the chord over the
+    range. Minus this slope times the volume before, its limits are close together.
     """
     ends = [left_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
     slope = 1.0
@@ -129,7 +129,7 @@ def _of_measured(
             end = max(low, min(high, site.a2 * site.z_veg))
             pumped_to = _ends(site, soil, low, end, rain + most / site.tau, potential, line)
             reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
-    # A roof that runs dry ends at 0, and not below.
+    # A roof that runs dry ends at 0, not below.
     return (
         max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
         max(reached[slope][1], -slope * low), max(ends[0] - low, -low), slope,
@@ -140,11 +140,11 @@ def _ends(
     site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
     line: float,
 ) -> list[float]:
-    """Return what may be the least and largest over a range of volumes (m3) after a tick.
+    """Return candidates for the least and largest volume after a tick, minus a line (m3).
 
     Between the wilting point, the onset of stress and field capacity the volume after a tick is a
-    concave parabola of that before, and it is continuous; so it is less a line. So the least is at
-    the ends of these pieces, and the largest there or at a parabola's vertex.
+    concave parabola of the volume before it, and continuous; to subtract a line changes neither. So
+    the least is at an end of these pieces, and the largest at an end or at a parabola's vertex.
 
     Args:
         site: of a measured roof.
@@ -153,14 +153,14 @@ def _ends(
         high: largest volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        line: so many times the volume before is subtracted from that after.
+        line: its slope: this many times the volume before the tick is subtracted.
     """
     dry, most = site.wilting_volume, site.available_volume
     onset = dry + site.stress_onset * most
     volumes = [low, high]
     volumes += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
     if arriving > 0:
-        # d/dx2 of x2 - tau (S^2 arriving + K_s asked) - line x2 is 0, of the two pieces.
+        # d/dx2 of x2 - tau (S^2 arriving + K_s potential) - line x2 is 0, for the two pieces.
         for slope in (1.0 - line, 1.0 - line - site.tau * potential / (site.stress_onset * most)):
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):

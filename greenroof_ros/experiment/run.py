@@ -1,4 +1,4 @@
-"""A run: which site, weather, controller and initial state, from when, for how long."""
+"""A run: its site, weather, controller and initial state, its start and its length."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class Run:
         site_file: where the site was read from.
         site: Table I.
         weather: hourly records.
-        series: the same, tick by tick.
-        forecast: what the controller knows of it.
+        series: the weather, tick by tick.
+        forecast: what the controller knows of the weather.
         start: time of tick 0.
         steps: N; the states are x_0..x_N.
-        controller: which.
+        controller: the chosen controller.
         parameters: the controller's.
         initial: name of the initial state, or ``custom``.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
-        forecast_choice: which forecasts those are.
-        sensor_pump_errors: of level sensor and pumps.
+        forecast_choice: which forecasts the controller gets.
+        sensor_pump_errors: errors of level sensor and pumps.
     """
 
     site_file: Path
@@ -56,7 +56,7 @@ class Run:
     sensor_pump_errors: SensorPumpErrors = field(default_factory=SensorPumpErrors)
 
     def time_ns(self, tick: int) -> int:
-        """Return the time of a tick (ns since 1970), as the graph's clock has it."""
+        """Return the time of a tick (ns since 1970), as on the graph's clock."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
     def make_controller(self) -> Controller:
@@ -65,11 +65,11 @@ class Run:
 
 
 def count_ticks(site: Site, hours: float | None, key: str) -> int:
-    """Return N for a run of some hours; the site's own N if it is None.
+    """Return N for a run of this many hours; the site's own N if None.
 
     Raises:
-        ConfigurationError: they are not a whole number of ticks, at least one; the message calls
-            them by ``key``.
+        ConfigurationError: this is not a whole number of ticks, at least one; the message names
+            ``key``.
     """
     if hours is None:
         return site.N
@@ -95,20 +95,20 @@ def build_run(
     choice: ForecastChoice,
     sensor_pump_errors: SensorPumpErrors | None = None,
 ) -> Run:
-    """Put a run together and check it.
+    """Assemble a run and check it.
 
     Args:
         site_file: where the site was read from.
         site: its parameters.
         weather: hourly records.
-        start: time of tick 0, ISO 8601; without an offset from UTC in the weather's.
+        start: time of tick 0, ISO 8601; without a UTC offset it is in the weather's time zone.
         steps: N, its length (ticks).
-        controller: which.
+        controller: the chosen controller.
         parameters: its parameters, all of them.
         initial: name of the initial state.
         volumes: of the initial state, in cistern and roof (m3).
-        choice: which forecasts the controller is given.
-        sensor_pump_errors: of level sensor and pumps; none unless given.
+        choice: which forecasts the controller gets.
+        sensor_pump_errors: errors of level sensor and pumps; none by default.
 
     Raises:
         ConfigurationError: weather or forecasts do not cover the run, or it has values that the
@@ -119,7 +119,7 @@ def build_run(
     series = WeatherSeries(weather, site, first, steps)
     x1, x2 = volumes
     topics = read_topics()
-    # What the nodes would refuse is refused here, too: both engines give the same numbers.
+    # Refuse here what the nodes would refuse: both engines give the same numbers.
     for name, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),

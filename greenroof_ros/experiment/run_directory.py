@@ -17,7 +17,7 @@ from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import edited
 
-# Where runs go that were given no directory.
+# Parent of the runs' directories, unless a user gives one.
 _RUNS = Path("runs")
 
 
@@ -25,7 +25,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
     """Make the directory of a run: ``output``, or a dated one under ``runs/``.
 
     Raises:
-        ConfigurationError: it holds something already, or cannot be made or written.
+        ConfigurationError: it is not empty, or cannot be made or written.
     """
     with writable(output or _RUNS):
         directory = output or _make_dated_directory(controller)
@@ -41,11 +41,11 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
 
 @contextmanager
 def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Make what cannot be written a :class:`ConfigurationError`, which names the directory.
+    """Turn a failure to write into a :class:`ConfigurationError` that names the directory.
 
     Args:
-        directory: that is written to.
-        option: which names it.
+        directory: the directory that is written.
+        option: the option that names it.
     """
     try:
         yield
@@ -56,7 +56,7 @@ def writable(directory: Path, option: str = "--output") -> Iterator[None]:
 
 
 def _make_dated_directory(controller: str) -> Path:
-    """Make a directory of this second; who comes second in it gets the name with -2, and so on."""
+    """Make a directory named after this second; if there is one, add -2 to the name, and so on."""
     name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
     _RUNS.mkdir(exist_ok=True)
     for number in count(1):
@@ -71,13 +71,13 @@ def write_configuration(
     directory: Path, run: Run, nodes: dict[str, object],
     extra: Mapping[str, dict[str, object]] | None = None,
 ) -> Path:
-    """Keep the files that a run was made from, and write the parameters of its nodes.
+    """Copy the files that a run was made from, and write the parameters of its nodes.
 
     Args:
         directory: of the run.
         run: what was asked for.
-        nodes: parameters of the plant beyond those that the run itself decides.
-        extra: parameters of nodes that are not in every run, likewise, by node.
+        nodes: parameters of the plant that the run does not set; the recorder shares peer_limit.
+        extra: parameters of nodes that only some runs have, by node.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -134,7 +134,7 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
     """Write the ROS 2 parameter file of some nodes, and return it.
 
     Args:
-        directory: that it is in.
+        directory: of the file.
         parameters: of each node, by its name.
     """
     file = directory / "parameters.yaml"
@@ -144,7 +144,7 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
 
 
 def _copy(source: Path, copy: Path) -> Path:
-    """Copy a file, or a directory of files, and return where it is then."""
+    """Copy a file, or a directory of files, and return the path of the copy."""
     copy.parent.mkdir(exist_ok=True)
     if source.is_dir():
         shutil.copytree(source, copy)

@@ -1,4 +1,4 @@
-"""What a run reports of itself: ``summary.json``, from its start on."""
+"""The summary of a run, ``summary.json``, which exists from its start on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from greenroof_ros.experiment.run import Run
 
 # The file's name in the directory of a run.
 SUMMARY = "summary.json"
-# How a run ended. It is RUNNING until then, and for ever if what runs it was killed.
+# Status of a run. It is RUNNING until the run ends, and for ever if its process was killed.
 RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
 
@@ -27,16 +27,16 @@ def build(
     messages: Mapping[str, int] | None = None,
     **happened: Any,
 ) -> dict[str, Any]:
-    """Put the summary of a run that is done together, the same for ``simulate`` and the graph.
+    """Assemble the summary of a completed run, the same for ``simulate`` and the graph.
 
     Args:
         run: what was asked for.
         metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
         weeks: total deviation of each week (m3).
         wall_s: duration in wall time (s).
-        solver: the controller's statistics; None where it has no solver.
-        messages: how many messages of each topic are in the bag.
-        happened: refused, parameter_changes and incidents, as :func:`build_unfinished` has them.
+        solver: the controller's statistics; None if it has no solver.
+        messages: number of messages of each topic in the bag.
+        happened: refused, parameter_changes and incidents, as for :func:`build_unfinished`.
     """
     return {
         **build_unfinished(run, DONE, last_tick=run.steps, **happened),
@@ -61,16 +61,16 @@ def build_unfinished(
     parameter_changes: list[dict[str, Any]] | None = None,
     incidents: list[dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Put the summary of a run that is not done together: without metrics, which are of whole runs.
+    """Assemble the summary of an unfinished run: without metrics, which are of whole runs.
 
     Args:
         run: what was asked for.
         status: one of those above.
         reason: why it ended.
-        last_tick: the last that the plant reported.
-        refused: how many values of each topic were refused until then.
+        last_tick: the last tick that the plant reported.
+        refused: number of values refused until then, by topic.
         parameter_changes: parameters changed until then, with their tick.
-        incidents: what was lost in the run while it went on.
+        incidents: losses during the run.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
@@ -110,15 +110,15 @@ def build_unfinished(
 
 
 def finite(parameters: Mapping[str, float]) -> dict[str, float | None]:
-    """Return parameters as JSON has them, which has no infinity: null stands for no bound."""
+    """Return parameters for JSON, which has no infinity: null stands for no limit."""
     return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
 
 
 def write(summary: Mapping[str, Any], directory: Path) -> None:
-    """Write a summary into the directory of its run, whole or not at all.
+    """Write a summary into the directory of its run, if possible whole or not at all.
 
-    A disk that is full has no room for a second file beside the old one, but for what is written
-    over it: there a run must be able to say that it ended.
+    A full disk has no room for a second file; the old file is then overwritten, so that a run can
+    still record that it ended.
 
     Raises:
         OSError: it cannot be written.
@@ -136,11 +136,11 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
                 stream.write(text)
                 stream.truncate()
         except OSError:
-            # The error of a write does not know its file.
+            # The error of a write does not name its file.
             raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def site_file_of(run: Path) -> Path:
-    """Return where a run keeps its site file; a live site, in a directory of its own."""
+    """Return the path of a run's site file; a live site keeps it in a directory of its own."""
     configuration = run / "configuration"
     return next(iter((configuration / "site").glob("*")), configuration / "site.yaml")

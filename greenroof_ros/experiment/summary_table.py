@@ -21,7 +21,7 @@ from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield each metric; in capitals above its limit, and left out where it should be 0 and is."""
+    """Yield each metric: in capitals above its limit, left out if it is 0 as it should be."""
     for metric in METRICS:
         value = summary.get(metric.name, 0)
         if metric.name in summary and (value or metric.most):
@@ -30,12 +30,12 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _limit(value: float | None) -> str:
-    """Return a parameter's value, which is null where there is no limit."""
+    """Return a parameter's value as text; null means no limit."""
     return "no limit" if value is None else f"{value:g}"
 
 
 def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the volumes that a run began with (m3), and what they are."""
+    """Return the initial volumes of a run (m3), and their description."""
     volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
     if initial.get("layer_m3"):
         volumes.append(initial["layer_m3"])
@@ -44,7 +44,7 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
-    """Return a table of lines that are a word, a number, and what it is."""
+    """Return a table whose lines are a word, a number and its description."""
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
@@ -55,7 +55,7 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield what a person sees at the end of a run: a word, a number, and what it is."""
+    """Yield what is shown at the end of a run: a word, a number and its description."""
     parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield "controller", summary["controller"], _listed(parameters)
     yield "from", *_initial(summary["initial"])
@@ -120,10 +120,10 @@ def _listed(values: Mapping[str, Any]) -> str:
 
 
 def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, str]:
-    """Return the row of something that was lost in the run.
+    """Return the row of an incident.
 
     Args:
-        incident: of the summary.
+        incident: from the summary.
         tau: duration of a tick (s).
     """
     failure = Incident(**incident)
@@ -139,10 +139,10 @@ def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, st
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
-    """Print a summary: as a table with the directory of the run, or as JSON alone.
+    """Print a summary: as a table with the run's directory, or as JSON alone.
 
     Raises:
-        OutputError: it could not be printed; the message says where it is.
+        OutputError: it could not be printed; the message names its file.
     """
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))

@@ -1,1 +1,1 @@
-"""Forecasts: what a controller knows, at each tick, about the time that follows."""
+"""Forecasts: what a controller knows at each tick about the time ahead."""

@@ -1,4 +1,4 @@
-"""Which forecasts a run's controller is given."""
+"""The choice of the forecasts that a run's controller gets."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ NUMBERS = {
         "errors, ensemble, a file: time after its nominal time from which an issue is known",
     ),
 }
-"""the options that are numbers, by name; of a delay there is none by default"""
+"""the options that are numbers, by name; the delay has no default"""
 
 OPTIONS = ("skill", *NUMBERS)
 
 
 @dataclass(frozen=True)
 class ForecastChoice:
-    """Which forecasts a run's controller is given.
+    """The choice of the forecasts that a run's controller gets.
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
         skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
             ``config/forecasts/skill.yaml``.
         seed: of the errors.
-        members: of the ensemble.
-        file: with the forecasts, or directory of such; None where there is none.
-        delay: h after its nominal time from which an issue is known; None for what is usual of the
-            file's kind, and of a model with errors what is of weather services.
-        dressed: file of what fell after past issues, see
-            :mod:`greenroof_ros.forecast.dressing`; None for the forecasts as they were issued.
+        members: number of members of the ensemble.
+        file: file of forecasts, or directory of such files; None for a model.
+        delay: time after its nominal time from which an issue is known (h); None for the usual
+            delay of the kind of file, or of weather services for a model with errors.
+        dressed: file of past issues and the rain observed after each, see
+            :mod:`greenroof_ros.forecast.dressing`; None for forecasts as they were issued.
     """
 
     model: str = PERFECT
@@ -66,21 +66,21 @@ class ForecastChoice:
     dressed: Path | None = None
 
     def __str__(self) -> str:
-        """The model's name or the file's path, as the option ``--forecast`` has it."""
+        """The model's name or the file's path, as in the option ``--forecast``."""
         return self.model if self.file is None else str(self.file)
 
     @property
     def skill_file(self) -> Path | None:
-        """The file of the skill; None where it has a name."""
+        """The file of the skill; None for a named skill."""
         return None if self.skill in SKILLS else Path(self.skill)
 
     @property
     def takes(self) -> tuple[str, ...]:
-        """Which of :data:`OPTIONS` the model has, or an archive."""
+        """The :data:`OPTIONS` that the model, or an archive, has."""
         return _OPTIONS_OF[self.model]
 
     def options(self) -> dict[str, str | float]:
-        """Return the model's :data:`OPTIONS`, each with its value."""
+        """Return the :data:`OPTIONS` of the model that are set, each with its value."""
         values = {name: getattr(self, name) for name in self.takes}
         return {name: value for name, value in values.items() if value is not None}
 

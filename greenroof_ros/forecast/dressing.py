@@ -1,37 +1,37 @@
-"""Dressed forecasts: what fell after forecasts like this one, as an ensemble.
+"""Dressed forecasts: an ensemble of the rain that was observed after similar forecasts.
 
-A service's rain is wet or dry by its model's habit, and says nothing of how sure it is. Beside an
-archive of its forecasts and a record of rain, an issue can be replaced by its *analogs*: the past
-issues most like it, and the hours that were observed after each (Hamill and Whitaker 2006,
+A service's rain has the bias of its model, and no measure of its uncertainty. With an archive of
+its forecasts and a record of rain, an issue can be replaced by the rain after its *analogs*: the
+hours that were observed after each of the past issues most similar to it (Hamill and Whitaker 2006,
 doi:10.1175/MWR3237.1; Delle Monache et al. 2013, doi:10.1175/MWR-D-12-00281.1). Members are spells
-of the record, so that their hours and days belong together without a Schaake shuffle (Clark et al.
-2004, Journal of Hydrometeorology 5:243).
+of the record, so their hours and days belong together without a Schaake shuffle (Clark et al. 2004,
+Journal of Hydrometeorology 5:243).
 
-**Expected rain.** Leads are parted into blocks that grow with the lead, as errors of timing do: to
-6, 12, 24, 48, 72 and 120 h, and so on. The rain that is expected in a block, m, is a straight line
-of the rain that was forecast for it, f (mm, the mean of the issue's members): m = a + b f, fitted
-to the past issues by least squares, with a >= 0 and b >= 0 and the mean rain of both alike.
+**Expected rain.** Leads are divided into blocks that grow with the lead, as errors of timing do: to
+6, 12, 24, 48, 72 and 120 h, and so on. The rain expected in a block, m, is a straight line of the
+rain forecast for it, f (mm, the mean of the issue's members): m = a + b f. It is fitted to the past
+issues by least squares, with a >= 0 and b >= 0, and goes through their means.
 
-**Similarity.** The distance of two issues is the sum over blocks of (log m - log m')^2. So they are
-compared by the rain that they mean, whatever the unit or the bias of the forecast, and a block
-counts by the skill of the service in it: without skill b is 0, all issues are alike, and the
-analogs are a draw from the record, its climatology. Issues at equal distance are drawn at random.
+**Similarity.** The distance of two issues is the sum over blocks of (log m - log m')^2. It compares
+the rain that they lead to, whatever the unit or the bias of the forecast, and weights a block by
+the service's skill in it: without skill b is 0, all issues are alike, and the analogs are a random
+draw from the record, its climatology. Ties are broken at random.
 
 **Members.** The ten most similar issues that are two days or more apart, so that no storm counts
-twice. Rain is skewed: in reach of a wet issue most analogs are drier than it is. So the rain of
-each analog's block is multiplied by m / m', which is between a quarter and four. (A line of the
-forecasts corrects analogs of rare events likewise: Alessandrini et al. 2019,
-doi:10.1175/MWR-D-19-0006.1.) Hours after the forecast's end are taken as they were. Against analogs
-as they were, that took the bias of sums over 48 h from 0.87 to 1.03, and their CRPS down by 6 %
-(the three services as one).
+twice. Rain is skewed: most of the analogs of a wet issue are drier than it is. So the rain of each
+analog's block is multiplied by m / m', limited to between a quarter and four. (Alessandrini et al.
+2019, doi:10.1175/MWR-D-19-0006.1, correct analogs of rare events by a line of the forecasts too.)
+Hours after the forecast's end are left as observed. Compared with unscaled analogs, this took the
+bias of sums over 48 h from 0.87 to 1.03, and lowered their CRPS by 6 % (the three services
+together).
 
-**No leakage.** Neither the line nor the analogs of an issue come from issues less than the length
-of a member and five days from it, before or after it. So an issue of the archive that made the file
-is dressed without what fell after it, and a season can be replayed with the file of that season.
+**No leakage.** The line and the analogs of an issue use no issue whose time is within the length of
+a member plus five days, before or after. So an issue of the archive that made the file is dressed
+without the rain observed after it, and a season can be replayed with its own file.
 
-The numbers of members, hours and days here were chosen at Budva, 2024-02-20 to 12-31, on GEM, GFS
-and KNMI, by the CRPS of sums over 12, 48 and 120 h: of the whole, and of its drier and wetter half,
-each dressed by itself. Years that judge should be others.
+The numbers of members, hours and days here were chosen at Budva, 2024-02-20 to 12-31, with GEM, GFS
+and KNMI, by the CRPS of sums over 12, 48 and 120 h: of the whole period, and of its drier and
+wetter half, each dressed by itself. Use other years to judge them.
 """
 
 from __future__ import annotations
@@ -67,25 +67,25 @@ from greenroof_ros.weather.series import Weather, refuse_between_hours
 Array = NDArray[np.float64]
 
 MEMBERS = 10
-"""Of a dressed issue. With issues of five months 20 members score worse, since the last of them are
-little like the issue; with issues of ten months they score 2 % better."""
+"""Of a dressed issue. With issues of five months 20 members score worse, because the last of them
+are not similar to the issue; with issues of ten months they score 2 % better."""
 
 # Ends of the blocks of leads (h); the last ends where the forecasts do.
 _ENDS = (6, 12, 24, 48, 72, 120, 240)
-# Between analogs of one issue (h).
+# Least time between analogs of one issue (h).
 _APART = 48
-# Between issues that a live site adds (h).
+# Least time between issues that a live site adds (h).
 _ISSUES_APART = 6
-# Between the end of a member and the issue, or the other way round (h): longer than a spell of
-# weather.
+# Least time between the end of a member and the issue, or the other way round (h): longer than a
+# spell of weather.
 _BETWEEN = 120
-# A gap of the record that is bridged by a straight line (h); a longer one is in no member.
+# Longest gap of the record that is bridged by a straight line (h); no member has a longer one.
 _BRIDGED = 12
-# The least rain that is expected, by the mean of the block (1), and the most that a block of an
-# analog is multiplied with: far from all past issues the line says more than is known.
+# Least expected rain, as a share of the block's mean (1), and the largest factor of an analog's
+# block: far from all past issues the line is not reliable.
 _LEAST, _MOST_RATIO = 0.1, 4.0
 
-# mm: of an hour what is believable, of a block what many such hours come to.
+# Limits (mm): what is plausible for an hour, and what many such hours add up to in a block.
 _OF_AN_HOUR = ("mm", *QUANTITIES[PRECIPITATION][1:])
 _OF_A_BLOCK = ("mm", 0.0, 1e6)
 
@@ -94,15 +94,15 @@ _FORECAST = re.compile(r"forecast of hours (\d{1,3}) to (\d{1,3}) \[mm\]")
 
 @dataclass(frozen=True)
 class Dressing:
-    """Past issues and what fell after each; issues are a row each.
+    """Past issues and the rain observed after each; one row per issue.
 
     Attributes:
-        source: the file, or the files that they were made from.
-        edges: of the blocks (h of lead), the first 0, shape (blocks + 1,).
+        source: the file, or the files that the dressing was made from.
+        edges: of the blocks (h of lead), starting with 0, shape (blocks + 1,).
         issued: hours since 1970, shape (issues,).
         forecast: rain in each block (mm), shape (issues, blocks).
-        fell: rain in each hour from the issue on (mm/h), shape (issues, hours). NaN where it was
-            not measured, or not yet; such an issue is no analog.
+        fell: rain in each hour from the issue on (mm/h), shape (issues, hours). NaN if not
+            measured, or not yet; an issue with NaN is no analog.
     """
 
     source: str
@@ -113,18 +113,18 @@ class Dressing:
 
     @property
     def hours(self) -> int:
-        """Of a member."""
+        """Length of a member (h)."""
         return int(self.fell.shape[1])
 
     def usable(self, issued: int) -> NDArray[np.intp]:
-        """Return which issues are far enough from one (hours since 1970) to say nothing of it."""
+        """Return which issues are complete, and far enough from a time (hours since 1970)."""
         far = np.abs(self.issued - issued) >= self.hours + _BETWEEN
         return np.flatnonzero(far & ~np.isnan(self.fell).any(axis=1))
 
     def with_issue(self, issue: Issue) -> Dressing:
-        """Return it with one more issue, whose hours are still to come.
+        """Return the dressing with one more issue, whose hours are still to come.
 
-        One that is too short for the blocks, or less than six hours after the last, is left out.
+        It is left out if it is too short for the blocks, or less than six hours after the last.
         """
         issued = hours_since_1970(issue.issued)
         last = self.issued[-1] if self.issued.size else issued - _ISSUES_APART
@@ -138,16 +138,16 @@ class Dressing:
         )
 
     def with_hour(self, hour: int, rain: float) -> Dressing:
-        """Return it with what fell in an hour, for all issues that it follows.
+        """Return the dressing with the rain of an hour, added to all issues that cover the hour.
 
-        What is known already stays, whatever the clock says since.
+        Values that are already known are kept, even if the clock has since been set back.
 
-        Issues that end with it are whole: gaps of up to 12 h are bridged as :func:`learn` does. An
-        issue with a longer one is forgotten, and one that begins or ends in a gap.
+        An issue is complete once its last hour has come. Gaps of up to 12 h are then bridged, as in
+        :func:`learn`. An issue with a longer gap, or one at its beginning or end, is dropped.
 
         Args:
             hour: hours since 1970.
-            rain: mm/h; NaN where it was not measured.
+            rain: mm/h; NaN if not measured.
         """
         fell, lead = self.fell.copy(), hour - self.issued
         follows = np.flatnonzero((lead >= 0) & (lead < self.hours))
@@ -163,16 +163,16 @@ class Dressing:
 
     @cached_property
     def _come(self) -> Array:
-        """What fell in each block (mm), shape (issues, blocks)."""
+        """Rain observed in each block (mm), shape (issues, blocks)."""
         return block_sums(self.fell, self.edges)
 
     def members(self, issued: int, rain: Array) -> Array:
-        """Return what fell after the issues most like one, the most similar first.
+        """Return the rain after the issues most similar to one, the most similar first.
 
         Args:
             issued: the issue's time (hours since 1970).
-            rain: mm/h, shape (members, hours). Blocks that it does not reach are not compared, and
-                are taken as they were.
+            rain: mm/h, shape (members, hours). Blocks beyond its end are not compared, and are left
+                as observed.
 
         Returns:
             mm/h, shape (MEMBERS, hours of this dressing).
@@ -180,7 +180,7 @@ class Dressing:
         Raises:
             ConfigurationError: there are too few issues far enough from it.
         """
-        # At random where issues are equally far; the same draw for the same issue.
+        # Breaks ties at random; the same draw for the same issue.
         usable = np.random.default_rng(abs(issued)).permutation(self.usable(issued))
         whole = [end for end in self.edges if end <= rain.shape[1]]
         blocks = len(whole) - 1
@@ -223,38 +223,38 @@ def block_sums(rain: Array, edges: Sequence[int]) -> Array:
 
 
 def _expected(forecast: Array, fell: Array, of: Array) -> Array:
-    """Return the rain that is expected in each block (mm), shape (issues, blocks).
+    """Return the expected rain of each block (mm), shape (issues, blocks).
 
     Args:
         forecast: of past issues (mm), shape (past issues, blocks).
-        fell: after them, likewise.
-        of: forecasts of the issues asked for (mm), shape (issues, blocks).
+        fell: observed after them (mm), likewise.
+        of: forecasts whose expected rain is returned (mm), shape (issues, blocks).
     """
     said, fallen = forecast.mean(axis=0), fell.mean(axis=0)
     variance = ((forecast - said) ** 2).mean(axis=0)
     covariance = ((forecast - said) * (fell - fallen)).mean(axis=0)
     slope = np.divide(covariance, variance, out=np.zeros_like(said), where=variance > 0)
-    # No more than makes the line begin at nothing: it goes through the means in any case.
+    # The line goes through the means; up to this slope it is not negative at a forecast of 0.
     most = np.divide(fallen, said, out=np.zeros_like(said), where=said > 0)
     slope = np.clip(slope, 0.0, most)
-    least = np.maximum(_LEAST * fallen, 1e-3)  # mm; a block without rain has no logarithm
+    least = np.maximum(_LEAST * fallen, 1e-3)  # mm; so that a block without rain has a logarithm
     expected: Array = np.maximum(fallen + slope * (of - said), least)
     return expected
 
 
 def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
-    """Put issues beside what fell after them.
+    """Pair issues with the rain observed after them.
 
-    Issues that are shorter than the longest, or after which the record has a gap of more than 12 h,
-    are left out; shorter gaps are bridged by a straight line from the hour before to that after.
+    Issues that are shorter than the longest (or a member), or for which the record lacks hours, are
+    left out. Gaps of up to 12 h are first bridged by a straight line between the hours around them.
 
     Args:
         archive: of forecasts.
         weather: the record.
-        hours: of a member.
+        hours: length of a member (h).
 
     Raises:
-        ConfigurationError: an issue is not whole hours from the record, or none has hours of it.
+        ConfigurationError: an issue is not whole hours from the record, or no issue can be used.
     """
     refuse_between_hours(archive.issues, weather)
     longest = min(hours, max(issue.hours for issue in archive.issues))
@@ -279,10 +279,10 @@ def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
 
 
 def chosen_archive(choice: ForecastChoice, site: Site) -> Archive:
-    """Return the archive of a choice, dressed where the choice says so.
+    """Return the archive of a choice, dressed if the choice says so.
 
     Raises:
-        ConfigurationError: a file is not as it must be, or an issue has too few analogs.
+        ConfigurationError: a file is invalid, or an issue has too few analogs.
     """
     assert choice.file is not None
     archive = read_archive(choice.file, site, choice.delay)
@@ -290,9 +290,9 @@ def chosen_archive(choice: ForecastChoice, site: Site) -> Archive:
 
 
 def dress(archive: Archive, dressing: Dressing) -> Archive:
-    """Return an archive in which each issue is the ensemble of its analogs.
+    """Return an archive in which each issue is replaced by the ensemble of its analogs.
 
-    Evapotranspiration stays as it was forecast; it goes on as after a forecast's end.
+    Evapotranspiration is kept as forecast, and continued as it is after any forecast's end.
 
     Raises:
         ConfigurationError: an issue has too few analogs.
@@ -305,7 +305,7 @@ def dress(archive: Archive, dressing: Dressing) -> Archive:
 
 
 def dress_issue(issue: Issue, dressing: Dressing) -> Issue:
-    """Return an issue as the ensemble of its analogs; temperature only as far as it is known.
+    """Return the ensemble of an issue's analogs; temperature is NaN after the issue's end.
 
     Raises:
         ConfigurationError: it has too few analogs.
@@ -322,7 +322,7 @@ def dress_issue(issue: Issue, dressing: Dressing) -> Issue:
 
 
 def dressing_text(dressing: Dressing) -> str:
-    """Return a dressing as a file, which :func:`read_dressing` reads."""
+    """Return the text of a dressing's file, which :func:`read_dressing` reads."""
     lines = [
         "# What was forecast, and what fell then, for --dressed of simulate, run and verify; of",
         f"# {dressing.source}.", ",".join(_columns(dressing.edges, dressing.hours)),
@@ -338,10 +338,10 @@ def read_dressing(path: Path) -> Dressing:
     """Read a file that :func:`dressing_text` has written.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``, the
-    forecast's blocks, each beginning where the one before ends, and the hours from 0 on. Each
-    further line is an issue: its time (ISO 8601 with the offset from UTC), later than that above;
-    rain as forecast in each block (mm), and as observed in each hour from then on (mm), which is
-    empty where it was not measured, or not yet.
+    forecast's blocks, each beginning where the previous one ends, and the hours from 0 on. Each
+    further line is an issue: its time (ISO 8601 with the offset from UTC), later than the line
+    above; the rain forecast for each block (mm); and the rain observed in each hour from then on
+    (mm), empty if not measured, or not yet.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -360,10 +360,10 @@ def read_dressing(path: Path) -> Dressing:
 
 
 def _read_header(table: Table) -> tuple[tuple[int, ...], int]:
-    """Return the blocks' edges and the number of hours of a header.
+    """Return the blocks' edges and the number of hours from a header.
 
     Raises:
-        ConfigurationError: it is another.
+        ConfigurationError: it is not the header of a dressing.
     """
     edges = [0]
     for cell in table.header[1:]:

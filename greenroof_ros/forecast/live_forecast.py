@@ -1,4 +1,4 @@
-"""The forecasts of a live site: a file that is replaced again and again, and what it teaches."""
+"""The forecasts of a live site: a file that is replaced repeatedly, and a dressing that learns."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class NoForecastError(Exception):
 
 
 class ForecastFile:
-    """A file of forecasts, read again when it is replaced; one that is broken replaces nothing.
+    """A file of forecasts, read again when it is replaced; an invalid file is ignored.
 
     Attributes:
         issues: of the newest file that could be read; empty before the first.
-        problem: what is wrong with the file as it is now; empty where nothing is.
-        count: how often another file was read.
+        problem: what is wrong with the present file; empty if nothing is.
+        count: how many files were read.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read nothing yet.
+        """Prepare; nothing is read yet.
 
         Args:
             path: of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It must
@@ -50,7 +50,7 @@ class ForecastFile:
         self._seen: tuple[int, ...] | None = None
 
     def look(self) -> bool:
-        """Read the file if it is another one than before, and return whether it has been."""
+        """Read the file if it has changed; return whether a new one was read."""
         try:
             status = self._path.stat()
             seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
@@ -79,7 +79,7 @@ class LiveForecast:
     """Forecasts of the look-ahead at any time, from the newest issue of a file.
 
     Attributes:
-        file: that they are from.
+        file: where the forecasts come from.
     """
 
     def __init__(
@@ -90,11 +90,11 @@ class LiveForecast:
 
         Args:
             file: of forecasts.
-            site: tick, look-ahead and the bed's area, over which a depth is a volume.
-            horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
-            limit: how old the newest issue may be (s).
-            all_members: of an ensemble; otherwise the first.
-            dressing: that makes an ensemble of each issue; None for forecasts as they are issued.
+            site: tick, look-ahead, and the bed's area, to convert depths to volumes.
+            horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
+            limit: largest age of the newest issue (s).
+            all_members: whether to return rain of all members of an ensemble, or of the first.
+            dressing: makes an ensemble of each issue; None for forecasts as they are issued.
         """
         self.file = file
         self._dressing = dressing
@@ -108,10 +108,10 @@ class LiveForecast:
 
         Args:
             now: the time.
-            observed_rain: m/s, which stands for the present hour's; None where there is no gauge.
+            observed_rain: rain of the present hour from a gauge (m/s); None if there is none.
 
         Raises:
-            NoForecastError: there is none that is new enough and reaches as far as it must.
+            NoForecastError: no issue is new enough and covers the look-ahead.
         """
         issue = self._newest(now)
         if self._dressing is not None:
@@ -121,10 +121,10 @@ class LiveForecast:
     def of_record(
         self, now: datetime, evapotranspiration: float | None, observed_rain: float | None = None
     ) -> Outlook | None:
-        """Return an outlook that no forecast is needed for: what fell in spells of the record.
+        """Return an outlook without a forecast: an ensemble of rain from the record.
 
-        None where nothing is dressed, where one member alone would be looked at, or where the
-        record or the usual evapotranspiration (m3/s) is not known.
+        None if nothing is dressed, if the controller uses only one member, or if the record is too
+        short or the usual evapotranspiration (m3/s) unknown.
         """
         if self._dressing is None or not self._all_members or evapotranspiration is None:
             return None
@@ -135,7 +135,7 @@ class LiveForecast:
             return None
 
     def _outlook(self, issue: Issue, now: datetime, observed_rain: float | None) -> Outlook:
-        """Return what an issue says at a time.
+        """Return the outlook at a time, from an issue.
 
         Raises:
             NoForecastError: it ends before the look-ahead does.
@@ -160,7 +160,7 @@ class LiveForecast:
         """Return the newest issue at a time.
 
         Raises:
-            NoForecastError: it is too old, or there is none.
+            NoForecastError: the newest issue is too old, or there is none.
         """
         issues = self.file.issues
         if not issues:
@@ -179,29 +179,29 @@ class LiveForecast:
         return issue
 
 
-# An hour is measured where the gauge was good in this share of its ticks (1).
+# An hour is measured if the gauge was good in this share of its ticks (1).
 _MEASURED = 0.9
 
 
 class LiveDressing:
-    """The file of a dressing; forecasts and the hours that the gauge measures are added to it.
+    """The file of a dressing, to which forecasts and the hours that the gauge measures are added.
 
     Attributes:
-        few: why the newest issue is used as it was issued; empty where it is dressed.
+        few: why the newest issue is used as it was issued; empty if it is dressed.
 
-    A forecast counts as an analog once all its hours have passed. The file is written after each
-    hour by the disk's thread. One process adds to a file; another one uses it as it finds it.
+    A forecast becomes an analog once all its hours have passed. The file is written after each hour
+    by the disk's thread. Only one process adds to a file; others use it as they read it.
     """
 
     def __init__(self, file: Path, tick_s: float) -> None:
         """Read the file.
 
         Args:
-            file: that ``greenroof verify --dress`` has made.
+            file: made by ``greenroof verify --dress``.
             tick_s: time between two readings of the gauge (s).
 
         Raises:
-            ConfigurationError: there is none, or it is not understood.
+            ConfigurationError: the file is missing or invalid.
         """
         self._dressing = read_dressing(file)
         self._kept = Kept(file)
@@ -217,11 +217,11 @@ class LiveDressing:
 
     @property
     def problem(self) -> str:
-        """Why what falls is not kept; empty where it is."""
+        """Why the file is not kept up to date; empty if it is."""
         return self._locked or self._kept.problem
 
     def measure(self, now: datetime, rain: float | None) -> None:
-        """Take what the gauge says in a tick (m/s); None where it says nothing."""
+        """Take the gauge's reading in a tick (m/s); None if it has none."""
         hour = hours_since_1970(now)
         if hour != self._hour:
             if self._hour is not None:
@@ -242,9 +242,9 @@ class LiveDressing:
             self._kept.write_text(lambda: dressing_text(dressing))
 
     def dress(self, issue: Issue) -> Issue:
-        """Return an issue as what fell after those like it, and note it as one to learn from.
+        """Return an issue as the ensemble of its analogs, and add it to the past issues.
 
-        Where too few are known it is returned as it was issued.
+        If there are too few analogs, the issue is returned as it was issued.
         """
         if self._newest is None or issue is not self._newest[0]:
             self._dressing = self._dressing.with_issue(issue)
@@ -256,7 +256,7 @@ class LiveDressing:
         return self._newest[1]
 
     def climate(self, now: datetime, evapotranspiration: float) -> Issue:
-        """Return a draw from the record, which stays the same for a day, as an issue of this hour.
+        """Return rain from the record as an issue of this hour; the same draw for a whole day.
 
         Args:
             now: the time.
@@ -274,7 +274,7 @@ class LiveDressing:
         )
 
     def close(self) -> None:
-        """Wait two seconds at most for what is being written, and let go of the file."""
+        """Wait at most two seconds for what is being written, and release the file."""
         self._kept.close()
         if self._only is not None:
             self._only.close()

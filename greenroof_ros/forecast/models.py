@@ -1,20 +1,20 @@
-"""Models of hourly forecasts: of records as they are or with errors, and of an archive's issues.
+"""Models of hourly forecasts: from records, exact or with errors, and from an archive's issues.
 
-When they are issued, :mod:`greenroof_ros.formats.records` says; a perfect forecast has no
+:mod:`greenroof_ros.formats.records` describes when forecasts are issued; a perfect forecast has no
 issues, and a file has its own. The present hour is observed, not forecast;
 :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
 
 **With errors** forecasts are wrong as real ones are: missed rain, false alarms, wrong times and
-amounts. What the records' rain is made of, z of :mod:`greenroof_ros.forecast.skill`, is forecast as
+amounts. The z behind the records' rain, see :mod:`greenroof_ros.forecast.skill`, is forecast as
 
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
 at each frequency, with the coherence s given there. The first two terms are what the forecasters
-know; zeta is what they have wrong all alike, xi_j what member j of an ensemble has of its own. All
-have the spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two
-members have the coherence s with each other, as each has with what comes; so what comes is like one
-more member, and the ensemble's spread is what it claims. Only after that is rain made of f_j +
-wetness, and multiplied by the amount: what a service has wrong always.
+know; zeta is an error common to all members, xi_j the own error of member j. All have the spectrum
+of z, and so has f_j: it rains in forecasts as often as in the records. Any two members have the
+coherence s with each other, as each has with the truth. So the truth is like one more member, and
+the ensemble's spread is reliable. Last, rain is made of f_j + wetness, and multiplied by the
+amount: these are a service's systematic errors.
 """
 
 from __future__ import annotations
@@ -51,32 +51,32 @@ from greenroof_ros.weather.series import Weather, records_at, refuse_between_hou
 
 Array = NDArray[np.float64]
 
-# A filter reaches as many times the longest of memory and error of timing: exp(-6) is left then.
+# Reach of a filter in multiples of the larger of memory and error of timing; exp(-6) remains.
 _REACH = 6
 
-# The leads (h) of a forecast of ten days, whose latest issue is up to 12 h old.
+# Leads of a forecast of ten days, whose latest issue can be 12 h old (h).
 _LEADS = 256
 
-# So many times the persistence ago, an issue is forgotten; exp(-3) of it is left then.
+# Age in multiples of the persistence at which an issue's noise is dropped; exp(-3) of it remains.
 _FORGOTTEN = 3
 
-# Sweeps over all dry hours, after which next to nothing of the beginning is left: the slowest mode
-# of an autoregression with T = 8 h keeps 0.985 of itself in a sweep.
+# Sweeps over all dry hours, after which the start hardly matters: the slowest mode of an
+# autoregression with T = 8 h keeps 0.985 of itself in a sweep.
 _SWEEPS = 300
 
-# Random numbers are drawn in blocks of so many hours since 1970.
+# Length of the blocks in which random numbers are drawn (hours since 1970).
 _BLOCK = 512
 
-# A part of the records is so many blocks, and one more on either side, after which nothing is left
-# of where it ends.
+# Blocks in a part of the records. One more is drawn on either side, so that the ends of the part
+# have no effect in it.
 _PART = 8
 
-# Begins the seeds of what dry hours hide. It belongs to the records and is no forecast's.
+# Starts the seeds of z in dry hours; they depend on the records and not on a forecast's seed.
 _RECORDS = 6158359
 
 
 class ForecastModel(ABC):
-    """Hourly forecasts: what is known in an hour about those that follow."""
+    """Hourly forecasts: what is known in an hour about the following ones."""
 
     def __init__(self, weather: Weather) -> None:
         """Take the records; missing ones are refused only when a forecast needs them."""
@@ -88,19 +88,19 @@ class ForecastModel(ABC):
 
         Args:
             hour: index of the hour.
-            hours: how many to return, that one first.
+            hours: how many to return, beginning with that one.
 
         Returns:
             Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
 
         Raises:
-            ConfigurationError: there is no forecast, or a record that it is made of is missing.
+            ConfigurationError: there is no forecast, or it needs a record that is missing.
         """
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return from when on these hours are not known but assumed; None if none are.
+        """Return the time from which on these hours are assumed, not known; None if all are known.
 
-        That is the end of the records, if the hours are past it.
+        That is the end of the records if the hours extend past it.
         """
         past = hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
@@ -117,11 +117,11 @@ class PerfectModel(ForecastModel):
 
 
 class PersistenceModel(ForecastModel):
-    """Forecasts that it will go on as it is.
+    """Forecasts that the weather stays as it is.
 
-    It rains in all hours as in the hour of issue. Evapotranspiration follows the day: as in the
-    same hour of the last day that is known at the issue, or where the records do not have it, as
-    in the hour of issue. No record after that is used.
+    It rains in all hours as in the hour of issue. Evapotranspiration has a daily cycle: its value
+    is from the same hour of the last day that is known at the issue or, if the records lack it,
+    from the hour of issue. No later record is used.
     """
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
@@ -139,16 +139,16 @@ class PersistenceModel(ForecastModel):
         return rain, evapotranspiration
 
     def repeats_from(self, hour: int, hours: int) -> None:
-        """It needs no record of what is to come."""
+        """Return None: no record after the issue is needed."""
 
 
 class FileModel(ForecastModel):
     """Forecasts of an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
-    The newest is the last that was available by the start of the hour. Past its end there is no
-    rain, as after all forecasts, and the evapotranspiration of its last day, or of its last hour
-    where it is shorter than a day. Without a column of evapotranspiration the records'
-    counts as known. Where the records' rain is late (``rain_late``), forecasts of rain are as late.
+    The newest is the last that was available by the start of the hour. After its end there is no
+    rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour if
+    it is shorter than a day. Without a column of evapotranspiration the records' values count as
+    known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -156,19 +156,19 @@ class FileModel(ForecastModel):
 
         Args:
             archive: of the forecasts.
-            weather: the records that come true.
-            all_members: of each issue; otherwise its member 0 only.
+            weather: the records of the run.
+            all_members: whether to use all members of each issue, or only member 0.
 
         Raises:
-            ConfigurationError: its hours and the records' do not begin together.
+            ConfigurationError: its issues are not whole hours from the records.
         """
         super().__init__(weather)
         self._archive = archive
         refuse_between_hours(archive.issues, weather)
         self._late = weather.rain_late
-        # The hour of the records from whose start on each is known. Where their rain is late, so is
-        # what is known of it: the controller would otherwise know of rain that fell an hour ago
-        # that it is to come.
+        # The hour of the records at whose start each issue becomes known. If their rain is late,
+        # forecasts must be as late: otherwise the controller would expect rain that in fact fell an
+        # hour ago.
         delay = timedelta(hours=archive.delay + self._late)
         self._known_from = [
             -((weather.first - issue.issued - delay) // HOUR) for issue in archive.issues
@@ -191,7 +191,7 @@ class FileModel(ForecastModel):
         return rain, evapotranspiration
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the end of the issue, or of records that it needs, if the hours are past it."""
+        """Return the end of the issue, or of the records that it needs, if hours extend past it."""
         issue, lead = self._newest(hour)
         needed = issue.evapotranspiration is None
         end = issue.hours + self._late * needed  # evapotranspiration is not late
@@ -200,7 +200,7 @@ class FileModel(ForecastModel):
         return super().repeats_from(hour, hours) if needed else None
 
     def _newest(self, hour: int) -> tuple[Issue, int]:
-        """Return the newest issue in an hour, and how long ago it was made (h)."""
+        """Return the newest issue in an hour, and its age (h)."""
         number = bisect.bisect_right(self._known_from, hour) - 1
         if number < 0:
             known = self._weather.first + self._known_from[0] * HOUR
@@ -216,14 +216,13 @@ class FileModel(ForecastModel):
 class NormalRecords:
     """z of each hour of records.
 
-    Hours with rain have theirs. A dry hour's is not known but that it is at most c; it is drawn as
-    likely as it is given its neighbours, over and over (Gibbs sampling; Geman and Geman, IEEE
-    Trans. PAMI 6:721, 1984), every other hour at a time. A missing hour's is drawn likewise,
-    without that limit. So a dry hour amid rain is near to rain, and one amid a dry week is far from
-    it.
+    Hours with rain determine their z. The z of a dry hour is only known to be at most c; it is
+    drawn from its distribution given its neighbours, repeatedly (Gibbs sampling; Geman and Geman,
+    IEEE Trans. PAMI 6:721, 1984), every other hour at a time. A missing hour's is drawn likewise,
+    without that limit. So a dry hour amid rain is close to rain, and one in a dry week far from it.
 
-    What is drawn depends on the hour since 1970 alone, and not on who asks for which hours first,
-    nor, three weeks inside of them, on where the records begin and end.
+    A draw depends only on the hour since 1970, and not on which hours were asked for first. Three
+    weeks or more from the ends of the records it does not depend on these ends either.
     """
 
     def __init__(self, climate: Climate, rain: Array, first: int) -> None:
@@ -231,19 +230,19 @@ class NormalRecords:
 
         Args:
             climate: of the rain.
-            rain: of each hour (mm), NaN where missing, shape (hours,).
+            rain: of each hour (mm), NaN if missing, shape (hours,).
             first: hours since 1970 of the first.
         """
         self._climate, self._rain, self._first = climate, rain, first
 
     def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of some hours by their index, of the first or last beyond the ends."""
+        """Return z (1) of hours by their index; beyond the ends, of the first or last hour."""
         index = np.clip(hours, 0, len(self._rain) - 1)
         parts = (index + self._first) // (_PART * _BLOCK)
         normal = np.empty(len(index))
         for part in np.unique(parts):
             here = parts == part
-            # A part's first hour, and its hours with a margin on either side.
+            # The part's first hour, and the range of its hours with a margin on either side.
             begin = int(part) * _PART * _BLOCK - self._first
             low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
             of_part = _drawn(self._climate, self._rain[low:high].tobytes(), self._first + low)
@@ -255,11 +254,11 @@ class NormalRecords:
 def _drawn(climate: Climate, records: bytes, first: int) -> Array:
     """Return z (1) of each hour; see :class:`NormalRecords`.
 
-    It is kept, since a study asks for it for each of its seeds.
+    Results are cached, because a study needs them for each of its seeds.
 
     Args:
         climate: of the rain.
-        records: rain of each hour (mm), NaN where missing, the bytes of an array.
+        records: rain of each hour (mm), NaN if missing, as the bytes of an array.
         first: hours since 1970 of the first.
     """
     from scipy.special import ndtr, ndtri
@@ -268,25 +267,25 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
     missing = np.isnan(rain)
     drawn = missing | (rain == 0)
     ceiling = np.where(missing, np.inf, climate.threshold)
-    # What an hour's mean is of its neighbours' sum, and its standard deviation then.
+    # Factor from the neighbours' sum to an hour's mean, and the hour's standard deviation.
     near = np.exp(-1 / climate.memory)
     pull = np.full(len(rain), near / (1 + near**2))
     spread = np.full(len(rain), np.sqrt((1 - near**2) / (1 + near**2)))
     pull[[0, -1]], spread[[0, -1]] = near, np.sqrt(1 - near**2)
     odd = (np.arange(len(rain)) + first) % 2 == 1
     turns = [np.flatnonzero(drawn & odd), np.flatnonzero(drawn & ~odd)]
-    normal = np.zeros(len(rain) + 2)  # and one on either side, of no weight
+    normal = np.zeros(len(rain) + 2)  # with one more hour on either side, which has no weight
     normal[1:-1][~drawn] = climate.normal(rain[~drawn])
     blocks = range(first // _BLOCK, (first + len(rain) - 1) // _BLOCK + 1)
     chances = [np.random.default_rng([_RECORDS, block % 2**32]) for block in blocks]
     begin = first - blocks.start * _BLOCK
     for _ in range(_SWEEPS):
-        # The same for an hour since 1970, whichever hours are asked for.
+        # The same number for an hour since 1970, whichever hours are asked for.
         numbers = np.concatenate([chance.random(_BLOCK) for chance in chances])[begin:]
         for hours in turns:
             mean = pull[hours] * (normal[hours] + normal[hours + 2])
             share = numbers[hours] * ndtr((ceiling[hours] - mean) / spread[hours])
-            # 1e-300: as far below as a normal number can be
+            # 1e-300: about the lowest normal number that can be computed
             normal[hours + 1] = mean + spread[hours] * ndtri(np.maximum(share, 1e-300))
     return normal[1:-1]
 
@@ -294,33 +293,33 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
 class ErrorModel(ForecastModel):
     """Forecasts of records, with errors; see the module.
 
-    Errors follow one another from issue to issue: zeta and xi of an issue are sums over white noise
-    of the issues until then, weighted by exp(-age / persistence). Each noise is drawn from the
-    seed, the member's number and the time of issue alone: the same seed gives the same forecasts,
-    whoever asks, when, and in whichever order.
+    Errors are correlated from issue to issue: zeta and xi of an issue are sums over the white noise
+    of this and earlier issues, weighted by exp(-age / persistence). Each noise depends only on the
+    seed, the member's number and the time of issue: the same seed gives the same forecasts,
+    whichever are asked for first.
 
-    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1;
-    e grows from 0 to the skill's constant as the unknown share of the rain does, and g is drawn as
-    xi is. Members differ in the rain only. Member 0 is the single forecast of the same seed.
+    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e grows
+    from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.
+    Members differ in the rain only. Member 0 is the single forecast of the same seed.
 
-    More than :data:`greenroof_ros.formats.records.QUANTITIES` believes is never forecast.
+    Forecasts are limited to the ranges in :data:`greenroof_ros.formats.records.QUANTITIES`.
     """
 
     def __init__(
         self, weather: Weather, seed: int, skill: Skill, members: int = 1, delay: float = 0.0
     ) -> None:
-        """Take what the forecasts are made of.
+        """Prepare the forecasts of a seed.
 
         Args:
             weather: the records.
             seed: of the errors.
             skill: how good the forecasts are; its leads count from the time of issue.
-            members: how many an issue has.
-            delay: h after its time from which an issue is known, while a service's would be
-                computed: the newest is then as much older.
+            members: number of members of an issue.
+            delay: time after its nominal time from which an issue is known (h), in which a service
+                computes it; the newest issue is older by as much.
         """
         super().__init__(weather)
-        self._delay = math.ceil(delay)  # what is known within an hour counts from the next on
+        self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
         self._skill = skill
         self.members = members
         self._normal = NormalRecords(
@@ -332,15 +331,15 @@ class ErrorModel(ForecastModel):
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
-        # Twice as many as an issue needs: nothing that the next needs, too, makes room for it.
+        # Twice as many as an issue needs, so that none is dropped that the next issue needs too.
         self._drawn = lru_cache(maxsize=2 * len(weights))(self._draw)
-        self._newest = lru_cache(maxsize=1)(self._make)  # it is asked for hour after hour
+        self._newest = lru_cache(maxsize=1)(self._make)  # one issue is needed for several hours
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, issued = newest_issue(self._weather.first, hour - self._delay)
         records = np.arange(hour, hour + hours)
-        records_at(self._weather, PRECIPITATION, records)  # refuses missing ones
+        records_at(self._weather, PRECIPITATION, records)  # refuses missing records
         evapotranspiration = records_at(self._weather, EVAPOTRANSPIRATION, records)
         leads = ISSUE_HOURS - 1 + self._delay + hours
         rain, factor = self._newest(issue, issued, leads)
@@ -357,8 +356,8 @@ class ErrorModel(ForecastModel):
         """Make the forecast of an issue (h since 1970; index of its hour in the records).
 
         Returns:
-            Rain (mm/h), shape (members, leads), and what evapotranspiration is multiplied by (1),
-            shape (leads,).
+            Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
+            (leads,).
         """
         filters = _filters(self._skill, self._reach, math.ceil(leads / _LEADS))
         hours = np.arange(issued - self._reach, issued + leads + self._reach)
@@ -376,15 +375,15 @@ class ErrorModel(ForecastModel):
         )
 
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Return the white noise of an issue, which resembles the noise of the issue before.
+        """Return the noise of an issue, which is correlated with the noise of the issue before.
 
         Args:
             issue: h since 1970.
-            hours: how many, the first as far before each issue.
+            hours: length of the noise; it begins equally long before each issue.
 
         Returns:
-            The noise of all members and of each, shape (1 + members, hours); and of
-            evapotranspiration.
+            The common noise, then the noise of each member, shape (1 + members, hours); and the
+            noise of evapotranspiration (1).
         """
         longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
         rain = np.zeros((self.members + 1, hours))
@@ -397,9 +396,9 @@ class ErrorModel(ForecastModel):
         return rain, dry
 
     def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Draw what an issue adds, shape (1 + members, hours), and for evapotranspiration.
+        """Draw an issue's own noise, shape (1 + members, hours), and one for evapotranspiration.
 
-        The first hours are the same however many there are.
+        The first hours are the same, however many are drawn.
         """
         chances = [
             np.random.default_rng([self._seed, member, issue % 2**32])
@@ -410,7 +409,7 @@ class ErrorModel(ForecastModel):
 
 
 class _Filters(NamedTuple):
-    """What each lead (h, from 0 on) makes of the hours about it, so many on either side: reach."""
+    """Filters of each lead (h, from 0 on), over the hours within ``reach`` before and after it."""
 
     signal: Array
     """weights of z, shape (leads, 2 reach + 1)"""
@@ -419,14 +418,14 @@ class _Filters(NamedTuple):
     own: Array
     """of each member's own errors, likewise"""
     unknown: Array
-    """standard deviation of what is not known of z (1), shape (leads,)"""
+    """standard deviation of the unknown part of z (1), shape (leads,)"""
 
 
 @lru_cache(maxsize=8)
 def _filters(skill: Skill, reach: int, blocks: int) -> _Filters:
-    """Return the filters of so many blocks of leads; a study needs them for each seed.
+    """Return the filters of a number of blocks of leads; cached, as a study needs them per seed.
 
-    Always as many leads at a time, as sums in a matrix may round by the number of its rows.
+    Each block has the same size, because rounding in a matrix sum may depend on the number of rows.
     """
     filters = [_filters_of(skill, reach, _LEADS * n + np.arange(_LEADS)) for n in range(blocks)]
     return _Filters(*map(np.concatenate, zip(*filters, strict=True)))
@@ -436,21 +435,21 @@ def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     """Return the filters of some leads."""
 
     def weights(response: Array) -> Array:
-        """Of filters with these responses."""
+        """Return the weights of filters with these responses."""
         circle = np.fft.irfft(response, hours, axis=1)
         return np.concatenate((circle[:, -reach:], circle[:, : reach + 1]), axis=1)
 
-    hours = 4 * reach  # a circle so large that its two sides do not meet
+    hours = 4 * reach  # a circle large enough that its two sides do not meet
     power = skill.climate.spectrum(hours)
     frequencies = np.arange(2 * reach + 1) / hours
     coherence = skill.coherence(leads.astype(np.float64), frequencies)
     common = weights(np.sqrt((coherence - coherence**2) * power))
     own = weights(np.sqrt((1 - coherence) * power))
-    # The mean over the circle; all frequencies but the first and the last stand for two.
+    # The mean over the circle; each frequency but the first and last counts twice.
     twice = np.full(len(power), 2.0)
     twice[[0, -1]] = 1.0
     unknown = (1 - coherence**2) @ (twice * power) / hours
-    # What lies beyond the filters' reach is given back to what lies within.
+    # The variance beyond the filters' reach is added within it.
     within = (common**2).sum(axis=1) + (own**2).sum(axis=1)
     scale = np.sqrt(np.divide(unknown, within, out=np.zeros(len(leads)), where=within > 0))
     return _Filters(
@@ -459,9 +458,9 @@ def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
 
 
 def _filtered(weights: Array, values: Array) -> Array:
-    """Return what filters make of the hours about each lead.
+    """Return the filtered hours around each lead.
 
-    Row by row, so that a lead's number does not depend on how many leads there are.
+    Computed row by row, so that a lead's value does not depend on the number of leads.
 
     Args:
         weights: shape (leads or more, width).
@@ -478,13 +477,13 @@ def make_model(
     """Make the chosen model.
 
     Args:
-        choice: which.
-        weather: the records that come true.
-        site: its place on earth, to which a file of forecasts must be near.
-        all_members: of an ensemble; otherwise its member 0 only.
+        choice: which model.
+        weather: the records of the run.
+        site: its place on earth; the place of a file of forecasts must be near it.
+        all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: the file of forecasts, of their dressing or their skill is wrong.
+        ConfigurationError: the file of forecasts, dressing or skill is wrong.
     """
     if choice.file is not None:
         return FileModel(chosen_archive(choice, site), weather, all_members)

@@ -1,4 +1,4 @@
-"""Forecasts at a controller's steps: what it is given, at each tick, of the time that follows."""
+"""Forecasts at a controller's steps: what it gets at each tick about the time ahead."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ Rain: TypeAlias = "array[float] | Array"
 """A single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)."""
 
 _HOUR_S = 3600.0
-# More than what sums of times lose.
+# More than the rounding error of sums of times.
 _ROUNDING_S = 1e-6
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a controller is given at a time: the weather now, and ahead in steps.
+    """What a controller gets at a time: the present weather, and the forecast in steps.
 
     Attributes:
-        rain: means of the look-ahead's steps (m/s), shape (steps,); of all members
+        rain: means over the look-ahead's steps (m/s), shape (steps,); for all members
             (members, steps).
-        evapotranspiration: likewise, off the whole bed (m3/s), shape (steps,).
+        evapotranspiration: likewise, of the whole bed (m3/s), shape (steps,).
         rain_now: m/s.
         evapotranspiration_now: m3/s.
-        issued: when the forecast was; of a run, the hour in which it was the newest.
-        temperature: of the air now (degC); NaN where it is not known.
+        issued: when the forecast was issued; in a run, the hour in which it was the newest.
+        temperature: of the air now (degC); NaN if unknown.
     """
 
     rain: Rain
@@ -51,11 +51,11 @@ class Outlook:
 
 
 class Known:
-    """A forecast at a tick: the rates of its hour and of those that follow, as means over steps.
+    """A forecast at a tick: rates of the present and following hours, as means over steps.
 
-    While the end of each step stays in its hour, the means are straight lines of the time. The
-    lines are those from the start of the hour, whenever in it they are asked for first, so that a
-    node that was started again has each bit of one that was not.
+    While the end of each step stays in its hour, the means are linear in time. The lines always
+    begin at the start of the hour, whenever in the hour they are first needed, so that a restarted
+    node gives bit-identical results.
     """
 
     def __init__(
@@ -68,9 +68,9 @@ class Known:
             issued: see :class:`Outlook`.
             rain: mm/h, shape (members, hours), the present hour first.
             evapotranspiration: mm/day, shape (hours,).
-            area: of the bed, over which a depth is a volume (m2).
+            area: of the bed, to convert depths to volumes (m2).
             ends: of the steps, see :func:`look_ahead_ends`.
-            rain_now: of the present hour (m/s), where a gauge says it.
+            rain_now: rain of the present hour from a gauge (m/s); None if there is none.
             temperature: see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
@@ -79,11 +79,11 @@ class Known:
         rates[-1] *= area / 1000 / 86400
         if rain_now is not None:
             rates[:-1, 0] = rain_now
-        # What has come by the start of each hour.
+        # The totals at the start of each hour.
         self._sums = np.zeros_like(rates)
         np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
         self._ends, self._lengths = ends, np.diff(ends)
-        # For which times the lines are right (s since the start of the first hour), and the lines.
+        # Interval in which the lines are valid (s since the start of the first hour); the lines.
         self._from = self._until = math.inf
         self._first = self._slope = np.empty(0)
 
@@ -92,11 +92,11 @@ class Known:
 
         Args:
             since: s since the start of the present hour.
-            all_members: whether rain is of all members, otherwise of the first.
+            all_members: whether to return rain of all members, or of the first.
         """
         if not self._from <= since < self._until:
             self._draw_lines(since)
-        # None is below 0; the last bit of a line's end may be.
+        # No mean is negative, but rounding can make one so at the end of a line.
         means = np.maximum(self._first + self._slope * since, 0.0)
         return Outlook(
             means[:-1] if all_members else array("d", means[0].tobytes()),
@@ -109,9 +109,9 @@ class Known:
         # The last step may end with the last hour.
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
-        # numpy's choice of columns turns the order in memory around, and the order of its sums
-        # follows: the last bit of a sum over members would differ from a sum on what a message
-        # brings.
+        # Selecting columns in numpy reverses the memory order, and with it the order of summation:
+        # sums over members would differ in the last bit from sums of the same values received in
+        # a message.
         at_ends = np.ascontiguousarray(self._rates[:, index])
         come = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
         self._first = (come[:, 1:] - come[:, :-1]) / self._lengths
@@ -121,17 +121,17 @@ class Known:
 
 
 class PerfectForecast:
-    """Knows the weather of the M ticks that come, as the paper assumes.
+    """Knows the weather of the next M ticks, as the paper assumes.
 
     Attributes:
-        repeats_from: the earliest time from which on it knows nothing, and what it says is assumed.
+        repeats_from: the earliest time from which its values are assumed, not known.
     """
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
         """Take the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
-        self._ticks = range(0)  # which have what follows
+        self._ticks = range(0)  # ticks for which the present window holds
         self._rain = self._evapotranspiration = array("d")
         self.repeats_from = series.repeats_from
 
@@ -146,7 +146,7 @@ class PerfectForecast:
         return self._evapotranspiration[:]
 
     def _look(self, tick: int) -> None:
-        """Take what comes from a tick on; from most ticks on it is what comes from the next."""
+        """Take the window from a tick on, if it differs from the last; mostly it is the same."""
         if tick in self._ticks:
             return
         window = slice(tick, tick + self._look_ahead)
@@ -159,26 +159,26 @@ class PerfectForecast:
 class SteppedForecast:
     """Means of an hourly forecast over steps.
 
-    The present hour is not forecast but observed: its rates are those of the records.
+    The present hour is not forecast but observed: its rates come from the records.
 
     Attributes:
-        repeats_from: as :class:`PerfectForecast` has it.
+        repeats_from: see :class:`PerfectForecast`.
     """
 
     def __init__(
         self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
         steps: int, all_members: bool = False,
     ) -> None:
-        """Prepare for a run, and ask for all that it needs, so that nothing is missing later.
+        """Prepare for a run; request all that it needs, so that missing data show at the start.
 
         Args:
             model: hourly forecasts.
             weather: the records, which give the present hour.
-            site: tick, and the bed's area, over which a depth is a volume.
+            site: gives tick, and the bed's area, to convert depths to volumes.
             start: time of tick 0.
             ends: of the steps, see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
-            all_members: whether rain is of all members, otherwise of the only one.
+            all_members: whether to return rain of all members, or of the only one.
 
         Raises:
             ConfigurationError: there is no forecast for a part of the run.
@@ -193,11 +193,11 @@ class SteppedForecast:
         self.repeats_from = self._ask_for_all()
 
     def precipitation(self, tick: int) -> Rain:
-        """Return mean rain (m/s), shape (steps,); of all members, (members, steps)."""
+        """Return mean rain (m/s), shape (steps,); of all members (members, steps)."""
         return self._at(tick).rain
 
     def evapotranspiration(self, tick: int) -> array[float]:
-        """Return mean evapotranspiration off the whole bed (m3/s), shape (steps,)."""
+        """Return mean evapotranspiration of the whole bed (m3/s), shape (steps,)."""
         return self._at(tick).evapotranspiration
 
     def _outlook(self, tick: int) -> Outlook:
@@ -207,7 +207,7 @@ class SteppedForecast:
         return self._known(hour).at(time - hour * _HOUR_S, self._all_members)
 
     def _ask_for_all(self) -> datetime | None:
-        """Ask for every hour's forecast, and return the earliest time from which one repeats."""
+        """Request every hour's forecast; return the earliest time from which one only repeats."""
         times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
@@ -218,12 +218,12 @@ class SteppedForecast:
         return min(times, default=None)
 
     def _hours(self, hour: int) -> int:
-        """Return how many hours the ticks in an hour need, that one included."""
+        """Return how many hours the ticks in an hour need, including that hour."""
         last_tick = min((hour + 1) * _HOUR_S, self._until)
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
     def _known_in(self, hour: int) -> Known:
-        """Return the newest forecast in an hour, the hour itself as it was."""
+        """Return the newest forecast in an hour, with observed values in that hour."""
         rain, evapotranspiration = self._model.known(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
         rain[:, 0] = self._weather.precipitation[present]
@@ -241,7 +241,7 @@ def look_ahead_ends(site: Site, horizon: float) -> Array:
 
     Args:
         site: gives tick and look-ahead.
-        horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
     """
     return growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
 
@@ -255,16 +255,16 @@ def make_forecast(
     choice: ForecastChoice,
     all_members: bool = False,
 ) -> Forecast:
-    """Return the forecast that a controller is given.
+    """Return the forecast that a controller gets.
 
     Args:
         weather: hourly records.
         series: the same, tick by tick.
         site: gives tick and look-ahead.
         start: time of tick 0.
-        horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
         choice: which forecasts.
-        all_members: of an ensemble; otherwise the first.
+        all_members: whether to return rain of all members of an ensemble, or of the first.
 
     Raises:
         ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.

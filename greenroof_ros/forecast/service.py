@@ -1,14 +1,14 @@
-"""Forecasts of Open-Meteo over the internet, each asked for, checked and kept as a file.
+"""Forecasts of Open-Meteo over the internet: each is requested, checked and kept as a file.
 
-The service has two interfaces for the same variables: *forecast*, one series of each, and
-*ensemble*, one of each member (``precipitation``, ``precipitation_member01``, ...). Their answers
-are read as files of the service are (:mod:`greenroof_ros.formats.open_meteo`). Which run of a model
-an answer is of, it does not say; here it counts as issued in the hour in which it came, so that
-nothing is known before it was. Data of Open-Meteo are under the licence CC BY 4.0.
+The service has two interfaces for the same variables: *forecast*, with one series of each, and
+*ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
+answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
+not say which model run it is from. Here it counts as issued in the hour in which it arrived, so
+nothing is known too early. Data of Open-Meteo are under the licence CC BY 4.0.
 
-The service allows 600 requests in a minute and 10,000 in a day, and one at a time; an ensemble of
-many variables counts as several. Once an hour is far below that. An answer 429 says how long to
-wait (``Retry-After``); without it, and after any other failure, the wait doubles.
+The service allows 600 requests a minute and 10,000 a day, one at a time; an ensemble of many
+variables counts as several. One an hour is far below that. The wait doubles with each failure, from
+a minute to at most an hour; a refusal such as 429 can ask for a longer one (``Retry-After``).
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import fao56
 
 OPEN_METEO = "open-meteo"
-"""How the service is named where a file of forecasts could be."""
+"""Name of the service, given in place of a file of forecasts."""
 FORECAST, ENSEMBLE = INTERFACES = ("forecast", "ensemble")
 MOST_DAYS = 16
-"""that the interface "forecast" reaches"""
+"""range of the interface "forecast" (days)"""
 ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
 _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
-# How long the service may take to be reached, and to answer in all (s); how much it may send
-# (bytes): 64 members of 36 days are 3 MB.
+# Time limits of connecting and of the whole answer (s), and the largest answer (bytes): 64 members
+# of 36 days are 3 MB.
 _PAUSE_S, _WHOLE_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
-# The clock of the service and ours may differ by so much (s).
+# Most by which the service's clock and ours may differ (s).
 _CLOCKS_S = 600.0
-# How long to wait after a failure (s): from the first to the last, and where the service asks to be
-# left alone, at most.
+# Wait after a failure (s): the first, the longest if the service asks for none, and the longest
+# that the service can ask for.
 _FIRST_WAIT_S, _LAST_WAIT_S, _LONGEST_WAIT_S = 60.0, 3600.0, 86_400.0
 
 
@@ -55,7 +55,7 @@ class ServiceError(Exception):
     """The service gave no forecast; the message says why.
 
     Attributes:
-        wait: how long it asks to be left alone (s); None where it does not say.
+        wait: how long the service asks to be left alone (s); None if it does not say.
     """
 
     def __init__(self, why: str, wait: float | None = None) -> None:
@@ -65,14 +65,14 @@ class ServiceError(Exception):
 
 @dataclass(frozen=True)
 class ServiceRequest:
-    """What is asked of the service.
+    """What is requested from the service.
 
     Attributes:
-        ensemble: all members of an ensemble; otherwise one series.
-        model: weather model by the service's name, such as ``icon_seamless``; empty for the one
-            that the service finds best.
-        days: from today's first hour in UTC on, that the answer reaches.
-        url: of the interface; empty for the service's own.
+        ensemble: whether to request all members of an ensemble, or one series.
+        model: weather model by the service's name, such as ``icon_seamless``; if empty, the service
+            chooses.
+        days: length of the answer, from the first hour of today in UTC.
+        url: of the interface; if empty, the service's own.
     """
 
     ensemble: bool = False
@@ -85,10 +85,10 @@ class ServiceRequest:
         return self.url or (_ENSEMBLE_URL if self.ensemble else _FORECAST_URL)
 
     def parameters(self, site: Site) -> dict[str, str | float]:
-        """Return what the address is asked with.
+        """Return the parameters of the request.
 
         Raises:
-            ConfigurationError: the site does not say where it is.
+            ConfigurationError: the site file lacks the place, its elevation or its offset from UTC.
         """
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
@@ -104,19 +104,19 @@ class ServiceRequest:
 
 
 class Service:
-    """Asks for forecasts, one after the other."""
+    """Requests forecasts, one after the other."""
 
     def __init__(self, site: Site, request: ServiceRequest) -> None:
-        """Ask nothing yet.
+        """Prepare; nothing is requested yet.
 
         Raises:
-            ConfigurationError: the site does not say where it is, or aiohttp is not installed.
+            ConfigurationError: see :meth:`ServiceRequest.parameters`, or aiohttp is not installed.
         """
         with in_extra("fetch"):
-            import aiohttp  # noqa: F401 - to be found missing at once
+            import aiohttp  # noqa: F401 - so that its absence shows at once
         self._site, self._request = site, request
         self._parameters = request.parameters(site)
-        self._tag, self._answer = "", b""  # of the last that was a forecast
+        self._tag, self._answer = "", b""  # of the last answer that was a forecast
 
     def fetch(self, now: datetime) -> Issue:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
@@ -125,7 +125,7 @@ class Service:
             now: the time, with its offset from UTC.
 
         Raises:
-            ServiceError: there is none that can be used.
+            ServiceError: there is no usable forecast.
         """
         from aiohttp import ClientError
 
@@ -145,11 +145,11 @@ class Service:
             raise ServiceError(f"{where}: its answer {error.wrong}") from error
 
     async def _ask(self, now: datetime) -> tuple[str, bytes]:
-        """Return an answer and its tag: the last ones where the service says that they still hold.
+        """Return an answer and its tag; the last answer if the service says it still holds (304).
 
         Raises:
-            ServiceError: it refuses, sends too much, or a clock is wrong.
-            OSError, aiohttp.ClientError, TimeoutError: it is not reached, or breaks off.
+            ServiceError: the service refuses or sends too much, or a clock is wrong.
+            OSError, aiohttp.ClientError, TimeoutError: it cannot be reached, or breaks off.
         """
         import aiohttp
 
@@ -179,10 +179,10 @@ class Service:
 def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     """Return an answer as a forecast that was issued in an hour.
 
-    It ends before the first hour that lacks anything.
+    The forecast ends before the first hour that lacks a value.
 
     Raises:
-        ConfigurationError: it is no forecast of the hour at the site.
+        ConfigurationError: the answer is not a forecast for that hour and site.
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is no forecast in JSON: {_reason(answer)}")
@@ -209,15 +209,15 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
 
 
 def _check_clock(date: str, now: datetime) -> None:
-    """Refuse an answer whose time is another one than ours.
+    """Refuse an answer if the service's clock and ours differ.
 
     Raises:
-        ServiceError: it is.
+        ServiceError: they differ by more than ten minutes.
     """
     try:
         theirs = parsedate_to_datetime(date)
     except ValueError:
-        return  # it says none
+        return  # no date
     if theirs.tzinfo is None:  # its zone is written "-0000": UTC
         theirs = theirs.replace(tzinfo=timezone.utc)
     apart = abs((theirs - now).total_seconds())
@@ -229,12 +229,12 @@ def _check_clock(date: str, now: datetime) -> None:
 
 
 def _reason(answer: bytes) -> str:
-    """Return what an answer that is a refusal says, a line at most."""
+    """Return the text of a refusal, cut to a line."""
     return " ".join(answer.decode("utf-8", "replace").split())[:200]
 
 
 def _wait(text: str, now: datetime) -> float | None:
-    """Return the wait (s) that a header asks for, by seconds or a date; None where by neither."""
+    """Return the wait (s) in a Retry-After header, seconds or a date; None if it is neither."""
     if text.isascii() and text.isdecimal():
         return float(text)
     try:
@@ -247,17 +247,17 @@ class Fetcher:
     """Keeps a file of the newest forecast.
 
     Attributes:
-        problem: why the last try failed; empty where it did not.
-        newest: the last forecast that came; None before the first.
+        problem: why the last attempt failed; empty if it succeeded.
+        newest: the last forecast that arrived; None before the first.
     """
 
     def __init__(self, service: Service, file: Path, archive: Path | None, every: float) -> None:
-        """Fetch nothing yet.
+        """Prepare; nothing is fetched yet.
 
         Args:
-            service: that is asked.
-            file: of the newest forecast, which is replaced; any live site reads it.
-            archive: directory for each forecast that says something new; None for none.
+            service: the service to ask.
+            file: of the newest forecast; replaced each time, and readable by any live site.
+            archive: directory that keeps each forecast that brings new values; None to keep none.
             every: time between two forecasts (s).
         """
         self.problem = ""
@@ -269,7 +269,7 @@ class Fetcher:
         self._ended = threading.Event()
 
     def fetch(self) -> float:
-        """Fetch once and write what came; return after how long to fetch again (s)."""
+        """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
             issue = self._service.fetch(datetime.now(timezone.utc))
             text = f"# {ATTRIBUTION}\n{write_forecasts([issue])}"
@@ -277,7 +277,7 @@ class Fetcher:
             if self._archive is not None and not _says_the_same(self._kept, issue):
                 replace_text(self._archive / f"{issue.issued:%Y%m%d%H}.csv", text)
                 self._kept = issue
-        except Exception as error:  # whatever it is, the next forecast is asked for
+        except Exception as error:  # whatever failed, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             asked = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, min(asked or 0.0, _LONGEST_WAIT_S))
@@ -287,11 +287,11 @@ class Fetcher:
         return self._every
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long, or until the end; return whether it is the end."""
+        """Wait for this long, or until the end; return whether the end has come."""
         return self._ended.wait(seconds)
 
     def start(self) -> None:
-        """Fetch again and again in a thread, which ends with the process."""
+        """Fetch repeatedly in a thread, which ends with the process."""
         threading.Thread(target=self._run, name="forecast service", daemon=True).start()
 
     def _run(self) -> None:
@@ -299,12 +299,12 @@ class Fetcher:
             pass
 
     def end(self) -> None:
-        """Fetch no more."""
+        """Stop fetching."""
         self._ended.set()
 
 
 def _says_the_same(before: Issue | None, issue: Issue) -> bool:
-    """Whether a forecast is the end of an earlier one, and no more."""
+    """Return whether a forecast only repeats the remaining hours of an earlier one."""
     if before is None:
         return False
     then, now = (

@@ -1,25 +1,25 @@
-"""How good forecasts are: a file of constants, of the rain of a place and of what they have wrong.
+"""The skill of forecasts: constants for the rain of a place, and for the errors of its forecasts.
 
-**Climate.** An hour's rain r (mm) is a standard normal number z in another form: dry where z is at
-most a threshold c, and above it
+**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is at most a
+threshold c, and above it
 
     r = k (exp(b (z - c)) - 1)
 
 so that small amounts are the most frequent and large ones fall off as a lognormal's do. From hour
 to hour z is a first-order autoregression with the correlation exp(-h / T) at h hours apart. So rain
-comes in spells, and what an hour's forecast may have wrong is a matter of correlated normal
-numbers. A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and
-Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
+comes in spells, and the errors of an hour's forecast can be described by correlated normal numbers.
+A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and Stahel,
+Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
 28(5):1247 (1992).
 
 **Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
 
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
-The first factor is what a forecast knows of the weather at large; the second is an error of timing,
-which takes the short showers first. That small scales are lost first is how rain forecasts fade
-(Bowler, Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006).
-At the lead 0 all is known.
+The first factor is the general skill of the forecast; the second is an error of timing, which
+affects short showers first. Small scales are also lost first in real rain forecasts (Bowler, Pierce
+and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At the lead 0
+everything is known.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ Array = NDArray[np.float64]
 
 REAL = "real"
 
-# Each skill by its name: at how many times the lead ``real`` has the same errors.
-# ``none`` knows nothing but the climate.
+# Each skill by its name: its errors at a lead are the errors of ``real`` at this many times the
+# lead. ``none`` knows only the climate.
 SKILLS = {
     "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
     "none": math.inf,
 }
-# The reach of forecasts that know nothing of the next hour (h).
+# The reach of forecasts that know nothing about the next hour (h).
 _NO_REACH = 1e-6
 
 
@@ -64,7 +64,7 @@ class Climate:
     @property
     def threshold(self) -> float:
         """c: z of the least rain (1)."""
-        # Here, since every command reads skills and few need this: it takes long to import.
+        # Imported here because it is slow: every command reads skills, and few need this.
         from scipy.special import ndtri
 
         return float(-ndtri(self.wet_share))
@@ -76,12 +76,12 @@ class Climate:
         return rain
 
     def normal(self, rain: Array) -> Array:
-        """Return z (1) of hours with rain (mm), any shape; the threshold where there is none."""
+        """Return z (1) of hours with rain (mm), any shape; the threshold for a dry hour."""
         normal: Array = self.threshold + np.log1p(rain / self.scale) / self.growth
         return normal
 
     def spectrum(self, hours: int) -> Array:
-        """Return the power of z at each frequency of so many hours in a circle.
+        """Return the power of z at each frequency of a circle of ``hours`` hours.
 
         Its mean over all frequencies is 1, the variance of z; shape (hours // 2 + 1,).
         """
@@ -92,10 +92,10 @@ class Climate:
 
 @dataclass(frozen=True)
 class Errors:
-    """What forecasts have wrong, and how that grows with the lead.
+    """The errors of forecasts, and how they grow with the lead.
 
-    What does not grow with the lead itself grows with the share of z that is unknown, as a standard
-    deviation: from nothing at the lead 0 to all of the constant where nothing is known.
+    A constant that is not a function of the lead is multiplied by the share of z that is unknown,
+    as a standard deviation: 0 at the lead 0, and 1 if nothing is known.
     """
 
     reach: float = entry("L, lead at which a weather's coherence is down by 1/e (h)", 1.0, 1e6)
@@ -116,7 +116,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Skill:
-    """A climate, and how good forecasts are in it.
+    """A climate, and the errors of forecasts in it.
 
     Attributes:
         climate: of the rain.
@@ -127,10 +127,10 @@ class Skill:
     errors: Errors = entry("what forecasts of it have wrong")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill whose errors at each lead are this one's at so many times that lead.
+        """Return a skill whose errors at each lead are this one's at ``factor`` times that lead.
 
-        At infinitely many nothing is known from the next hour on but the climate: it rains at
-        random, as often as there.
+        With an infinite factor nothing but the climate is known from the next hour on: it rains at
+        random times, as often as in the climate.
         """
         errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
         if math.isfinite(factor):

@@ -1,1 +1,1 @@
-"""Files of weather and of forecasts: the services' own forms, and this project's."""
+"""Files of weather and of forecasts: the services' formats, and this project's own."""

@@ -1,13 +1,13 @@
 """Archives of CaSPAr, the Canadian Surface Prediction Archive: HRDPS, REPS and GEPS as NetCDF.
 
-A file is an issue, ``YYYYMMDDHH.nc``, and of an ensemble a member of it, ``YYYYMMDDHH_EEE.nc``, in
+A file is an issue, ``YYYYMMDDHH.nc``, or a member of an ensemble's issue, ``YYYYMMDDHH_EEE.nc``, in
 which 000 is the control run (CaSPAr wiki, "CaSPAr file naming convention and variables"). It is
-NetCDF by the conventions CF-1.6, and has a variable ``HRDPS_P_PR_SFC`` (time, rlat, rlon) in m:
-precipitation since the beginning of the forecast, its ``time`` the hours since then. The place is
-given by the variables of standard name ``latitude`` and ``longitude``, of each point of the grid.
+NetCDF with the conventions CF-1.6, and has a variable such as ``HRDPS_P_PR_SFC`` (time, rlat, rlon)
+in m: precipitation since the beginning of the forecast; its ``time`` is hours since then. The
+variables of standard name ``latitude`` and ``longitude`` give the place of each grid point.
 
-The point nearest to the site counts. The rain of an hour is the difference of two sums; where they
-are further apart, three hours or six, each hour between has its share of it.
+The grid point nearest to the site is used. The rain of an hour is the difference of two sums; if
+they are three or six hours apart, the rain is spread evenly over the hours between.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from greenroof_ros.model.site import Site
 if TYPE_CHECKING:
     from netCDF4 import Dataset, Variable
 
-# Hours after the nominal time by which a run is whole. HRDPS 4.9 h; of ensembles GEFS, for lack of
-# figures of these, 6.1 h (wethr.net, Weather Model Update Schedule): rounded up to whole hours.
+# Hours after the nominal time by which a run is complete. HRDPS 4.9 h; these ensembles have no
+# figures; GEFS has 6.1 h (wethr.net, Weather Model Update Schedule). All are rounded up to hours.
 _DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?")
 _VARIABLE = re.compile(rf"({'|'.join(_DELAYS_H)})_P_PR0?_SFC")
-# How far the nearest point may be from the site: the coarsest of these grids has half a degree.
+# Largest distance from the site to the nearest point: the coarsest grid has half a degree.
 _FURTHEST_DEG = 0.5
-# Sums are at most so far apart (h), in GEPS beyond eight days.
+# Longest time between two sums (h), in GEPS beyond eight days.
 _LONGEST_STEP = 6
-# By how much a sum may fall by rounding (mm); in HRDPS 2e-9 mm were seen.
+# Largest decrease of a sum by rounding (mm); 2e-9 mm was seen in HRDPS.
 _ROUNDING_MM = 0.05
 
 
 def recognises(file: Path, head: bytes, /) -> bool:
-    """Whether a file is NetCDF by its first bytes, or said to be by its name."""
+    """Return whether a file is NetCDF by its first bytes or its name."""
     return head.startswith(_MAGIC) or file.suffix == ".nc"
 
 
@@ -56,8 +56,8 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         site: its place on earth.
 
     Raises:
-        ConfigurationError: a file is broken or not as CaSPAr's are, no point is near the site, an
-            issue lacks members; or the library that reads NetCDF is not there.
+        ConfigurationError: a file is broken or not from CaSPAr, no point is near the site, an issue
+            lacks members, or the library that reads NetCDF is not installed.
     """
     if site.latitude is None or site.longitude is None:
         raise ConfigurationError(
@@ -97,7 +97,7 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
             rain = _rain(variable.name, _leads(dataset["time"], issued), sums)
     except ConfigurationError as error:
         raise ConfigurationError(error.wrong, file=file) from None
-    # What the library or numpy says of what is not there or no number; a damaged file opens, too.
+    # Errors of the library or numpy for absent or non-numeric data; a damaged file can be opened.
     except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
         raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
     return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
@@ -140,9 +140,9 @@ def _leads(time: Variable[Any], issued: datetime) -> NDArray[np.int64]:
 def _nearest(
     dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
 ) -> tuple[int, int]:
-    """Return the indices of the point of the grid that is nearest to a place.
+    """Return the indices of the grid point nearest to a place.
 
-    Nearest is the least angle between both on the sphere, by the haversine.
+    The distance is the great-circle angle, by the haversine.
     """
     coordinates = []
     for name in ("latitude", "longitude"):
@@ -158,7 +158,7 @@ def _nearest(
             f"with the times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
         )
     latitudes, longitudes = (_numbers(coordinate[:]) for coordinate in coordinates)
-    if latitudes.ndim == 1:  # an axis; against the other it is the grid
+    if latitudes.ndim == 1:  # an axis; broadcast with the other it gives the grid
         latitudes = latitudes[:, np.newaxis]
     here, there = np.radians(latitude), np.radians(latitudes)
     apart = np.radians(longitudes - longitude)
@@ -177,7 +177,7 @@ def _nearest(
 
 
 def _numbers(values: Any) -> NDArray[np.float64]:
-    """Return values of a variable; NaN is a missing one, or not finite."""
+    """Return values of a variable; NaN if missing or not finite."""
     numbers: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
@@ -188,8 +188,8 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
     Args:
         name: of the variable.
         leads: 0, and the sums' leads (h), shape (n + 1,).
-        sums: at each time of the file; the sum of lead 0 may be missing, which is 0, and so may the
-            last.
+        sums: at each time of the file. The sum of lead 0 can be missing, and is then 0; the last
+            sums can be missing too.
     """
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
     known = np.flatnonzero(~np.isnan(sums))[-1] + 1

@@ -12,7 +12,7 @@ from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"
 _LONGITUDE = "Longitude (x)"
-# Their column, and its flag's, for each quantity of ours; the units are the same.
+# The service's columns of value and flag for each of our quantities; the units are the same.
 _COLUMNS = {
     "precipitation": ("Precip. Amount (mm)", "Precip. Amount Flag"),
     "temperature": ("Temp (°C)", "Temp Flag"),
@@ -20,37 +20,36 @@ _COLUMNS = {
     "wind speed": ("Wind Spd (km/h)", "Wind Spd Flag"),
     "station pressure": ("Stn Press (kPa)", "Stn Press Flag"),
 }
-# The service's legend: M = missing, NA = not available. A value beside M is not an observation:
-# the last one before the gap is found repeated there.
+# The service's legend: M = missing, NA = not available. A value flagged M is not an observation: it
+# often repeats the last one before the gap.
 _MISSING_FLAGS = {"M", "NA"}
-# Between the mean solar time of a place and its standard time (h); more is another place's.
+# Largest difference between a place's mean solar time and its standard time (h).
 _MOST_FROM_SOLAR_TIME = 2.5
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
-    """Whether the first line has the service's column of local standard time."""
+    """Return whether the first line has the service's column of local standard time."""
     return _TIME.encode() in head.partition(b"\n")[0]
 
 
 def read_records(file: Path, site: Site, /) -> Records:
     """Read a bulk file; times are local standard time, at the site's offset from UTC.
 
-    A record is of the hour that starts at its time, as in the paper. But rain is of the hour
+    A record is for the hour that starts at its time, as in the paper. But rain is for the hour
     before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
-    ``Weather`` it rains at a wet row's time and an hour before about as often, and less often an
-    hour after. So rain stands an hour late, ``rain_late`` of the records, by which forecasts are
-    compared with it. Flags ``M`` (missing) and ``NA`` make a value missing even where one is given.
-    Other flags, such as ``E`` (estimated by the service), do not. A row that ends before the first
-    observation, as the service writes them for hours without observations, is an hour in which
-    all are missing.
+    ``Weather`` it rains at a wet row's time and an hour before about equally often, and less often
+    an hour after. So rain is recorded an hour late; ``rain_late`` of the records says so, and
+    forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value missing even
+    if one is given. Other flags, such as ``E`` (estimated by the service), do not. A row that ends
+    before the first observation, as the service writes for hours without any, is all missing.
 
     Args:
-        file: as downloaded, with a byte order mark or without.
-        site: gives the offset of local standard time, which the file does not.
+        file: as downloaded, with or without a byte order mark.
+        site: gives the offset of local standard time, which is not in the file.
 
     Raises:
-        ConfigurationError: a column is missing, a line broken or out of order, a value not a number
-            or not believable, or the site's offset missing or not the station's.
+        ConfigurationError: a column is missing, a line is broken or out of order, a value is not a
+            plausible number, or the site's offset is missing or does not fit the station.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
@@ -77,7 +76,7 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def _check_zone(table: Table, utc_offset: float) -> None:
-    """Refuse a station at which the sun is not near the site's standard time."""
+    """Refuse a station whose solar time is not near the site's standard time."""
     longitude = table.numbers(_LONGITUDE, ("degrees", -180.0, 180.0))[0]
     if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(

@@ -1,6 +1,6 @@
-"""Hours of Open-Meteo as downloaded, CSV or JSON: past weather, and forecasts as they were issued.
+"""Hourly files of Open-Meteo, CSV or JSON: past weather, and forecasts as they were issued.
 
-The service's CSV begins with two lines about the place, then come a header with units and the
+The service's CSV begins with two lines about the place, followed by a header with units and the
 hours; its JSON has the same under ``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
@@ -9,28 +9,28 @@ hours; its JSON has the same under ``hourly_units`` and ``hourly``::
     time,temperature_2m (°C),precipitation (mm),shortwave_radiation (W/m²)
     2021-07-07T00:00,21.4,0.20,0.0
 
-What a program has made of forecasts and saved, without those lines and units, is read too: its
-first column is ``time``, ``datetime`` or ``date``, in UTC unless it says an offset, and the unit is
-mm, both as the service answers unless asked for something else.
+Forecasts that a program has saved without those lines and units are read too. The first column is
+then ``time``, ``datetime`` or ``date``, in UTC unless it has an offset, and the unit is mm; both
+are the service's defaults.
 
 Precipitation is the sum, and shortwave radiation the mean, of the hour *before* their time; the
-other quantities are of the instant. (Open-Meteo, Historical Weather API and Weather Forecast API,
+other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast API,
 Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) Here a record
-is of the hour that starts at its time: so rain and radiation are moved an hour back, and what is of
-an instant holds for the hour after it, as in ECCC's files.
+is for the hour that starts at its time. So rain and radiation are moved an hour back, and an
+instantaneous value holds for the hour after it, as in ECCC's files.
 
-Local times have one offset from UTC in the whole file, also over a change of daylight saving time:
-``utc_offset_seconds``.
+Local times have one offset from UTC in the whole file, even across a change of daylight saving
+time: ``utc_offset_seconds``.
 
 **Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
-runs** have ``precipitation_previous_day1`` to 7: of an hour the newest forecast that was at least N
-x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). There are no runs in them,
-and nothing that is newer than 24 h. So what was known of an hour at some time is the value of
+runs** have ``precipitation_previous_day1`` to 7: for each hour the newest forecast that was at
+least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). They do not contain
+single runs, and nothing newer than 24 h. So what was known of an hour at some time is the value of
 the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ...;
-the first is the control run. Which run it is, the answer does not say, so the file's name must end
-in it, as in ``gem_2024060112.json``. The first time is no sign of it: an answer to ``run=`` begins
-at the run, but one without begins at midnight, or days before with ``past_days=``, and what fell
-until the download would be foreseen.
+the first is the control run. The answer does not name its run, so the file's name must end in it,
+as in ``gem_2024060112.json``. The first time does not show it: an answer to ``run=`` begins at the
+run, but one without begins at midnight, or days before with ``past_days=``, and would give away
+rain that fell until the download.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ VARIABLES = {
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
     RADIATION: "shortwave_radiation",
 }
-"""Their variable for each quantity of ours."""
+"""The service's variable for each of our quantities."""
 _DEGREES = (Unit("°C"), Unit("°F", 1.8, 32.0))
 UNITS = {
     PRECIPITATION: (Unit("mm"), Unit("inch", 1 / 25.4)),
@@ -97,8 +97,8 @@ UNITS = {
     "station pressure": (Unit("hPa", 10.0),),
     RADIATION: (Unit("W/m²"),),
 }
-"""The units that they may have; the first is what the service answers unless asked otherwise."""
-# How far the place of a file may be from the site, and the end of its range: a cell of the coarsest
+"""Units of the service for each quantity; the first is its default."""
+# Largest distance of a file's place from the site, and the end of the range: a cell of the coarsest
 # model is half a degree wide; air is 2 degC colder 300 m further up.
 _PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
@@ -110,7 +110,7 @@ _DAY_H = 24
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
-    """Whether a file is JSON, or its first line is the service's or one of hours of a forecast."""
+    """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
     cells = [cell.strip() for cell in text.partition("\n")[0].split(",")]
     saved = cells[0] in _SAVED_TIMES and any(
@@ -126,17 +126,17 @@ def recognises(_file: Path, head: bytes, /) -> bool:
 def _read(
     file: Path, site: Site, quantity_of: Callable[[str], str | None]
 ) -> tuple[Table, Records]:
-    """Return a file, and its hours by variable; each value is at its time, and not yet moved.
+    """Return a file's table, and its hours by variable; values are at their time, not yet moved.
 
     Args:
         file: of one place with hourly values.
-        site: must be near the file's place, as far as both say their own.
-        quantity_of: returns the quantity of a variable, or None where it is not needed; raises
-            ValueError where it is not known.
+        site: must be near the file's place, if both give theirs.
+        quantity_of: returns the quantity of a variable, or None if it is not needed; raises
+            ValueError if it is unknown.
 
     Raises:
-        ConfigurationError: the file is broken or of another place, a time out of order, a unit
-            unknown, or a value not a number or not believable; the message names line or key, and
+        ConfigurationError: the file is broken or of another place, a time is out of order, a unit
+            is unknown, or a value is not a plausible number; the message names line or key, and
             value.
     """
     table, parse = _table(file, site)
@@ -163,7 +163,7 @@ def _read(
 
 
 def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
-    """Return the hours of a file, and what reads their times."""
+    """Return the hours of a file, and the parser of their times."""
     text = read_text(file)
     if text.lstrip().startswith(("{", "[")):
         place, table = _json_tables(file, text)
@@ -185,13 +185,13 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
 
 
 def _parse_saved(text: str) -> datetime:
-    """Return a time of a saved file, in UTC unless it says an offset."""
+    """Return a time of a saved file, in UTC unless it has an offset."""
     time = parse_time(text)
     return time if time.utcoffset() is not None else time.replace(tzinfo=timezone.utc)
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
-    """Return what a JSON answer says of its place, and its hours; numbers are text as in CSV."""
+    """Return the place and the hours of a JSON answer as tables; numbers are text as in CSV."""
     refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
@@ -222,20 +222,20 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
 
 
 def _cell(value: Any, missing: str = "") -> str:
-    """Return a value of JSON as CSV has it."""
+    """Return a value of JSON as text, as in CSV."""
     return missing if value is None else str(value)
 
 
 def _check_place(place: Table, site: Site) -> timezone:
-    """Refuse a place that is not near the site's, where both say it; return its offset from UTC.
+    """Refuse a place that is not near the site's, if both are known; return its offset from UTC.
 
     Raises:
-        ConfigurationError: it is not near, or not a place; or the offset is not one.
+        ConfigurationError: it is not near, or the place or offset is invalid.
     """
     place.require([_OFFSET, *_PLACE], _WHOSE)
     offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
     for name, (most, end) in _PLACE.items():
-        # The service writes an elevation that it does not know as NaN.
+        # The service writes an unknown elevation as NaN.
         missing = ["NaN"] if name == "elevation" else []
         unit = "m" if name == "elevation" else "degrees"
         value = place.numbers(name, (unit, -end, end), missing=missing)[0]
@@ -258,12 +258,12 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    Needed are precipitation, temperature, dew point, wind speed and surface pressure; shortwave
-    radiation is used where it is there, and other variables are not.
+    Precipitation, temperature, dew point, wind speed and surface pressure are required; shortwave
+    radiation is used if present, and other variables are ignored.
 
     Args:
         file: of one place.
-        site: must be near the file's place, as far as both say their own.
+        site: must be near the file's place, if both give theirs.
 
     Raises:
         ConfigurationError: see :func:`_read`; or a column is missing.
@@ -275,7 +275,7 @@ def read_records(file: Path, site: Site, /) -> Records:
             table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
     values = {quantities[variable]: series for variable, series in records.values.items()}
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
-    # One hour more: that before the first time has rain and radiation only, the last has none.
+    # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
     return Records((file,), records.first - HOUR, {
         quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
@@ -287,15 +287,15 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
-    """Read forecasts, all of previous runs or each of one run.
+    """Read forecasts: all of previous runs, or one run in each file.
 
     Args:
         files: at least one.
-        site: must be near the place of a file that says its own.
+        site: must be near the place of each file that gives its place.
 
     Raises:
         ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
-            what a run or an hour must have.
+            required values of a run or an hour.
     """
     parts = [_forecast(file, site) for file in files]
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
@@ -320,7 +320,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
 
 def _forecast(file: Path, site: Site) -> Records:
-    """Return the precipitation of a file by its variables, for the hour that starts at its time."""
+    """Return a file's precipitation by variable, each for the hour that starts at its time."""
     table, hours = _read(file, site, _rain)
     if not hours.values:
         raise table.refuse(
@@ -346,17 +346,17 @@ def read_run(file: Path, site: Site, issued: datetime) -> Issue:
     Args:
         file: of one place.
         site: must be near it.
-        issued: start of the first hour; what the file has of earlier ones is left out.
+        issued: start of the first hour; earlier hours of the file are left out.
 
     Raises:
-        ConfigurationError: see :func:`_read`; or it has no precipitation from then on, or an hour
+        ConfigurationError: see :func:`_read`; or there is no precipitation from then on, or an hour
             of it is missing.
     """
     return _run(_forecast(file, site), issued)
 
 
 def _run(hours: Records, run: datetime) -> Issue:
-    """Return the run of a file; a series without a number is the control, 0."""
+    """Return the run of a file; a series without a number is the control, member 0."""
     (file,) = hours.files
     refuse = partial(ConfigurationError, file=file)
     start, rest = divmod(run - hours.first, HOUR)
@@ -369,7 +369,7 @@ def _run(hours: Records, run: datetime) -> Issue:
         int(match[1] or 0): Issue(run, file, None, series[None, start:])
         for name, series in hours.values.items() if (match := _MEMBER.fullmatch(name))
     }
-    control = int(0 not in numbered)  # some have none
+    control = int(0 not in numbered)  # some runs have no control
     issue = ensemble((number - control, member) for number, member in numbered.items())
     if issue.hours > _LONGEST_RUN:
         raise refuse(
@@ -379,7 +379,7 @@ def _run(hours: Records, run: datetime) -> Issue:
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))
     if not known.size:
         raise refuse(f"has no precipitation after its run, {to_minutes(run)}")
-    rain = issue.rain[:, : known[-1] + 1]  # beyond the model's horizon there is none
+    rain = issue.rain[:, : known[-1] + 1]  # all is NaN beyond the model's horizon
     missing = np.argwhere(np.isnan(rain))
     if missing.size:
         member, hour = missing[0].tolist()
@@ -389,7 +389,7 @@ def _run(hours: Records, run: datetime) -> Issue:
 
 
 def _named_run(file: Path) -> datetime:
-    """Return the run that a file's name ends in."""
+    """Return the run at the end of a file's name."""
     with suppress(ValueError):
         if match := _RUN_IN_NAME.search(file.stem):
             year, month, day, hour = map(int, match.groups())
@@ -402,13 +402,13 @@ def _named_run(file: Path) -> datetime:
 
 
 def _known_of(previous: Records) -> list[Issue]:
-    """Return what was known at 00, 06, 12 and 18 UTC of the hours that followed.
+    """Return what was known at each 00, 06, 12 and 18 UTC about the following hours, as issues.
 
     With the lead l (h) from then to an hour's end, that is the value of the smallest N with
     24 N >= l that is not missing. An issue ends before the first hour without a known value.
 
     Raises:
-        ConfigurationError: nothing is known at all, or at none of these times.
+        ConfigurationError: all values are missing, or no issue has a known first hour.
     """
     issues = []
     for issued, by_days in _windows(previous, ISSUE_HOURS):
@@ -431,11 +431,11 @@ def _known_of(previous: Records) -> list[Issue]:
 
 
 def _daily(previous: Records) -> list[Issue]:
-    """Return one issue a day, at 00 UTC, with each hour from its own N alone.
+    """Return one issue a day, at 00 UTC, for verification: each hour comes only from its own N.
 
-    The hours from 24 (N - 1) to 24 N after it have the values of N, so that each value of the file
-    is in one issue, by the day that it stands for; missing ones are NaN. For verification: of
-    :func:`_known_of` four have the same value, and some the value of another N.
+    The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is in
+    exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
+    :func:`_known_of` uses a value in up to four issues, or replaces it by another N's.
     """
     issues = []
     for issued, by_days in _windows(previous, _DAY_H):
@@ -448,9 +448,9 @@ def _daily(previous: Records) -> list[Issue]:
 def _windows(
     previous: Records, every: int
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
-    """Yield the times that begin so often a day in UTC, and the values of the hours that follow.
+    """Yield each time of issue, ``every`` hours in UTC, and the values of the hours that follow.
 
-    They are a row for each N, from 1 to the greatest, and as many days long; NaN where missing.
+    The values have a row for each N up to the greatest, and as many days; NaN if missing.
     """
     days = {int(name[-1]): series for name, series in previous.values.items()}
     most = max(days)

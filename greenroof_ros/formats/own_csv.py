@@ -1,4 +1,4 @@
-"""Files of this project's own form: of weather, and of forecasts issue by issue."""
+"""Files in this project's own format: weather, and forecasts issue by issue."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from greenroof_ros.formats.records import (
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 
-# Of forecasts, by quantity; those that a file may do without.
+# Columns of forecasts, by quantity; then the optional ones.
 _FORECAST = {
     quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
     for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
@@ -34,7 +34,7 @@ _OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
 def recognises(_file: Path, _head: bytes, /) -> bool:
-    """Any file: this format is the last to be asked, and its errors say what would be right."""
+    """Any file: this format is the last that is tried, and its errors say what is expected."""
     return True
 
 
@@ -42,13 +42,13 @@ def recognises(_file: Path, _head: bytes, /) -> bool:
 
 
 def read_records(file: Path, _site: Site, /) -> Records:
-    """Read a weather file of this project's form; an empty cell is a missing value.
+    """Read a weather file in this project's format; an empty cell is a missing value.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
-    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]``
-    names its method in its first words. Each further line is the hour that starts at its ``time``
-    (ISO 8601 with the offset from UTC), hour after hour.
+    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
+    with the name of its method. Each further line is the hour that starts at its ``time`` (ISO 8601
+    with the offset from UTC); the hours must be consecutive.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -88,7 +88,7 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
 
 
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
-    """Read files of this form; their issues are known from when they say that they were issued."""
+    """Read files in this format; their issues are known from their time of issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own form", issues, 0.0, issues)
 
@@ -99,10 +99,10 @@ def read_forecasts(path: Path) -> list[Issue]:
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
     ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
     [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
-    (member 0's count). Each further line is the hour that starts at its ``time``, as forecast at
-    ``issued`` (ISO 8601 with the offset from UTC): of each issue and member hour after hour, the
-    first that which starts with the issue. All issues have the members 0, 1, 2 and so on, and all
-    members of an issue the same hours.
+    (only member 0's values are used). Each further line is the hour that starts at its ``time``, as
+    forecast at ``issued`` (ISO 8601 with the offset from UTC). The hours of each issue and member
+    are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
+    on, and all members of an issue have the same hours.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -123,7 +123,7 @@ def read_forecasts(path: Path) -> list[Issue]:
         quantity: table.numbers(column, QUANTITIES[quantity])
         for quantity, column in _FORECAST.items() if column in table.header
     }
-    rows_of: dict[datetime, dict[float, list[int]]] = {}  # of each issue and member
+    rows_of: dict[datetime, dict[float, list[int]]] = {}  # rows by issue and member
     for row, (issue, time, member) in enumerate(zip(issued, times, members, strict=True)):
         last = next(reversed(rows_of), issue)
         if issue < last:
@@ -155,10 +155,10 @@ def read_forecasts(path: Path) -> list[Issue]:
 
 
 def write_forecasts(issues: Sequence[Issue]) -> str:
-    """Return issues as a file of this form, which :func:`read_forecasts` reads bit for bit.
+    """Return issues as the text of a file, which :func:`read_forecasts` reads bit for bit.
 
     Args:
-        issues: an archive's, in the order of time, all with the quantities of the first.
+        issues: of an archive, in order of time, all with the quantities of the first.
     """
     quantities = [PRECIPITATION] + [
         name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None

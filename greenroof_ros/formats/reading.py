@@ -1,4 +1,4 @@
-"""Files in whichever format they have."""
+"""Reading of files in any known format."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from greenroof_ros.formats.records import Archive, Records, check_alike
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json", ".nc")
-"""How files of forecasts end; what is in one says which format it has."""
+"""Suffixes of files of forecasts; the format is recognised by the content."""
 _HEAD_BYTES = 4096
 
-# The first that recognises a file, from its name and first bytes, reads it; the last does any.
+# The first format that recognises a file by its name and first bytes reads it; the last takes any.
 _WEATHER = (eccc, open_meteo, own_csv)
 _FORECASTS = (caspar, open_meteo, own_csv)
 
@@ -26,7 +26,7 @@ def read_records(file: Path, site: Site) -> Records:
     """Return the records of a weather file, each for the hour that starts at its time.
 
     Raises:
-        ConfigurationError: the file is not as its format must be.
+        ConfigurationError: the file does not follow its format.
     """
     records: Records = _format_of(file, _WEATHER).read_records(file, site)
     return records
@@ -35,19 +35,19 @@ def read_records(file: Path, site: Site) -> Records:
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
     """Read an archive of forecasts.
 
-    An issue is known from when it is available, which is hours after its nominal time: until then
-    its run computes and is distributed. The nominal time is that at which its observations were
-    made and its first hour begins.
+    An issue is known once it is available, which is hours after its nominal time, because its run
+    must be computed and distributed. The nominal time is the time of its observations, at which its
+    first hour begins.
 
     Args:
         source: a file, or a directory of files of one format.
-        site: to which the archive must be near, as far as it says its own place.
-        delay: h after its nominal time from which an issue is known; its kind's unless given.
+        site: the archive's place must be near it, if the archive gives its place.
+        delay: time after its nominal time from which an issue is known (h); by default the usual
+            one of its kind.
 
     Raises:
-        ConfigurationError: a file is not as its format must be, they are of several formats, two
-            have the same issue, or issues have different members, or evapotranspiration in some of
-            them only.
+        ConfigurationError: a file does not follow its format, the files have several formats, an
+            issue occurs twice, or issues differ in members or in having evapotranspiration.
     """
     files = [source]
     if source.is_dir():

@@ -1,4 +1,4 @@
-"""What files hold: columns of cells, hourly records with what is missing in them, and forecasts."""
+"""Contents of files: tables of cells, hourly records with their missing values, and forecasts."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ RADIATION = "solar radiation"
 TEMPERATURE = "temperature"
 
 Limits: TypeAlias = tuple[str, float, float]
-"""A unit, and the least and the largest believable value in it."""
+"""A unit, and the least and the largest plausible value in it."""
 
-# Quantity: unit, least and largest believable value. More than the world's record of an hour's
-# rain, or of a day's evapotranspiration, is a wrong unit and not weather.
+# Quantity: unit, least and largest plausible value. A value above the world record of an hour's
+# rain, or of a day's evapotranspiration, shows a wrong unit.
 QUANTITIES: dict[str, Limits] = {
     PRECIPITATION: ("mm/h", 0.0, 500.0),
     EVAPOTRANSPIRATION: ("mm/day", 0.0, 50.0),
@@ -48,23 +48,23 @@ QUANTITIES: dict[str, Limits] = {
     RADIATION: ("W/m2", 0.0, 1500.0),
 }
 
-# What evapotranspiration is computed from, where it is not given.
+# What evapotranspiration is computed from, if it is not given.
 FOR_EVAPOTRANSPIRATION = ("temperature", "dew point", "wind speed", "station pressure")
 
 
 @dataclass(frozen=True)
 class Records:
-    """Hour after hour, each record for the hour that starts at its time.
+    """Consecutive hours; each record is for the hour that starts at its time.
 
     Attributes:
-        files: where they come from, in the order of time.
+        files: where they come from, in order of time.
         first: start of the first hour, with its offset from UTC.
         values: of each quantity of :data:`QUANTITIES` that the files have, in its unit there, or of
-            each forecast by its column, shape (hours,); NaN where missing.
+            each forecast by its column, shape (hours,); NaN if missing.
         method: of the evapotranspiration among them; empty if there is none.
         shifted: quantities that the files have at the end of their hour, moved to its start.
-        rain_late: h by which rain stands later than it fell: 1 where the files have it at the end
-            of its hour, and it was not moved.
+        rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
+            it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
     """
 
@@ -78,17 +78,17 @@ class Records:
 
     @property
     def hours(self) -> int:
-        """How many there are."""
+        """Number of hours."""
         return len(next(iter(self.values.values())))
 
     @property
     def source(self) -> str:
-        """The files by one name, for messages and tables."""
+        """Name of all files, for messages and tables."""
         return name_files(self.files)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done with the files' values, other than filling gaps."""
+        """What was done to the files' values, apart from filling gaps."""
         if not self.shifted:
             return ()
         return (
@@ -100,7 +100,7 @@ class Records:
 def name_files(files: Sequence[Path]) -> str:
     """Return one name for files: the path of a single one, or their number, first and last.
 
-    Empty where there are none.
+    Empty if there are none.
     """
     if not files:
         return ""
@@ -110,7 +110,7 @@ def name_files(files: Sequence[Path]) -> str:
 
 
 def gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where values are missing, as (first, one past the last) of each gap."""
+    """Return the gaps in which values are missing, each as (first, one past the last)."""
     padded = np.concatenate(([False], missing, [False])).astype(np.int8)
     edges = np.flatnonzero(np.diff(padded))
     return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
@@ -124,8 +124,8 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
         hours: indices.
 
     Returns:
-        One text a span: ``2021-07-20T13:00-05:00``, or from the first to the last hour of it with
-        their number.
+        One text for each span: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
+        and last hour and their number.
     """
     indices = np.sort(np.array(list(hours), dtype=np.intp))
     spans = []
@@ -141,8 +141,8 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
 def join(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
-    They are sorted by time. An hour that no file has is missing (NaN), and so is a quantity of an
-    hour in which no file has it. Where several have it, they must have the same.
+    They are sorted by time. A value that no file has is missing (NaN). If several files have it,
+    they must agree.
 
     Raises:
         ConfigurationError: two files have different values for an hour, different quantities,
@@ -180,7 +180,7 @@ def join(parts: Sequence[Records]) -> Records:
 
 
 def _check_alike(first: Records, part: Records) -> None:
-    """Refuse to join what cannot be one series."""
+    """Refuse to join records that cannot be one series."""
     for aspect, expected, present in (
         ("quantities", sorted(first.values), sorted(part.values)),
         ("method of evapotranspiration", [first.method], [part.method]),
@@ -202,9 +202,9 @@ def _check_alike(first: Records, part: Records) -> None:
 
 
 ISSUE_HOURS = 6
-"""Services start a run of a global model so often (h): at 00, 06, 12 and 18 UTC."""
+"""Interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC."""
 SERVICE_DELAY_H = 6.0
-"""After its nominal time a service has a run in so many hours. Open-Meteo, Single Runs API:
+"""Time from a run's nominal time until a service has it (h). Open-Meteo, Single Runs API:
 "typically 4-6 hours for global models"."""
 
 
@@ -213,11 +213,11 @@ class Issue:
     """A forecast of a file.
 
     Attributes:
-        issued: its nominal time; its first hour starts then.
-        file: that it is from.
-        line: of the file, its first; None where none is known.
+        issued: its nominal time, at which its first hour starts.
+        file: where it is from.
+        line: its first line in the file; None if unknown.
         rain: mm/h, shape (members, hours).
-        evapotranspiration: mm/day, shape (hours,); None where the file has none.
+        evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
     """
 
@@ -230,14 +230,13 @@ class Issue:
 
     @property
     def hours(self) -> int:
-        """How many it has."""
+        """Number of hours."""
         return len(self.rain[0])
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """Return evapotranspiration so many hours ahead (mm/day); None where the file has none.
+        """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
 
-        After the last hour it is as in the same hour of the last day, or as in the last hour
-        where the issue is shorter than a day.
+        After its end the issue repeats its last day, or its last hour if it is shorter than a day.
         """
         if self.evapotranspiration is None:
             return None
@@ -247,10 +246,11 @@ class Issue:
 
 
 def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
-    """Return one issue of members, each given by its number as an issue of that member alone.
+    """Return one issue of all members, each given as its number and an issue of that member alone.
 
     Raises:
-        ConfigurationError: they are not 0, 1, 2 and so on, too many, or not all as long.
+        ConfigurationError: the numbers are not 0, 1, 2 and so on, there are too many, or their
+            lengths differ.
     """
     ordered = sorted(numbered, key=lambda member: member[0])
     numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
@@ -274,10 +274,10 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
 
 
 def check_alike(earlier: Issue, later: Issue) -> None:
-    """Refuse an issue after another one in an archive, if it is no other, or not alike.
+    """Refuse an issue of an archive that repeats the issue before it, or has a different form.
 
     Raises:
-        ConfigurationError: it is.
+        ConfigurationError: it repeats it, or has other members or quantities.
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.issued == later.issued:
@@ -300,10 +300,10 @@ class Archive:
     Attributes:
         source: the file or directory.
         kind: what it is, in words.
-        issues: at least one, in the order of time, all with as many members.
-        delay: h after its nominal time from which an issue is known.
-        verified: by which it is verified, mostly the same; their rain may be NaN.
-        finest_lead: by how many hours of lead it can be verified.
+        issues: at least one, in order of time, all with the same number of members.
+        delay: time after its nominal time from which an issue is known (h).
+        verified: the issues to verify, mostly the same ones; their rain can be NaN.
+        finest_lead: finest lead resolution at which it can be verified (h).
     """
 
     source: Path
@@ -315,26 +315,25 @@ class Archive:
 
     @property
     def members(self) -> int:
-        """How many forecasts an issue is of."""
+        """Number of members of each issue."""
         return len(self.issues[0].rain)
 
 
 def newest_issue(first: datetime, hour: int) -> tuple[int, int]:
-    """Return when the newest forecast in an hour of the records was made.
+    """Return the time of the issue that is the newest in an hour of the records.
 
-    It is known from its time of issue on, or so many hours later as a service takes to compute it,
-    and is the newest until the next is. Where records do not begin on a whole hour of UTC, an issue
-    counts from the first hour of the records that begins after it. The issue that is the newest
-    where the records begin was made before them: it keeps its own time, and the first record stands
-    for the hours before it.
+    An issue counts as known from its time of issue on; callers subtract a service's delay from
+    ``hour``. It is the newest until the next one. If records do not begin on a whole hour of UTC,
+    an issue counts from the first hour of the records that begins after it. An issue made before
+    the records keeps its own time; the first record then stands for the hours before it.
 
     Args:
         first: start of hour 0.
         hour: index of the hour.
 
     Returns:
-        Hours since 1970, and the index of the first hour of the records from then on, which is
-        negative for one made before them.
+        Hours since 1970, and the index of the first hour of the records from then on, negative if
+        it was made before them.
     """
     since_1970 = hours_since_1970(first)
     issue = (since_1970 + hour) // ISSUE_HOURS * ISSUE_HOURS
@@ -343,12 +342,12 @@ def newest_issue(first: datetime, hour: int) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a file, by the unit of ours: theirs = ours * per_ours + zero.
+    """A unit of a file, expressed in our unit: theirs = ours * per_ours + zero.
 
     Attributes:
         name: as the file writes it.
-        per_ours: how many of it are one of ours; 10 for hPa, where ours is kPa.
-        zero: what it has where ours has 0; 32 for degF.
+        per_ours: how many of it equal one of ours; 10 for hPa if ours is kPa.
+        zero: its value at 0 of ours; 32 for degF.
     """
 
     name: str
@@ -358,15 +357,15 @@ class Unit:
 
 @dataclass(frozen=True)
 class Table:
-    """A header and columns of cells, without space around them.
+    """A header and columns of cells, without surrounding space.
 
     Attributes:
-        file: that it is from.
-        header: the names of the columns.
-        columns: the cells of each column, by its name.
-        line: number of the header's line; None where there are no lines, as in JSON.
-        lines: number of each row's line; empty likewise.
-        key: under which the columns are in JSON, such as ``hourly.``
+        file: where it is from.
+        header: names of the columns.
+        columns: cells of each column, by its name.
+        line: line number of the header; None if there are no lines, as in JSON.
+        lines: line number of each row; empty likewise.
+        key: prefix of the columns in JSON, such as ``hourly.``
     """
 
     file: Path
@@ -379,7 +378,7 @@ class Table:
     def refuse(
         self, expected: str, column: str | None = None, row: int | None = None
     ) -> ConfigurationError:
-        """Return an error that names the place and text of a cell, or of the header's cell."""
+        """Return an error that gives the place and text of a cell, or of the header's cell."""
         if column is None or row is None:
             return ConfigurationError(expected, file=self.file, line=self.line, value=column)
         key = f"{self.key}{column.partition(' ')[0]}[{row}]" if self.key else column
@@ -389,7 +388,7 @@ class Table:
         )
 
     def require(self, columns: Iterable[str], whose: str) -> None:
-        """Refuse a header that does not have each of some columns once."""
+        """Refuse a header unless it has each of these columns exactly once."""
         for column in columns:
             if column not in self.header:
                 raise self.refuse(f"must have a column '{column}', as {whose} have")
@@ -403,7 +402,7 @@ class Table:
             example: of a column's name, for messages.
 
         Raises:
-            ConfigurationError: the first column is another, or one is not named like the example.
+            ConfigurationError: the first column is not ``time``, or a name is unlike the example.
         """
         if self.header[0] != "time":
             raise self.refuse("the first column must be 'time'", self.header[0])
@@ -414,7 +413,7 @@ class Table:
             yield column, match[1], match[2]
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
-        """Refuse a header of other columns, or of another order of them."""
+        """Refuse a header with other columns, or another order."""
         for cell, due in itertools.zip_longest(self.header, columns):
             if cell != due:
                 wrong = "is one column too many" if due is None else f"the column must be '{due}'"
@@ -428,13 +427,13 @@ class Table:
 
         Args:
             column: its name.
-            limits: our unit, and the believable range.
-            unit: of the column; ours unless given.
+            limits: our unit, and the plausible range.
+            unit: of the column; ours by default.
             missing: texts that stand for a missing value, which is NaN.
-            hint: what ends the message about a wrong value.
+            hint: end of the message about a wrong value.
 
         Raises:
-            ConfigurationError: a cell is not a number, or not a believable one.
+            ConfigurationError: a cell is not a number, or not a plausible one.
         """
         own_unit, low, high = limits
         unit = unit or Unit(own_unit)
@@ -464,13 +463,13 @@ class Table:
 
         Args:
             column: its name.
-            parse: raises ValueError where a text is no time; ISO 8601 with an offset from UTC
-                unless given.
+            parse: returns a time, or raises ValueError; by default it reads ISO 8601 with an offset
+                from UTC.
             example: of a time, for messages.
-            hint: what ends the message about a missing offset.
+            hint: end of the message about a missing offset.
 
         Raises:
-            ConfigurationError: a cell is no time, or says no offset from UTC.
+            ConfigurationError: a cell is not a time, or lacks its offset from UTC.
         """
         times = []
         for row, text in enumerate(self.columns[column]):
@@ -491,10 +490,10 @@ class Table:
         self, column: str, parse: Callable[[str], datetime] = parse_time,
         example: str = DEFAULT_START,
     ) -> datetime:
-        """Return the first of a column's times; each must be an hour after the other.
+        """Return the first of a column's times; they must be consecutive hours.
 
         Raises:
-            ConfigurationError: one is not; or as :meth:`times` says.
+            ConfigurationError: they are not consecutive; or see :meth:`times`.
         """
         first, *later = self.times(column, parse, example)
         for row, time in enumerate(later, start=1):
@@ -504,7 +503,7 @@ class Table:
     def check_due(
         self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
     ) -> None:
-        """Refuse a time that is not the hour that must follow."""
+        """Refuse a time that is not the next hour."""
         if time != due:
             raise self.refuse(
                 f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must be hour after "
@@ -514,16 +513,16 @@ class Table:
 
 
 def read_table(file: Path, observed: Container[str] = ()) -> Table:
-    """Read a file of CSV; see :func:`table_of`.
+    """Read a CSV file; see :func:`table_of`.
 
     Raises:
-        ConfigurationError: it cannot be read, or is no table.
+        ConfigurationError: it cannot be read, or is not a table.
     """
     return table_of(file, numbered_lines(read_text(file)), observed)
 
 
 def numbered_lines(text: str) -> list[tuple[int, str]]:
-    """Return the lines that are neither empty nor a comment (``#``), with their numbers from 1."""
+    """Return the lines that are neither empty nor comments (``#``), with their numbers from 1."""
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
@@ -534,17 +533,17 @@ def numbered_lines(text: str) -> list[tuple[int, str]]:
 def table_of(
     file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
 ) -> Table:
-    """Return lines of CSV as a table; a quoted cell ends in its line.
+    """Return lines of CSV as a table; a quoted cell must end in its line.
 
     Args:
-        file: that the lines are from.
+        file: where the lines are from.
         lines: as :func:`numbered_lines` returns them, the header first.
-        observed: columns of values; a row that ends before the first of them is of an hour that is
-            missing: its further cells are empty.
+        observed: columns of values. A row that ends before the first of them is an hour that is
+            missing: its other cells are empty.
 
     Raises:
         ConfigurationError: there is no header or no row, a row has more or fewer cells than the
-            header, or a quote is left open or followed by something.
+            header, or a quote is left open or followed by text.
     """
     if not lines:
         raise ConfigurationError("holds comments only; a header and records must follow", file=file)

@@ -1,8 +1,8 @@
-"""What puts nodes into a graph: lockstep, parameters, processes."""
+"""What a node needs to join a graph: lockstep, live timing, parameters and processes."""
 
 import sys
 
-# Each process that sends a message imports ROS's generator of Python code, a parser and templates
-# with it, and uses none of it. Where it cannot be had, ROS goes on without: a tenth of a node's
-# start.
+# Each process that sends a message imports ROS's generator of Python code, with a parser and
+# templates, and never uses it. ROS works without it: this blocks the import and saves a tenth of a
+# node's start time.
 sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]

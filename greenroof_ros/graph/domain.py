@@ -1,12 +1,11 @@
-"""The ROS domain: how a process joins it, and who else is there.
+"""The ROS domain: how a process joins it, and which other nodes are in it.
 
-No ROS is imported here before something is asked for.
+ROS is imported only when a function needs it.
 
-The nodes reach each other by UDP on loopback, and never by shared memory, which Fast DDS, the
-default middleware of ROS 2, uses between processes of one machine. A process that is stopped while
-it holds a lock in it, somebody's ``ros2 topic echo`` under Ctrl-Z perhaps, then freezes nodes that
-have nothing to do with it, and a ``kill -9`` leaves it behind. Over UDP there is neither; a tick
-takes a little longer.
+The nodes reach each other by UDP on loopback, never by shared memory, the default of Fast DDS (the
+default middleware of ROS 2) between processes of one machine. A process that is stopped while it
+holds a lock in shared memory, such as a ``ros2 topic echo`` under Ctrl-Z, freezes unrelated nodes,
+and ``kill -9`` leaves the memory behind. UDP has neither problem; a tick takes a little longer.
 """
 
 from __future__ import annotations
@@ -24,32 +23,31 @@ from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# Names the file of profiles; Fast DDS 3 (ROS 2 Kilted) has another name, and warns of the old one.
+# Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
 _PROFILES, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
-# In all files of profiles: how long a process that was killed is known to the others (s). In
-# lockstep a node that was only stopped for as long would be met again, and all that it said lately
-# would come twice.
+# Used in all profiles files: how long the others know a killed process (s). In lockstep, a node
+# stopped for longer than this is discovered a second time, and its recent messages come twice.
 LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
-# How long to listen for nodes that are in the graph already (s). On loopback they answer in well
-# under half of it; whom this misses is met by the check for two publishers.
+# How long to listen for nodes that are already in the graph (s). On loopback they answer in well
+# under half of it. The check for two publishers finds a node that is missed here.
 _LISTEN_S = 1.0
-# How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
-# Fast DDS can lock up, and spin, in taking itself down while a peer does the same, be it in a
-# call or where Python frees the last of it at the process's end; no Python would run then, so that
-# the kernel has to end it.
+# How long the middleware may take to shut down (s): a fraction of a second, unless the machine is
+# busy. Fast DDS can lock up and spin while it shuts down at the same time as a peer, in a call or
+# when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
+# process (SIGALRM).
 TAKING_DOWN_S = 6
-# Above it the ports of a domain run into those that the system lends.
+# Above it a domain's ports overlap the system's ephemeral ports.
 _LAST_DOMAIN = 101
-# Where bringups lock each other out: in memory, so that a full disk keeps none from starting.
+# Directory of the locks that keep a second bringup out: in memory, as a disk can be full.
 _LOCKS = Path("/dev/shm")
 
 
 @contextmanager
 def importing_ros() -> Iterator[None]:
-    """Import what needs ROS 2.
+    """Guard imports that need ROS 2.
 
     Raises:
-        ConfigurationError: it is not there; it says what to do.
+        ConfigurationError: ROS 2 is not installed; the message says what to do.
     """
     try:
         yield
@@ -61,20 +59,19 @@ def importing_ros() -> Iterator[None]:
 
 
 def _is_fast_dds_3() -> bool:
-    """Whether Fast DDS 3 is loaded: its library has another name; neither says its version."""
+    """Whether Fast DDS 3 is loaded, by its library's name: the version cannot be queried."""
     return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
 
 
 def choose_transport() -> None:
-    """Choose UDP in the environment of this process; to be called before ``rclpy.init``.
+    """Choose UDP in the environment of this process; must be called before ``rclpy.init``.
 
-    Where the user let the graph leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
-    ``LOCALHOST``), UDP on all its interfaces. A file of profiles that the user named, and another
-    middleware, stay as they are.
+    If the user lets the graph leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
+    ``LOCALHOST``), UDP uses all network interfaces. A profiles file named by the user and another
+    middleware are left alone.
 
-    With ``LOCALHOST`` the middleware would add shared memory to whatever a file of profiles says.
-    The file bound to loopback says the same and more, as no socket listens on another interface, so
-    that the middleware is left to it.
+    With ``LOCALHOST`` the middleware would add shared memory whatever a profiles file says.
+    ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
     """
     import rclpy
 
@@ -93,7 +90,7 @@ def choose_transport() -> None:
 
 
 def join() -> Any:
-    """Join the domain with a context of its own, as who only looks on, and return the context.
+    """Join the domain as an observer, with a separate context, and return the context.
 
     Raises:
         ConfigurationError: ROS 2 is not installed.
@@ -131,17 +128,17 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
 
 @contextmanager
 def only_bringup(namespace: str) -> Iterator[None]:
-    """Lock a namespace of the ROS domain for this bringup alone, on this machine.
+    """Lock a namespace of the ROS domain, so that only one bringup of this user runs in it.
 
-    Discovery would find its nodes, too, but on a busy machine not always in time.
+    Discovery would find another bringup's nodes, too, but not always in time on a busy machine.
 
     Args:
-        namespace: ``/site1``, or empty for none.
+        namespace: such as ``/site1``; empty for none.
 
     Raises:
-        OccupiedError: one runs already.
-        ConfigurationError: the lock cannot be opened. Everybody may write where it is: a symbolic
-            link in its place, to a file of this user's, is not followed.
+        OccupiedError: a bringup runs there already.
+        ConfigurationError: the lock file cannot be opened. Its directory is writable by everybody,
+            so a symbolic link in its place is not followed.
     """
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
     file = _LOCKS / name
@@ -159,17 +156,17 @@ def only_bringup(namespace: str) -> Iterator[None]:
 
 
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
-    """Listen whether nodes of these names are in the namespace already.
+    """Listen for 1 s, and refuse if nodes with these names are already in the namespace.
 
-    The node that listens leaves the graph again: nothing of this process takes part in the run.
+    The listening node then leaves the graph: this process takes no part in the run.
 
     Args:
-        namespace: ``/site1``, or empty for none.
-        names: of nodes.
-        check: called every 50 ms; raises what ends the wait.
+        namespace: such as ``/site1``; empty for none.
+        names: node names.
+        check: called every 50 ms; it can raise to end the wait.
 
     Raises:
-        OccupiedError: some are.
+        OccupiedError: there are such nodes.
         ConfigurationError: ROS 2 is not installed.
     """
     context = join()
@@ -194,10 +191,10 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
 
 
 def make_executor() -> Any:
-    """Return the fastest executor that this rclpy has, for nodes without events of publishers.
+    """Return the fastest executor of this rclpy, for nodes without publisher events.
 
-    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. A live node has such
-    events, which can lock it up (rmw_fastrtps, pull request 890), and time enough for the slow one.
+    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
+    lock it up (rmw_fastrtps, pull request 890). A live node has them, and time for the slow one.
     """
     try:
         from rclpy.experimental import EventsExecutor
@@ -209,14 +206,14 @@ def make_executor() -> Any:
 
 
 def begin_to_listen(executor: Any, node: Any) -> None:
-    """Give a node to an executor, and hand it the messages that came before it listened.
+    """Add a node to an executor, and deliver the messages that came before it listened.
 
-    rmw_fastrtps counts the messages that wait, and listens for others after that; of one that comes
-    in between nothing is said until the next, which in lockstep never comes.
+    rmw_fastrtps counts the waiting messages and then starts to listen. A message that comes in
+    between is not noticed until the next one comes, which in lockstep never happens.
 
     Args:
-        executor: that is to serve the node.
-        node: all of its subscriptions to serialised messages have callbacks of one argument.
+        executor: the executor that will serve the node.
+        node: the node; callbacks of its raw subscriptions take one argument.
     """
     executor.add_node(node)
     executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node

@@ -1,4 +1,4 @@
-"""The executable of a node: its command line and ``--help``, its start, its end and exit code."""
+"""The executable of a node: its command line and ``--help``, start, end and exit code."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from greenroof_ros.model.site import Site
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reads a node's own arguments, those before ``--ros-args``; a mistake is one line."""
+    """Reads a node's own arguments (other than ROS arguments); prints errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """End the process with a mistake's one line."""
+        """Print an error in one line and end the process."""
         self.exit(EXIT_USAGE, f"error: {message}; --help shows what the node takes\n")
 
 
@@ -59,12 +59,11 @@ def node_command(
     """Return the executable of a node.
 
     Args:
-        make: returns the node.
-        help_of: returns the text of ``--help``; like ``make`` it is called with the value of the
-            option, which may be missing for a help, if there is an option.
-        option: that the node must have, such as ``--of``; empty for none.
-        choices: what its value may be; empty for anything.
-        value: what it is where the command line has no such option.
+        make: returns the node; called with the value of the option, if there is an option.
+        help_of: returns the text of ``--help``; called likewise, with None if the value is missing.
+        option: the option that the node requires, such as ``--of``; empty for none.
+        choices: allowed values of the option; empty for any.
+        value: fixed value of the option; the command line then has no such option.
     """
 
     @command
@@ -76,7 +75,7 @@ def node_command(
             parser.add_argument(option, dest="value", choices=choices or None)
         try:
             argv = remove_ros_args(sys.argv)
-        except RuntimeError as error:  # of rcl: arguments that it cannot read
+        except RuntimeError as error:  # rcl cannot parse the arguments
             parser.error(" ".join(str(error).split()))
         arguments = parser.parse_args(argv[1:], argparse.Namespace(value=value))
         of = [arguments.value] if option else []
@@ -103,13 +102,13 @@ def node_help(
     """Return the text of a node's ``--help``.
 
     Args:
-        module: its module, and arguments that it must have.
-        role: what the interface calls it.
-        purpose: what it is for.
-        parameters: returns all that it declares at a site.
-        example: arguments of a start.
+        module: its module, and the arguments that it requires.
+        role: its role in the interface.
+        purpose: what it does; a module docstring.
+        parameters: returns all parameters that it declares for a site.
+        example: the arguments in the example.
         outputs: the optional topics that it publishes.
-        always_live: whether it is for live graphs alone.
+        always_live: whether it is only for live graphs.
     """
     start = f"python -m greenroof_ros.nodes.{module}"
     topics = [topic for topic in read_topics().values() if topic.live or not always_live]
@@ -140,7 +139,7 @@ def node_help(
 
 
 def _section(heading: str, entries: list[tuple[str, str, str]]) -> Iterator[str]:
-    """Yield the lines of a section; none where it has no entry."""
+    """Yield the lines of a section; none if it has no entries."""
     if entries:
         yield f"\n{heading}:"
     for name, about, meaning in entries:
@@ -151,7 +150,7 @@ def _section(heading: str, entries: list[tuple[str, str, str]]) -> Iterator[str]
 
 
 def _about(parameter: Parameter) -> str:
-    """Return type, range and default of a parameter, written as in a parameter file."""
+    """Return a parameter's type, range and default, formatted as in a parameter file."""
     default = parameter.default
     if isinstance(default, list):
         default = f"[{', '.join(default)}]"
@@ -168,24 +167,24 @@ def _about(parameter: Parameter) -> str:
 
 
 def run_node(make: Callable[[], LinkedNode]) -> int:
-    """Run one node until it is asked to stop, fails, or the run is over for all who were in it.
+    """Run one node until it is asked to stop, fails, or the run is over for all its nodes.
 
-    The process has to end with it, soon.
+    The process must end within 6 s of the return: a SIGALRM is pending.
 
     Args:
-        make: the node's class, or what else returns the node.
+        make: the node's class, or a function that returns the node.
 
     Returns:
-        An exit code: 0 over or asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another
-        graph is there.
+        An exit code: 0 if the run is over or the node was asked to stop, 1 if the node failed, 2 if
+        arguments or parameters are wrong, 3 if there is another graph.
     """
     choose_transport()
-    # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
-    # last word.
+    # Not rclpy's own handlers: after them nothing can be published, and a node that stops must
+    # still send its last report.
     signals = Signals()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # of rcl: arguments that it cannot read
+    except RuntimeError as error:  # rcl cannot parse the arguments
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE
     code = EXIT_DONE
@@ -219,7 +218,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             except OSError as error:
                 code, failure = _failed(node, error)
             node.flush(failure)
-        # All is said and written.
+        # Everything has been sent and written. From here the kernel ends a process that locks up.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(TAKING_DOWN_S)
         if node is not None:
@@ -229,11 +228,11 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
 
 
 def _run_in_batches() -> None:
-    """Have the process preempt no other when it is woken: only what is simulated, and can wait.
+    """Give the process batch scheduling, so that it preempts no other process when it wakes up.
 
-    Whoever wakes a peer then goes on until it has said all it has to say. Being preempted by each
-    of those that it wakes costs a third more of processor time per tick. A live node must be in
-    time, also beside a process that computes for hours; so must one that runs a drive.
+    A node that wakes a peer then goes on until it has sent everything. Being preempted by each peer
+    that it wakes would cost a third more processor time per tick. Not for a live node or one that
+    runs a drive: they must be on time even beside a process that computes for hours.
     """
     for thread in Path("/proc/self/task").iterdir():
         with suppress(ProcessLookupError):  # it has just ended
@@ -241,7 +240,7 @@ def _run_in_batches() -> None:
 
 
 def _failed(node: LinkedNode | None, error: Exception) -> tuple[int, str]:
-    """Log what ends the node, or print it before there is one; return exit code and reason."""
+    """Log the error that ends the node, or print it if there is no node; return code and reason."""
     if node is None:
         print(f"error: {error}", file=sys.stderr)
     else:

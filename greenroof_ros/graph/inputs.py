@@ -1,4 +1,4 @@
-"""The topics that a node subscribes to: their newest values, and who publishes them."""
+"""The topics that a node subscribes to: their newest values and their publishers."""
 
 from __future__ import annotations
 
@@ -20,65 +20,65 @@ from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requiremen
 from greenroof_ros.graph.supervision import ROLES
 from greenroof_ros.pumping.input_rules import InputRules, Verdict
 
-# The name of a node and its other ends are known a moment after its publisher (s).
+# A node's name and its other endpoints are discovered up to this long after its publisher (s).
 DISCOVERY_S = 1.0
-# What ROS calls a publisher whose node has not yet said its name.
+# The name that ROS reports for a node whose name has not been discovered yet.
 _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-# How many messages of a topic wait for a live recorder that is busy, or that the machine is for it.
+# How many messages of a topic can wait for a live recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000
 _GOOD = Verdict()
 
 
 class Publishers:
-    """The publishers of a topic: one is believed; a second one, and one that is not heard, is said.
+    """The publishers of a topic; reports a second one, and one whose messages cannot arrive.
 
-    In lockstep all that ROS knows count, and they are asked for: an event of the middleware can
-    lock up rclpy's fast executor while the liveliness of a peer changes (rmw_fastrtps, pull
+    In lockstep, all publishers that ROS knows count. ROS is polled for them, since a middleware
+    event can lock up rclpy's fast executor while a peer's liveliness changes (rmw_fastrtps, pull
     request 890). ROS knows of a publisher before its first message arrives.
 
-    In a live graph a node that was killed is started again, and ROS knows the dead one until its
-    process's lease ends (``config/fastdds.xml``). Where the interface gives the topic a liveliness
-    lease, those that live count there, by events.
+    In a live graph, a killed node is restarted, while ROS knows the dead one until the lease of its
+    process ends (``config/fastdds.xml``). If the interface gives the topic a liveliness lease, only
+    publishers that are alive count there; events report them.
 
     Attributes:
-        topic: the interface's.
-        full_name: of the topic on the wire, with its namespace.
-        required: what a publisher must offer to be heard.
+        topic: the topic in the interface.
+        full_name: the topic's full name in ROS, with its namespace.
+        required: the quality of service that a publisher must offer to be heard.
     """
 
     def __init__(self, node: Node, topic: Topic, *, live: bool, recorded: bool = False) -> None:
         """Prepare for a subscription.
 
         Args:
-            node: subscribes to it.
-            topic: the interface's.
-            live: whether its graph is live.
-            recorded: the node only keeps what is published, and all of it.
+            node: the subscribing node.
+            topic: the topic in the interface.
+            live: whether the graph is live.
+            recorded: whether the node only records, and must record every message.
         """
         self.topic = topic
         self.full_name: str = node.resolve_topic_name(topic.graph_name)
         self.required = replace(
             topic.qos,
             durability="volatile" if live else topic.qos.durability,
-            # Each message of a topic with a lease sets a timer again in each of its readers.
+            # Each message of a topic with a lease restarts a timer in each of its readers.
             lease_s=topic.qos.lease_s if live and not recorded else math.inf,
         )
         self._node = node
         self._by_lease = math.isfinite(self.required.lease_s)
         self._depth = topic.qos.depth if not live else _RECORDED_DEPTH if recorded else 1
-        self._alive = 0  # by lease
-        self._unfit_since = -math.inf  # when the middleware last said that one is not heard
+        self._alive = 0  # counted if there is a lease
+        self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
         self._unheard_since = math.inf
         self._names: list[str] = []
 
     def profile(self) -> QoSProfile:
-        """Return the profile of the subscription; in a live graph the past is not asked for."""
+        """Return the profile of the subscription; in a live graph it requests no past messages."""
         profile = qos_profile(self.required)
         profile.depth = self._depth
         return profile
 
     def events(self) -> SubscriptionEventCallbacks:
-        """Return the callbacks of the subscription, which count those that live."""
+        """Return the event callbacks of the subscription: with a lease, they count publishers."""
         if not self._by_lease:
             return SubscriptionEventCallbacks(use_default_callbacks=False)
         return SubscriptionEventCallbacks(
@@ -93,27 +93,27 @@ class Publishers:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """How many publishers there are."""
         return self._alive if self._by_lease else self._node.count_publishers(self.full_name)
 
     @property
     def heard(self) -> int:
-        """How many there are whose messages arrive: their quality of service fits."""
+        """How many publishers can be heard: their quality of service fits."""
         return self._alive if self._by_lease else len(self._known()) - len(self._unheard())
 
     def names(self) -> list[str]:
-        """Return what to call the publishers' nodes; where all have gone, what they were called."""
+        """Return the names of the publishers' nodes; if all have gone, the last known names."""
         self._names = sorted({call_node(info.node_name) for info in self._known()}) or self._names
         return self._names
 
     def problem(self, now: float) -> str:
-        """Say that there are two, if there are, or by lease that one is not heard.
+        """Return what is wrong, as a clause: a second publisher, or with a lease an unheard one.
 
-        What a second one says may be meant to stop the pump, heard or not. A count of two where one
-        is known is the middleware's mistake, after a lease that ran out on a busy machine.
+        A second publisher may be trying to stop the pump, even if its messages do not arrive. If
+        only one of two is known, the middleware miscounted after a lease ran out on a busy machine.
 
         Args:
-            now: of the steady clock (s).
+            now: time on the steady clock (s).
         """
         count = self.count
         if self._unfit_since > -math.inf or (count > 1 and not self._by_lease):
@@ -121,7 +121,7 @@ class Publishers:
             if unheard:
                 return unheard
             if now - self._unfit_since > DISCOVERY_S:
-                self._unfit_since = -math.inf  # it went
+                self._unfit_since = -math.inf  # it has gone
         if count < 2 or len(self._known()) < 2:
             return ""
         return (
@@ -130,25 +130,25 @@ class Publishers:
         )
 
     def sentence(self, now: float) -> str:
-        """Return the same with the name of the topic, as a sentence; empty where all is well."""
+        """Return :meth:`problem` as a sentence with the topic's name; empty if there is none."""
         problem = self.problem(now)
         return f"{self.full_name} {problem}" if problem else ""
 
     def warning(self, now: float) -> str:
-        """Return a sentence on what cannot be heard, once all of it has been discovered.
+        """Return a sentence on publishers that have been unheard for the discovery time, or "".
 
         Args:
-            now: of the steady clock (s).
+            now: time on the steady clock (s).
         """
         problem = self._unheard_problem()
         self._unheard_since = min(self._unheard_since, now) if problem else math.inf
         return f"{self.full_name} {problem}" if now - self._unheard_since >= DISCOVERY_S else ""
 
     def _unheard_problem(self) -> str:
-        """Say who cannot be heard, and why; empty where everybody can.
+        """Return which publishers cannot be heard, and why; empty if all can.
 
-        DDS connects no publisher to a subscription that asks for more than it offers, and says so
-        of one of the policies that differ. What each end has is known, and so all are said at once.
+        DDS does not connect a publisher to a subscription that requests more than it offers, and
+        reports only one of the mismatched policies. The profiles of both are known: list them all.
         """
         unheard = self._unheard()
         if not unheard:
@@ -169,9 +169,9 @@ class Publishers:
 
 
 def call_node(name: str) -> str:
-    """Return what to call a node in a message, by its name in the graph.
+    """Return how to name a node in a message.
 
-    A node that joined just before another was killed may know its topics, and never its name.
+    A node that joined just before another was killed may discover its topics but never its name.
     """
     if name == _UNKNOWN_NAME:
         return "a node of unknown name, perhaps because it was killed"
@@ -181,21 +181,21 @@ def call_node(name: str) -> str:
 class Input:
     """One topic that a node subscribes to, with its newest value.
 
-    A value that is not finite, or outside the interface's range, is refused: 0 stands in its place
-    until the next one comes. The first of them is logged, further ones are only counted.
+    A value that is not finite or is outside the interface's range is refused: it acts as 0 until
+    the next one comes. The first refused value is logged, further ones are only counted.
 
     Attributes:
-        topic: what the interface says of it.
-        name: of the topic on the wire, with its namespace.
-        publishers: who publishes it.
-        value: the newest; nanoseconds of a clock, otherwise a number or a row of numbers.
-        verdict: on the newest; in a live graph by all rules.
-        refused: how many were.
-        heard: live: whether anything ever came.
+        topic: the topic in the interface.
+        name: the topic's full name in ROS, with its namespace.
+        publishers: the topic's publishers.
+        value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
+        verdict: whether the newest value may be acted on; in a live graph, by all rules.
+        refused: how many values were refused.
+        heard: live: whether any message has come.
         optional: live: whether the node acts without it.
-        tolerates_second: lockstep: whether the node itself looks for a second publisher, which
-            ends nothing.
-        rules: live: that its values must keep.
+        tolerates_second: lockstep: whether the node handles a second publisher itself, so that it
+            does not end the run.
+        rules: live: the rules that its values must keep.
     """
 
     rules: InputRules
@@ -207,10 +207,10 @@ class Input:
         """Start with the value 0.
 
         Args:
-            publishers: who publishes it.
-            logger: of the node.
+            publishers: the topic's publishers.
+            logger: the node's logger.
             optional: live: whether the node acts without it.
-            tolerates_second: whether a second publisher ends nothing in lockstep, either.
+            tolerates_second: lockstep: whether a second publisher does not end the run.
         """
         self.publishers = publishers
         self.topic = publishers.topic
@@ -231,22 +231,22 @@ class Input:
 
     @property
     def problem(self) -> str:
-        """Why it may not, as a sentence."""
+        """Why it must not be acted on, as a sentence."""
         return f"{self.name} {self.verdict.why}"
 
     def receive(self, message: bytes) -> None:
-        """Read a message's value and keep it, or 0 where it must be refused."""
+        """Keep the value of a message, or 0 if the value must be refused."""
         value = self._decode(message)
         low, high = self._low, self._high
         if isinstance(value, (float, int)):
-            if low <= value <= high:  # a NaN is neither
+            if low <= value <= high:  # False for NaN
                 self.value, self.verdict = value, _GOOD
             else:
                 self._refuse(value, 0.0)
             return
         if isinstance(value, np.ndarray):
             wrong: Any = value[~((low <= value) & (value <= high))]
-        else:  # ten numbers: numpy would take longer
+        else:  # about ten numbers: numpy would take longer
             wrong = [number for number in value if not low <= number <= high]
         if len(wrong):
             self._refuse(float(wrong[0]), np.zeros(np.shape(value)))
@@ -254,21 +254,21 @@ class Input:
             self.value, self.verdict = value, _GOOD
 
     def judge(self) -> None:
-        """Judge the newest value by the rules of a live graph, as it is now."""
+        """Judge the newest value by the rules of a live graph, at the present time."""
         self.verdict = self.rules.judge(boot_time(), self.publishers.problem(time.monotonic()))
 
     def refuse(self, why: str) -> None:
-        """Refuse the newest value in a live graph: who acts on it cannot.
+        """Refuse the newest value in a live graph, because the node cannot act on it.
 
         Args:
-            why: a clause.
+            why: the reason, as a clause.
         """
         self.refused += 1
         self.rules.refuse(boot_time(), f"was refused: {why}")
         self.judge()
 
     def hand_on_to(self, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
-        """Return what receives its messages and hands each value on."""
+        """Return a function that receives its messages and passes each value to a callback."""
 
         def on_message(message: bytes) -> None:
             self.receive(message)
@@ -295,32 +295,32 @@ class Inputs:
     """The inputs of a node, by the names of their topics in the interface.
 
     Attributes:
-        by_name: all of them.
-        names: what to call a node that has not been seen, by its role.
+        by_name: all inputs.
+        names: how to name a node that has not been seen, by its role.
     """
 
     def __init__(self, role: str) -> None:
-        """Begin without any.
+        """Begin without inputs.
 
         Args:
-            role: of the node.
+            role: the node's role in the interface.
         """
         self.by_name: dict[str, Input] = {}
         self.names = dict(ROLES)
         self._role = role
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the topics that nobody is heard on, by the role of who should publish them."""
+        """Return the required topics without a publisher that can be heard, by missing role."""
         return self.by_role([
             name for name, entry in self.by_name.items()
             if not entry.optional and not entry.publishers.heard
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return some of the topics, by the role of who should publish them.
+        """Return some of the topics, by the role that should publish them.
 
-        Where the interface names two, the plant or a pump driver, it is the first that publishes
-        nothing else here.
+        If the interface names two roles (plant or pump driver), it is the first that publishes none
+        of this node's other inputs, or else the last.
         """
         present = {self._role} | {
             entry.topic.publishers[0] for name, entry in self.by_name.items() if name not in names
@@ -333,26 +333,26 @@ class Inputs:
         return roles
 
     def say(self, silent: Mapping[str, Collection[str]]) -> str:
-        """Name topics, and the nodes that should publish them."""
+        """Return a text that names topics and the nodes that should publish them."""
         return "; ".join(
             f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role)}"
             for role, names in silent.items()
         )
 
     def causes(self, awaited: Collection[str]) -> str:
-        """Name topics that are awaited, and the nodes that should publish them.
+        """Return a text that names awaited topics and the nodes that should publish them.
 
-        Topics of a node that waits itself for another of these topics are left out.
+        Topics of a node that is itself waiting for another of these nodes are left out.
         """
         silent = self.by_role([name for name in self.by_name if name in awaited])
         causes = root_causes(silent, read_topics().values())
         return self.say({role: silent[role] for role in silent if role in causes})
 
     def call(self, role: str) -> str:
-        """Return what to call the node of a role: its name, where it publishes one of the topics.
+        """Return how to name the node of a role: by its node name if it publishes an input here.
 
         Args:
-            role: of the interface.
+            role: a role of the interface.
         """
         nodes = [
             node for entry in self.by_name.values() if role in entry.topic.publishers
@@ -362,11 +362,11 @@ class Inputs:
 
 
 def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
-    """Return which of some silent roles do not themselves wait for another of them, or else all.
+    """Return the silent roles that do not wait for another silent role; if there are none, all.
 
     Args:
-        roles: from which nothing comes.
-        topics: of the interface, which says who waits for whom.
+        roles: the roles from which nothing comes.
+        topics: the interface's topics, which determine which role waits for which.
     """
     waiting = {
         role

@@ -1,8 +1,8 @@
-"""A node with the states of a ROS 2 lifecycle, which lives on whatever transition it is asked for.
+"""A node with the states of a ROS 2 lifecycle, which survives any transition request.
 
-A transition that the present state lacks is answered with ``success=false`` and a warning, where
-``rclpy.lifecycle`` ends the node; one that fails leaves its reason, which that keeps from
-``on_error``.
+If the present state lacks a transition, the request is answered with ``success=false`` and a
+warning; ``rclpy.lifecycle`` would end the node. If a transition fails, its reason is kept;
+``rclpy.lifecycle`` hides it from ``on_error``.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ UNCONFIGURED, INACTIVE, ACTIVE = (
 
 
 class RefusedError(Exception):
-    """A transition cannot be made now; the message says why. The node stays in its state."""
+    """A transition is not possible now; the message says why. The node keeps its state."""
 
 
 def transition(
     step: Callable[[Any], None],
 ) -> Callable[[Any, LifecycleState], TransitionCallbackReturn]:
-    """Make a method one of rclpy's, such as ``on_activate``: made unless it raises.
+    """Turn a method into a transition callback of rclpy, such as ``on_activate``.
 
-    It is logged, with the reason where that is another one than last time.
-    :class:`RefusedError` leaves the node in its state, what else is raised leads to
-    *unconfigured*, after ``on_cleanup``.
+    The transition is made, and logged, unless the method raises. After :class:`RefusedError` the
+    node keeps its state; any other exception leads to *unconfigured*, after ``on_cleanup``. The
+    reason is logged if it differs from the last one.
     """
 
     @wraps(step)
@@ -45,7 +45,7 @@ def transition(
             step(node)
         except RefusedError as error:
             node.refusal, result = str(error), TransitionCallbackReturn.FAILURE
-        except Exception as error:  # rclpy would keep its reason from everybody
+        except Exception as error:  # rclpy would hide the reason
             node.refusal = f"{type(error).__name__}: {error}"
             result = TransitionCallbackReturn.ERROR
         else:
@@ -61,12 +61,12 @@ def transition(
 class Lifecycle(LifecycleNodeMixin):
     """Mixin of a node, beside :class:`greenroof_ros.graph.link.LinkedNode`.
 
-    Topics stay as they are: none is silent in any state. A node overrides ``on_configure`` and the
-    others of rclpy by a :func:`transition`.
+    Topics do not depend on the state: none falls silent. A node overrides ``on_configure`` and the
+    other callbacks of rclpy with a :func:`transition`.
 
     Attributes:
-        refusal: why the last transition was refused or failed; empty where it was made. One that
-            the state lacks does not count.
+        refusal: why the last transition was refused or failed; empty if it was made. A request for
+            a transition that the state lacks does not change it.
     """
 
     def __init__(self) -> None:
@@ -77,27 +77,27 @@ class Lifecycle(LifecycleNodeMixin):
 
     @property
     def lifecycle_state(self) -> int:
-        """The present one: ``UNCONFIGURED``, ``INACTIVE``, ``ACTIVE``, or *finalized*."""
+        """The present state: ``UNCONFIGURED``, ``INACTIVE``, ``ACTIVE``, or *finalized*."""
         return lifecycle_state(self)
 
     def on_asked(self) -> None:
-        """Note that somebody asked for a transition."""
+        """Called when a transition is requested; for a node to override."""
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go after an error, whose reason stays; what failed once may fail again."""
+        """Clean up after an error and keep its reason, even if the cleanup fails, too."""
         why = self.refusal
         self.on_cleanup(state)
         self.refusal = why
         return TransitionCallbackReturn.SUCCESS
 
     def _answered(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Have ``change_state`` answered also where the state lacks the transition."""
+        """Wrap ``change_state``, so that it answers even if the state lacks the transition."""
 
         def on_request(request: ChangeState.Request, response: ChangeState.Response) -> Any:
             self.on_asked()
             try:
                 return answer(request, response)
-            except RuntimeError as error:  # of rcl
+            except RuntimeError as error:  # from rcl: no such transition
                 cast(Node, self).get_logger().warning(" ".join(str(error).split()))
                 response.success = False
                 return response

@@ -1,8 +1,8 @@
-"""A node's link to its graph: its topics, what it says of itself, and when it acts.
+"""A node's link to its graph: its topics, its reports, and when it acts.
 
-What each node publishes and subscribes to comes from ``msg_defs/topics.yaml``. When it acts is one
-of two triggers: fresh inputs, in a simulation (:mod:`greenroof_ros.graph.lockstep`), or steady
-time, on a live site (:mod:`greenroof_ros.graph.live`).
+``msg_defs/topics.yaml`` defines what each node publishes and subscribes to. A node acts on one of
+two triggers: fresh inputs in a simulation (:mod:`greenroof_ros.graph.lockstep`), or the steady
+clock on a live site (:mod:`greenroof_ros.graph.live`).
 """
 
 from __future__ import annotations
@@ -34,40 +34,40 @@ from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 
-# How long a node listens at most before it looks at its clocks and signals again (s).
+# How long a node listens at most before it checks its clocks and signals again (s).
 LISTEN_S = 0.05
-# How long a node that ends waits for its readers (s): one that was killed stays matched.
+# How long an ending node waits for its readers at most (s): a killed reader stays matched.
 _FLUSH_S = 1.0
-# How often a node says how it is (s of wall time).
+# How often a node reports its state (s of wall time).
 _REPORT_S = 0.25
 
 
 class LinkedNode(NoClockSubscription, Node):
     """A node of a graph, simulated or live.
 
-    It opens its topics by :meth:`open_outputs` and :meth:`subscribe`, by their names in the
-    interface, and overrides :meth:`on_inputs`, and of the other ``on_`` methods, ``progress`` and
-    ``summary`` those that it needs. Its parameter ``live`` says which graph it is; in a simulated
-    one it lives in simulated time (``use_sim_time`` is true).
+    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
+    the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods,
+    ``progress`` and ``summary``. The parameter ``live`` selects the kind of graph; in a simulated
+    one the node uses simulated time (``use_sim_time`` is true).
 
     Attributes:
-        role: what the interface calls it: its name, or ``controller``.
+        role: its role in the interface: its name, or ``controller``.
         live: whether its graph is live.
-        lockstep: what makes it act, in a simulation.
-        error: why the node cannot go on.
-        acted: whether the run has begun for the node.
-        inputs: what it subscribes to.
+        lockstep: makes the node act in a simulation.
+        error: the error after which the node cannot go on; None if there is none.
+        acted: whether the node has acted, so the run has begun for it.
+        inputs: the topics that it subscribes to.
         interface: every topic of the graph, by name.
-        reports: what it says of itself.
+        reports: reports the node's state.
     """
 
     def __init__(self, name: str, role: str, *, live: bool | None = None) -> None:
         """Join the graph.
 
         Args:
-            name: of the node.
-            role: what the interface calls it: its name, or ``controller``.
-            live: whether its graph is live; None where its parameter ``live`` says that.
+            name: the node's name.
+            role: its role in the interface: its name, or ``controller``.
+            live: whether its graph is live; None to read the parameter ``live``.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
@@ -76,7 +76,7 @@ class LinkedNode(NoClockSubscription, Node):
             super().__init__(
                 name, parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, False)]
             )
-        except RuntimeError as error:  # of rcl
+        except RuntimeError as error:  # from rcl
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
         self.live: bool = declare(self, [LIVE])["live"] if live is None else live
@@ -84,9 +84,9 @@ class LinkedNode(NoClockSubscription, Node):
         self.acted = False
         self.interface = read_live_topics() if self.live else read_topics()
         self.inputs = Inputs(role)
-        self._heard: list[Publishers] = []  # of all that it subscribes to
+        self._heard: list[Publishers] = []  # of all topics that it subscribes to
         self._warnings: list[str] = []
-        # Of each topic its publisher, and what makes its messages.
+        # Each topic's publisher, and the encoder of its messages.
         self._outputs: dict[str, tuple[Publisher, Callable[[Any], bytes]]] = {}
         self._reported = self._warned = self._looked = 0.0
         self._final_values: dict[str, Any] = {}
@@ -102,27 +102,27 @@ class LinkedNode(NoClockSubscription, Node):
             self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
 
     def act(self) -> None:
-        """Act: it is time to."""
+        """Let the node act, and note that its run has begun."""
         self.acted = True
         self.on_inputs()
 
     # --- to override ------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
-        """Act: every input is fresh, or, live, it is time; see :attr:`good`."""
+        """Act: every input is fresh or, live, the period has passed; see :attr:`good`."""
 
     def on_idle(self) -> None:
-        """Look at what is due between messages; called every 50 ms at least."""
+        """Do what is due between messages; called at least every 50 ms."""
 
     def on_stop(self) -> None:
-        """Put away what is open; called once at the end, whatever the reason."""
+        """Close what is open; called once at the end, whatever the reason."""
 
     def progress(self) -> dict[str, Any]:
-        """Return what the node adds to each of its reports."""
+        """Return the node's additions to each of its reports."""
         return {}
 
     def summary(self) -> dict[str, Any]:
-        """Return what the node adds to its report at the end of the run."""
+        """Return the node's additions to its report at the end of the run."""
         return {}
 
     # --- setting up -------------------------------------------------------------------------
@@ -130,8 +130,8 @@ class LinkedNode(NoClockSubscription, Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        Its tau is the period of a node in a live graph. Each report says from then on which file it
-        was, as ``site``, an absolute path: who looks on judges by the same site.
+        In a live graph the site's tau becomes the node's period. From then on each report has the
+        absolute path of the file, as ``site``, so that observers can read the same site.
 
         Raises:
             ConfigurationError: the file, or a value in it, is wrong.
@@ -144,7 +144,7 @@ class LinkedNode(NoClockSubscription, Node):
         return site
 
     def set_time(self, time_ns: int) -> None:
-        """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
+        """Set the node's clock (``get_clock()``) to a simulated time (ns since 1970)."""
         now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
         self._ros_clock.set_ros_time_override(now)
 
@@ -159,7 +159,7 @@ class LinkedNode(NoClockSubscription, Node):
             self._outputs[name] = publisher, encoder(topic.type, topic.dimensions)
 
     def publish(self, name: str, value: Any) -> None:
-        """Publish a value on a topic of the interface that is open."""
+        """Publish a value on a topic that :meth:`open_outputs` has opened."""
         publisher, encode = self._outputs[name]
         publisher.publish(encode(value))
 
@@ -167,15 +167,15 @@ class LinkedNode(NoClockSubscription, Node):
         self, name: str, callback: Callable[[Any], None] | None = None, *,
         optional: bool = False, level: LevelRule | None = None, tolerates_second: bool = False,
     ) -> Input:
-        """Open an input and return it; in lockstep it is awaited, unless a callback has its values.
+        """Open an input and return it; in lockstep the node waits for it, unless it has a callback.
 
         Args:
-            name: of the topic in the interface.
+            name: the topic's name in the interface.
             callback: called with each value as it comes; the node does not wait for it to act.
-            optional: the node acts without it, too; only in a live graph.
-            level: what else holds for a level in a live graph.
-            tolerates_second: a second publisher ends nothing in lockstep, either; the node looks
-                itself whether there is one, at the ``publishers`` of what is returned.
+            optional: whether the node acts without it; only in a live graph.
+            level: the additional rule for a level in a live graph.
+            tolerates_second: whether a second publisher does not end the run in lockstep; the node
+                must then look for one itself, in the returned input's ``publishers``.
         """
         publishers = Publishers(self, self.interface[name], live=self.live)
         entry = Input(
@@ -189,13 +189,13 @@ class LinkedNode(NoClockSubscription, Node):
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
-        """Keep what comes on a topic, whatever its type; only its publisher is waited for, once.
+        """Record a topic of any type.
 
-        In a live graph nothing is.
+        In lockstep the node is not ready before the topic has a publisher; live, it never waits.
 
         Args:
-            name: of the topic in the interface.
-            callback: called with each message, serialised.
+            name: the topic's name in the interface.
+            callback: called with each serialised message.
         """
         publishers = Publishers(self, self.interface[name], live=self.live, recorded=True)
         if not self.live:
@@ -212,12 +212,12 @@ class LinkedNode(NoClockSubscription, Node):
 
     @property
     def run_length(self) -> int | None:
-        """N of the run that the node takes part in; None before the plant has said it."""
+        """N of the run that the node takes part in; None before the plant has published it."""
         run = self.lockstep.run
         return None if run is None else round(run.last_tick)
 
     def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Keep an error for the node's loop: the executor would print it, and more, by itself."""
+        """Keep an error for :meth:`check`: the executor would print it with a traceback."""
 
         def guarded(message: bytes) -> None:
             try:
@@ -231,12 +231,12 @@ class LinkedNode(NoClockSubscription, Node):
 
     @property
     def ready(self) -> bool:
-        """Whether every input had its publisher once; live, and it acted, if it acts by itself."""
+        """Whether every required input has had a publisher and, live, a periodic node has acted."""
         return self.reports.state != STARTING
 
     @property
     def good(self) -> bool:
-        """Whether no input's present value was refused, or, live, breaks another rule."""
+        """Whether no required input's present value was refused or, live, breaks another rule."""
         if self._live:
             self._live.judge()
         return all(entry.good for entry in self.inputs.by_name.values() if not entry.optional)
@@ -244,14 +244,14 @@ class LinkedNode(NoClockSubscription, Node):
     def diagnose(
         self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
     ) -> None:
-        """Say how a part of the node is; a change is logged.
+        """Report the state of a part of the node; a change is logged.
 
         Args:
-            part: its name.
-            level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+            part: the part's name.
+            level: ``OK``, ``WARN``, ``ERROR`` or ``STALE`` of :mod:`greenroof_ros.graph.reports`.
             message: a sentence.
-            code: of :mod:`greenroof_ros.common.interface`; empty where all is well.
-            cause: the code that it follows from, if that is known.
+            code: a code of :mod:`greenroof_ros.common.interface`; empty if the part is well.
+            cause: the code of the cause; empty if unknown.
         """
         before = self.reports.diagnoses.get(part)
         if not self.reports.diagnose(part, level, message, code, cause):
@@ -268,15 +268,15 @@ class LinkedNode(NoClockSubscription, Node):
     def say(
         self, part: str, problem: str, well: str, code: str, level: bytes = ERROR, cause: str = ""
     ) -> None:
-        """Say of a part of the node that it has a problem, or where that is empty that it is well.
+        """Report a problem of a part of the node, or that the part is well if there is none.
 
         Args:
-            part: its name.
-            problem: a sentence; empty where there is none.
-            well: a sentence for when there is none.
-            code: of the problem; see :meth:`diagnose`.
-            level: likewise.
-            cause: likewise.
+            part: the part's name.
+            problem: a sentence; empty if there is no problem.
+            well: the sentence to report if there is no problem.
+            code: the problem's code; see :meth:`diagnose`.
+            level: the problem's level; likewise.
+            cause: the code of its cause; likewise.
         """
         if problem:
             self.diagnose(part, level, problem, code, cause)
@@ -284,24 +284,24 @@ class LinkedNode(NoClockSubscription, Node):
             self.diagnose(part, OK, well)
 
     def listen_s(self) -> float:
-        """Look at what is due; return how long the node may wait for the next message (s)."""
+        """Do what is due; return how long the node may wait for the next message (s)."""
         self.on_idle()
         return min(LISTEN_S, (self._live or self.lockstep).due_in)
 
     def check(self) -> None:
-        """Look at the wall clock: say how the node is, and act where it is time to.
+        """Check the wall clock: act if it is time to, and report the node's state.
 
         Raises:
             LockstepError: the graph cannot go on.
-            ConfigurationError: nor can it as it was set up.
-            OSError: nor can the node, for instance on a full disk.
+            ConfigurationError: the set-up is wrong.
+            OSError: the node cannot go on, for instance on a full disk.
         """
         if self.error is not None:
             raise self.error
         now = time.monotonic()
         if self._live:
             self._live.look()
-        if now - self._looked < LISTEN_S:  # a message costs little; asking ROS, milliseconds
+        if now - self._looked < LISTEN_S:  # asking ROS takes milliseconds: not for each message
             return
         self._looked = now
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
@@ -312,11 +312,11 @@ class LinkedNode(NoClockSubscription, Node):
             self.reports.state = READY
             self._report(now)
         if now - self._reported > _REPORT_S:
-            # Again and again, for a reader that joins late may miss what was said once.
+            # Repeated, since a reader that joins late may have missed it.
             self._report(now)
 
     def _warn(self, now: float) -> None:
-        """Warn of each publisher that is not heard, once; live, for as long as it is there."""
+        """Log each publisher that is not heard, once; live, drop the warning when it has gone."""
         before = self._warnings
         warnings = [sentence for publishers in self._heard if (sentence := publishers.warning(now))]
         new = [sentence for sentence in warnings if sentence not in before]
@@ -325,13 +325,13 @@ class LinkedNode(NoClockSubscription, Node):
             self.get_logger().warning(sentence)
 
     def finish(self) -> None:
-        """Say from now on that the run is over for this node, with what its summary needs."""
+        """Report from now on that the run is over for this node, with the node's summary."""
         self._final_values = self.summary()
         self.reports.state = FINISHED
         self._report(time.monotonic())
 
     def all_arrived(self) -> bool:
-        """Whether all that the node said has come to who hears it."""
+        """Whether all subscribers have received everything that the node has published."""
         now = Duration()
         return all(publisher.wait_for_all_acked(now) for publisher, _ in self._outputs.values())
 
@@ -348,10 +348,10 @@ class LinkedNode(NoClockSubscription, Node):
         })
 
     def flush(self, failure: str | None) -> None:
-        """Say that the node ends, and wait a second at most until its readers have all it said.
+        """Report that the node ends, and wait until its readers have everything, 1 s at most.
 
         Args:
-            failure: what ended it; None where it was asked to end.
+            failure: the error that ended it; None if there was none.
         """
         self.reports.state = ENDED
         if failure is not None:

@@ -1,7 +1,7 @@
 """A live graph: a node acts every tick of the steady clock, on the newest value of each input.
 
-There is no plant and no clock topic. What is missing, late or wrong is not waited for: the node
-learns which of its inputs are not good, by the rules of
+There is no plant and no clock topic. A node does not wait for an input that is missing, late or
+wrong: it learns which inputs are not good, by the rules of
 :mod:`greenroof_ros.pumping.input_rules`, and acts accordingly.
 """
 
@@ -29,10 +29,10 @@ from greenroof_ros.pumping.input_rules import (
     roof_reach,
 )
 
-# A pause of this process itself (s): what it has then is of before. For so long after it, too, what
-# comes may have waited.
+# A gap longer than this means that this process was paused (s): its inputs are outdated. Messages
+# that come within this time after the pause are ignored, since they may have waited.
 PAUSE_S = 1.0
-# How long after its start a node acts first, at most (s).
+# The latest time at which a node first acts, after its start (s).
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
@@ -59,7 +59,7 @@ _FORECAST = _limit("forecast_limit", 3600.0, 86400.0, "a forecast, since its arr
 _FROST = _limit("frost_limit", 60.0, 600.0, "frost")
 _GAUGE = _limit("gauge_limit", 60.0, 3600.0, "what the gauges measure")
 _FLOW = _limit("flow_limit", 5.0, 60.0, "the pump's flow")
-# Of each topic that somebody acts on in a live graph, how old it may be.
+# The greatest age of each topic that nodes act on in a live graph.
 LIMITS = {
     "/cistern/level": _LEVEL,
     "/roof/level": _LEVEL,
@@ -75,28 +75,28 @@ LIMITS = {
 
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
-    """Return the parameters of a node that acts on some topics in a live graph, but ``live``."""
+    """Return the parameters, except ``live``, of a node that acts on these topics when live."""
     limits = dict.fromkeys(LIMITS[topic] for topic in topics)
     of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
     return [*limits, RECOVERY, *of_levels]
 
 
 class Levels:
-    """The levels of both tanks, as inputs that in a live graph keep to what water can do.
+    """The levels of both tanks as inputs; in a live graph checked for what water can do.
 
     Attributes:
-        cistern: the input.
-        roof: likewise.
+        cistern: the cistern's level.
+        roof: the roof's level.
     """
 
     def __init__(
         self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., Input]
     ) -> None:
-        """Open both.
+        """Open both inputs.
 
         Args:
-            site: with the tanks.
-            values: of the node's :func:`live_parameters`.
+            site: the site with the tanks.
+            values: values of the node's :func:`live_parameters`.
             subscribe: opens an input: :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`.
         """
         self._site = site
@@ -109,24 +109,24 @@ class Levels:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """By how much jumps, as no water can, have moved both readings so far (m)."""
+        """How far impossible jumps have shifted the readings of cistern and roof so far (m)."""
         cistern, roof = self._rules
         return cistern.displacement, roof.displacement
 
     def expect(self, flow: float, rain: float = 0.0) -> None:
-        """Expect of the levels what pump (m3/s) and rain (m/s) do in a tick."""
+        """Expect the levels to move as pump flow (m3/s) and rain (m/s) move them in a tick."""
         rises = expected_rise(self._site, flow, rain, self.cistern.value, self.roof.value)
         for rule, rise in zip(self._rules, rises, strict=True):
             rule.expect(rise * self._site.tau)
 
 
 class Live:
-    """Makes a node act every period of the steady clock; a peer's end is not its own.
+    """Makes a node act every period of the steady clock; the node goes on if a peer ends.
 
-    That clock goes on while the machine is suspended: what came before is then too old.
+    This clock also runs during a suspend (CLOCK_BOOTTIME): earlier inputs are then too old.
 
     Attributes:
-        has_begun: whether it has acted, if it acts by itself: before that it has judged nothing.
+        has_begun: whether a node with a period has acted; always true without a period.
     """
 
     def __init__(
@@ -135,9 +135,9 @@ class Live:
         """Begin without a period.
 
         Args:
-            node: that is to act.
-            act: has it act.
-            diagnose: says how a part of it is: its name, a level, a sentence and a code.
+            node: the node.
+            act: makes the node act.
+            diagnose: reports a part's state: the part's name, a level, a sentence and a code.
         """
         self._node, self._act, self._diagnose = node, act, diagnose
         self._inputs: list[Input] = []
@@ -148,19 +148,19 @@ class Live:
         self._deaf_until = self._looked
 
     def act_every(self, period: float) -> None:
-        """Let the node act from now on every period (s), and first after a second at most."""
+        """Let the node act every period (s) from now on; the first time after at most 1 s."""
         self._period, self.has_begun = period, False
         self._due = boot_time() + min(period, _FIRST_S)
 
     def receiver(
         self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Judge an input by the rules of a live graph; returns what receives its messages.
+        """Judge an input by the rules of a live graph; return the receiver of its messages.
 
         Args:
             entry: the input.
-            level: what else holds for a level.
-            callback: called with each value.
+            level: the additional rule for a level; None for another input.
+            callback: called with each value; None for none.
         """
         node = self._node
         limit = LIMITS[entry.topic.name].name
@@ -190,17 +190,17 @@ class Live:
         return on_message
 
     def judge(self) -> None:
-        """Judge all inputs as they are now."""
+        """Judge all inputs at the present time."""
         for entry in self._inputs:
             entry.judge()
 
     @property
     def due_in(self) -> float:
-        """In what time the node acts next (s)."""
+        """The time until the node acts next (s)."""
         return max(0.0, self._due - boot_time())
 
     def look(self) -> None:
-        """Act once in a period; of periods that were missed, by a pause, none is made good."""
+        """Act if the period has passed; periods that were missed in a pause are skipped."""
         now = boot_time()
         self._note_pause(now)
         if now < self._due:
@@ -211,13 +211,13 @@ class Live:
         self._say()
         self._act()
         self.has_begun = True
-        # What a node takes to decide is no pause: what it decides on must not be too old then. A
-        # suspend in the middle of it is one.
+        # The time that a node takes to decide is no pause: that must not make its inputs too old.
+        # A suspend while it decides is a pause.
         slept = suspended_time() - before
         self._looked = boot_time() - slept
 
     def _note_pause(self, now: float) -> None:
-        """Forget all inputs if the process itself stood still."""
+        """Forget all inputs if this process was paused."""
         passed, self._looked = now - self._looked, now
         if passed > PAUSE_S:
             self._deaf_until = now + PAUSE_S
@@ -226,7 +226,7 @@ class Live:
                 entry.judge()
 
     def _say(self) -> None:
-        """Say which of the inputs that the node needs are not good, and why."""
+        """Report which of the required inputs are not good, and why."""
         needed = [entry for entry in self._inputs if not entry.optional]
         bad = [entry for entry in needed if not entry.good]
         if not bad:

@@ -1,27 +1,27 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N, and but for ``/clock`` says nothing
-of its tick: none is needed, since no node publishes tick k + 1 before it has acted on tick k. The
-rule, for every node but the recorder, which only counts:
+Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` tells the tick; the
+others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
+every node except the recorder, which only counts:
 
-1. *wait*: a message arrives, and its input is awaited no more (:meth:`Lockstep.receiver`);
-2. *act*: no input is awaited; from here on all are, of the next tick (:meth:`Lockstep.act`);
-3. *publish*: the node says its own messages of the tick, one on each topic.
+1. *wait*: a message arrives, and its input is no longer awaited (:meth:`Lockstep.receiver`);
+2. *act*: no input is awaited; from here on all are, for the next tick (:meth:`Lockstep.act`);
+3. *publish*: the node publishes its own messages of the tick, one on each topic.
 
-Readers that are discovered late get what was said before: topics are transient local and 64 deep,
-and the plant is at most 32 ticks ahead of the recorder. Awaited are the inputs without a callback.
-What ends a run:
+Only inputs without a callback are awaited. Readers that are discovered late get earlier messages,
+since topics are transient local and 64 deep, and the plant is at most 32 ticks ahead of the
+recorder. These end a run:
 
-- a message that does not come within the peer limit (before a node's first answer the start limit);
-  the plant names what it awaits itself;
-- a second publisher, or a second message before its node has acted. Only the pump node tolerates
-  either of commands, and stops the pump; the plant, which hears both, ends the run;
-- a second message after the node has acted: it counts for the next tick, and is found when that
-  comes too, or as one after the last tick. One that only the recorder misses, its count shows.
+- a message that does not come within the peer limit (before the first answers: the start limit);
+  the plant watches this, and names the topics that it waits for;
+- a second publisher, or a second message before the node has acted. Only the pump node tolerates
+  these, for the command, and stops the pump; the plant also gets them and ends the run;
+- a second message after the node has acted. It counts for the next tick, and is found when that
+  tick's own message comes; after the last tick, any message is one too many. A message that only
+  the recorder misses shows in its count.
 
-Second publishers, and a plant that has gone, :mod:`greenroof_ros.graph.peers` finds. There are no
-timers and no sleeps on the way of a tick; the only wall clocks end a run which hangs, and the pump
-node's own stop its drive.
+:mod:`greenroof_ros.graph.peers` finds second publishers and a plant that has gone. No timer or
+sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ PLANT = "plant"
 
 
 class RunIdentity(NamedTuple):
-    """What the nodes of one run have in common, as the plant says it on ``/run``.
+    """What the nodes of one run share, as the plant publishes it on ``/run``.
 
     Attributes:
-        identity: a random number of the plant's.
+        identity: a random number chosen by the plant.
         last_tick: N.
-        speed: simulated per wall time; 0 for as fast as it goes.
+        speed: simulated time per wall time; 0 for as fast as possible.
     """
 
     identity: float
@@ -54,7 +54,7 @@ class RunIdentity(NamedTuple):
 
     @property
     def values(self) -> array[float]:
-        """The message's numbers."""
+        """The numbers of the message."""
         return array("d", self)
 
 
@@ -62,19 +62,19 @@ class Lockstep:
     """Makes a node act when no input is awaited, and finish with its run.
 
     Attributes:
-        run: the one that the node takes part in; None before the plant has said it.
-        tick: on which the node acts next.
-        awaited: names of the inputs whose message of the tick is to come.
-        due_in: until it is to look at the clock (s): never, but for the plant, which has a pace.
+        run: the run that the node takes part in; None before the plant has published it.
+        tick: the tick on which the node acts next.
+        awaited: names of the inputs without a message of this tick yet.
+        due_in: time until the node must check the clock (s); infinite, except in a plant with pace.
     """
 
     def __init__(self, role: str, act: Callable[[], None], finish: Callable[[], None]) -> None:
         """Begin before the run.
 
         Args:
-            role: of the node.
-            act: has it act.
-            finish: says that the run is over for it.
+            role: the node's role in the interface.
+            act: makes the node act.
+            finish: reports that the run is over for the node.
         """
         self.run: RunIdentity | None = None
         self.tick = 0
@@ -86,11 +86,11 @@ class Lockstep:
     def receiver(
         self, entry: Input, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Have the node act on an input; returns what receives its messages.
+        """Make the node wait for an input; return the receiver of its messages.
 
         Args:
             entry: the input.
-            callback: has its values instead, and nothing waits for them.
+            callback: gets the values instead, and the node does not wait for them; None for none.
         """
         if callback is not None:
             return entry.hand_on_to(callback)
@@ -99,7 +99,7 @@ class Lockstep:
         awaited.add(name)
 
         def receive(message: bytes) -> None:
-            """Take a message, and act where it was the last that was awaited."""
+            """Take a message, and act if it was the last one awaited."""
             second = name not in awaited
             if second and not entry.tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
@@ -121,15 +121,15 @@ class Lockstep:
         self.tick += 1
         self._act()
         if self.is_over:
-            self.awaited.clear()  # whatever comes now is one too many
+            self.awaited.clear()  # any further message is one too many
             self._finish()
 
     def hear_run(self, values: array[float]) -> None:
-        """Take part in a run.
+        """Join the run that the plant has published.
 
         Raises:
-            LockstepError: with another plant another run begins, and this one has ended; or it is
-                of another version.
+            LockstepError: this is another run, so this node's run has ended; the plant is of
+                another version; or a message came after the last tick.
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(
@@ -141,7 +141,7 @@ class Lockstep:
             raise LockstepError(
                 "the plant was started again, or there are two; a run ends with its plant"
             )
-        if before is None and self.is_over:  # heard behind the last tick
+        if before is None and self.is_over:  # /run arrived after the messages of the last tick
             over = round(self.run.last_tick) + 1
             early = self._of_tick if self.tick > over else self._of_tick - self.awaited
             if early:
@@ -150,5 +150,5 @@ class Lockstep:
 
     @property
     def is_over(self) -> bool:
-        """Whether the node has acted on the last tick; the plant finds that out by itself."""
+        """Whether the node has acted on the last tick; False in the plant, which counts itself."""
         return self.run is not None and self.tick > self.run.last_tick and self._role != PLANT

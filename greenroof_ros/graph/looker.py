@@ -1,12 +1,12 @@
-"""Looks at a graph from outside: hears the topics asked for, and can have the pump stopped.
+"""Watches a graph from outside: hears the topics asked for, and can stop the pump.
 
-What it stopped it can release, by services of the pump node that are its own; it can ask for a
-pause, and where the site allows it for a dose.
+It can release its own stop, clear some faults, and ask for a pause or, if the site allows it, a
+dose. The pump node has separate services for this.
 
-It must hold nobody up. So it is best effort and volatile: no publisher keeps, repeats or waits for
-anything for it. It comes over UDP alone: over shared memory a process that is stopped can hold a
-lock that others need. And it is not woken by messages: it looks every now and then, and takes all
-that came with the number that its publisher gave it, which rclpy's fast executor does not say.
+It must not delay any node. So it subscribes best effort and volatile: no publisher stores, repeats
+or waits for anything for it. It uses only UDP: with shared memory, a stopped process can hold a
+lock that others need. Messages do not wake it: it polls, and takes each message with its
+publisher's sequence number, which rclpy's fast executor does not provide.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import TAKING_DOWN_S, join
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
-# How many messages of a topic wait until the next look: 1 s at 60 times real time.
+# How many messages of a topic can wait for the next look: 1 s at 60 times real time.
 _DEPTH = 64
 
 DIAGNOSTICS = "/diagnostics"
 
 
 class StopFailedError(Exception):
-    """The pump node did not say that it did what was asked; the message says why.
+    """The pump node did not confirm a request; the message says why.
 
     Attributes:
-        answered: whether it said anything.
+        answered: whether it answered at all.
     """
 
     def __init__(self, why: str, *, answered: bool = False) -> None:
@@ -41,18 +41,18 @@ class StopFailedError(Exception):
 
 
 class Looker:
-    """A node of its own, with a context of its own, for one thread."""
+    """A separate node with a separate context, to be used by one thread."""
 
     def __init__(
         self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
     ) -> None:
-        """Join the graph's domain; /diagnostics is heard from now on.
+        """Join the graph's domain, and listen to /diagnostics.
 
         Args:
-            namespace: of the graph, such as ``/site1``; empty for none.
-            on_message: called with a topic's name in the interface, a message as it came, its
-                number (1 for its publisher's first; None where the middleware does not number) and
-                when it came (ns of the system clock).
+            namespace: the graph's namespace, such as ``/site1``; empty for none.
+            on_message: called with the topic's name in the interface, the serialised message, its
+                number (1 for its publisher's first; None if the middleware does not number) and
+                its time of arrival (ns of the system clock).
 
         Raises:
             ConfigurationError: ROS 2 is not installed.
@@ -69,7 +69,7 @@ class Looker:
                 start_parameter_services=False, enable_rosout=False, use_global_arguments=False,
             )
 
-        # The one that calls is another: an executor takes what came for its node.
+        # A second node makes the calls: an executor takes the messages of the node that it spins.
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
@@ -86,7 +86,7 @@ class Looker:
         self.listen(())
 
     def listen(self, topics: Collection[str]) -> None:
-        """Hear these topics of the interface, /diagnostics and no others."""
+        """Subscribe to these topics of the interface and /diagnostics, and to no others."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         from greenroof_ros.graph.messages import message_class
@@ -106,7 +106,7 @@ class Looker:
             )
 
     def look(self, wait_s: float) -> None:
-        """Wait, unless woken, and hand over all that has come; /diagnostics first."""
+        """Wait, unless woken, and hand over all messages that have come; /diagnostics first."""
         self._wake.wait(wait_s)
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
@@ -120,10 +120,10 @@ class Looker:
         self._wake.set()
 
     def prepare_stop(self, pump_node: str | None) -> None:
-        """Look for the services of a pump node, so that a call finds them at once.
+        """Open clients for the services of a pump node, so that a call finds them at once.
 
         Args:
-            pump_node: fully qualified; None where there is none.
+            pump_node: its fully qualified name; None if there is none.
         """
         if self._pump == pump_node:
             return
@@ -139,19 +139,19 @@ class Looker:
         """Have the pump kept off until somebody releases it.
 
         Returns:
-            What the pump node says.
+            The pump node's answer.
 
         Raises:
-            StopFailedError: it did not say that it does.
+            StopFailedError: the pump node did not confirm it.
         """
         return self._call("page_stop", timeout_s, data=True)
 
     def release_pump(self, timeout_s: float = 3.0) -> str:
-        """Release the pump, where it was stopped as above; returns and raises as that does."""
+        """Release a stop by :meth:`stop_pump`; returns and raises likewise."""
         return self._call("page_stop", timeout_s, data=False)
 
     def clear_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear the pump's latched fault, if it is one that the page may clear; else as above."""
+        """Clear the pump's latched fault, if the page may; returns and raises likewise."""
         return self._call("page_clear", timeout_s)
 
     def pause_pump(self, until: str, timeout_s: float = 3.0) -> None:
@@ -162,15 +162,15 @@ class Looker:
         """Ask for a dose.
 
         Args:
-            volume: m3.
-            asked_at: when somebody asked for it, by the system clock (s since 1970).
-            timeout_s: as for all others.
+            volume: the dose (m3).
+            asked_at: when the user asked for it, by the system clock (s since 1970).
+            timeout_s: longest wait for the answer (s).
 
         Returns:
-            What the pump node says.
+            The pump node's answer.
 
         Raises:
-            StopFailedError: it was refused, or it is not known whether it was.
+            StopFailedError: it was refused, or there was no answer.
         """
         return self._set("dose", timeout_s, volume=volume, asked_at=asked_at)
 
@@ -204,7 +204,7 @@ class Looker:
         else:
             ok, message = result.success, result.message
         if not ok:
-            # It is kept off, but not over a restart.
+            # A stop with this answer is in force, but would not survive a restart.
             raise StopFailedError(str(message), answered=True)
         return str(message)
 

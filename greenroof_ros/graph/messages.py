@@ -1,11 +1,11 @@
-"""A topic of the interface as ROS has it: message class, quality of service, and values as bytes.
+"""Topics of the interface in ROS terms: message class, quality of service, and serialised values.
 
-The bytes are those that go over the wire (CDR, XCDR version 1). For numbers, rows of numbers and
-the clock they are written and read here in a third of the time of the generated code of the message
-types, which makes a Python object of each field first. That code also leaves the padding of a
-message as it was in memory; here it is 0, so that two equal runs give equal bags. What is written
-is little-endian, as every machine that ROS 2 runs on. Whatever else comes - big-endian, a layout -
-is left to the generated code.
+The bytes are as on the wire (CDR, XCDR version 1). Numbers, rows of numbers and the clock are
+encoded and decoded here, in a third of the time of the generated code of the message types, which
+first makes a Python object for each field. The generated code also leaves the padding of a message
+uninitialised; here it is 0, so two equal runs give equal bags. Everything is written little-endian,
+like every machine that ROS 2 runs on. Other messages, such as big-endian ones or those with a
+layout, are decoded by the generated code.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from greenroof_ros.common.interface import Qos
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
 _CLOCK = struct.Struct("<4siI")
-# Length of the list of dimensions, offset of the numbers, length of the data, and padding.
+# Number of dimensions, data offset, length of the data, and padding.
 _ROW = struct.Struct("<4sIII4x")
 _LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
@@ -43,10 +43,10 @@ class LockstepError(Exception):
 
 
 class WithFront(NamedTuple):
-    """Numbers, and others in front of them that the layout's ``data_offset`` skips.
+    """Numbers, preceded by others that the layout's ``data_offset`` skips.
 
-    A forecast has there when it was issued and when its steps end: who reads by the layout, as ROS
-    defines it, gets the forecast alone.
+    In front of a forecast are the time of its issue and the ends of its steps. A reader that
+    respects the layout, as ROS defines it, gets only the forecast.
     """
 
     front: array[float]
@@ -60,7 +60,7 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
-    """Return the rclpy profile of a profile of the interface."""
+    """Return the rclpy profile for a profile of the interface."""
     profile = QoSProfile(
         depth=qos.depth,
         reliability=ReliabilityPolicy[qos.reliability.upper()],
@@ -73,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def lacks(offered: QoSProfile, required: Qos) -> list[str]:
-    """Return what an end of a topic has less than is required, each as a verb and its object."""
+    """Return what an endpoint offers below the required policies, each as a verb and its object."""
     lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
         lacking.append("is best effort")
@@ -99,14 +99,14 @@ def requirements(qos: Qos) -> str:
 
 
 def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any], bytes]:
-    """Return what makes messages of a type.
+    """Return a function that serialises values as messages of a type.
 
     Args:
-        type_name: ``std_msgs/msg/Float64`` of a number; ``std_msgs/msg/Float64MultiArray`` of an
-            ``array("d")`` or of a 2-D numpy array, whose shape goes into the layout unless it has
-            one row, or none, or of these :class:`WithFront`; ``rosgraph_msgs/msg/Clock`` of
-            nanoseconds since 1970; ``std_msgs/msg/String`` of a text.
-        dimensions: labels of a 2-D array's rows and columns.
+        type_name: ``std_msgs/msg/Float64`` for a number; ``std_msgs/msg/Float64MultiArray`` for an
+            ``array("d")``, a 2-D numpy array or a :class:`WithFront` with either (the shape of an
+            array of more than one row goes into the layout); ``rosgraph_msgs/msg/Clock`` for
+            nanoseconds since 1970; ``std_msgs/msg/String`` for a text.
+        dimensions: labels of the rows and columns of a 2-D array.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
         "std_msgs/msg/Float64": partial(_NUMBER.pack, _HEADER),
@@ -118,7 +118,7 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return what reads the value out of a message of a type; see :func:`encoder`."""
+    """Return a function that reads the value from a message of a type; see :func:`encoder`."""
     return {
         "std_msgs/msg/Float64": _decode_number,
         "std_msgs/msg/Float64MultiArray": _decode_numbers,
@@ -148,7 +148,7 @@ def _encode_numbers(
     if isinstance(values, WithFront):
         front, values = values
     if isinstance(values, np.ndarray) and len(values) <= 1:
-        values = array("d", values.tobytes())  # one forecast is no ensemble
+        values = array("d", values.tobytes())  # a single forecast is not an ensemble
     if isinstance(values, array):
         size = len(front) + len(values)
         return _ROW.pack(_HEADER, 0, len(front), size) + front.tobytes() + values.tobytes()
@@ -161,7 +161,7 @@ def _encode_numbers(
         head += bytes(-len(head) % 4)
         head += _SIZES.pack(size, stride)
     head += _SIZES.pack(len(front), len(front) + values.size)
-    head += bytes((len(_HEADER) - len(head)) % 8)  # to a multiple of 8 behind the header
+    head += bytes((len(_HEADER) - len(head)) % 8)  # pad to a multiple of 8 after the header
     return bytes(head) + front.tobytes() + values.astype("<f8").tobytes()
 
 

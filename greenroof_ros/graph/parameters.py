@@ -1,7 +1,7 @@
-"""Node parameters: described once, declared with description and range, refused in one line.
+"""Node parameters: described once, declared with description and range, checked when given.
 
-rclpy ignores a parameter that no node has declared, so that a mistyped limit would have no effect,
-and nobody would know: here it is refused, on a node's command line and in parameter files.
+rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
+effect. Here it is refused, on a node's command line and in parameter files.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import Site, read_site
 
-# Of each Python type: what ROS 2 calls it, and what a value must be, for messages.
+# For each Python type: its name in ROS 2, and what a value must be, for messages.
 _KINDS = {
     float: ("double", "a number such as 1.0"),
     int: ("integer", "a whole number"),
@@ -43,18 +43,18 @@ LIVE = Parameter(
 
 
 def site_file() -> Parameter:
-    """Return the parameter that every node has but the recorder, the same in a run."""
+    """Return the parameter that names the site file; all nodes of a run have the same value."""
     default = str(shared_directory() / "config" / "site.yaml")
     return Parameter("site_file", default, meaning="the parameters of Table I")
 
 
 def default_site() -> Site:
-    """Return the site of a node that is given no ``site_file``."""
+    """Return the site of a node without the parameter ``site_file``."""
     return read_site(Path(str(site_file().default)))
 
 
 def type_name(parameter: Parameter) -> str:
-    """Return what ROS 2 calls a parameter's type."""
+    """Return the ROS 2 name of a parameter's type."""
     return _KINDS[type(parameter.default)][0]
 
 
@@ -62,14 +62,13 @@ def type_name(parameter: Parameter) -> str:
 
 
 def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
-    """Declare those parameters that are not declared yet, and return the values of all by name.
+    """Declare the parameters that are not declared yet, and return the values of all by name.
 
-    A whole number does for a double, as in ``weight: 5``, in a file, on the command line and in
-    ``ros2 param set``; rclpy alone refuses it.
+    A whole number is accepted for a double, as in ``weight: 5``, in a file, on the command line and
+    in ``ros2 param set``; rclpy alone would refuse it.
 
     Raises:
-        ConfigurationError: a value given on the command line or in a file is of the wrong type or
-            out of range.
+        ConfigurationError: a given value has the wrong type or is not in its range or choices.
     """
     declared = list(parameters)
     doubles = {
@@ -100,7 +99,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
 
 
 def _declare_as_given(node: Node, parameter: Parameter) -> Any:
-    """Declare it with the value that is given; a whole number becomes a double where one is due."""
+    """Declare it with the value that is given; convert a whole number if a double is required."""
     try:
         return node.declare_parameter(
             parameter.name, parameter.default, _descriptor(parameter)
@@ -119,7 +118,7 @@ def _declare_as_given(node: Node, parameter: Parameter) -> Any:
 
 
 def _expected(parameter: Parameter) -> str:
-    """Return what a value must be, for messages."""
+    """Return what a value must be, for error messages."""
     if parameter.among:
         return f"must be {parameter.limits}"
     return (
@@ -129,7 +128,7 @@ def _expected(parameter: Parameter) -> str:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return what a ROS tool shows of a parameter."""
+    """Return the descriptor of a parameter, which ROS tools show."""
     descriptor = ParameterDescriptor(
         description=parameter.description, read_only=not parameter.may_change,
         additional_constraints=_expected(parameter) if parameter.among else "",
@@ -147,20 +146,20 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-# --- refused, since no node has it ------------------------------------------------------------
+# --- unknown parameters -----------------------------------------------------------------------
 
 
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
-    """Refuse a parameter of a command line that a node has not declared.
+    """Refuse a parameter on the command line that the node has not declared.
 
-    Parameters of a file are left: a section of it may be for several nodes.
+    Files are not checked here, since a section of a file can be for several nodes.
 
     Args:
-        node: that has declared all it has.
-        arguments: of the process.
+        node: the node, after it has declared all its parameters.
+        arguments: the process's command line.
 
     Raises:
-        ConfigurationError: there is one.
+        ConfigurationError: there is such a parameter.
     """
     for option, assignment in pairwise(arguments):
         qualified, _, value = assignment.partition(":=")
@@ -177,23 +176,24 @@ def refuse_unknown_in(
     file: Path, nodes: Mapping[str, str], controller: ControllerChoice,
     options: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Refuse what no node of a graph would take from a parameter file, or not from there.
+    """Refuse parameters in a file that no node of the graph has, or that only bringup may set.
 
-    Of a section for several nodes each name must be known to one of them.
+    In a section for several nodes, each name must be known to one of them.
 
     Args:
         file: a ROS 2 parameter file.
-        nodes: of each node's name, with its namespace, the module.
-        controller: of the graph.
-        options: of a node's last name and of parameters that bringup alone decides, its option.
+        nodes: each node's module, by the node's name with its namespace.
+        controller: the graph's controller.
+        options: by node name (no namespace), the option of each parameter that only bringup sets.
 
     Raises:
-        ConfigurationError: there is such a name or section, or one without ``ros__parameters``.
+        ConfigurationError: there is such a parameter, a section for no node of the graph, or one in
+            which ``ros__parameters`` is missing or not a mapping.
     """
     known = {name: _names(module, controller) for name, module in nodes.items()}
     for section, line, content in _sections(file, read_ros_parameters(file)):
         pattern = re.escape(f"/{section.removeprefix('/')}")
-        # As rcl reads it: two stars are any number of names, one is one.
+        # As in rcl: ** matches any number of names, * matches one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
         matching = [node for node in known if re.fullmatch(pattern, node)]
         last = [node.rpartition("/")[2] for node in matching or known]
@@ -227,7 +227,7 @@ def refuse_unknown_in(
 def _sections(
     file: Path, content: YamlMapping, section: str = "", line: int = 1
 ) -> Iterator[tuple[str, int, object]]:
-    """Yield the parameters of a file: for which nodes, in which line, and what."""
+    """Yield each group of parameters in a file: its section, line and content."""
     for name, part in content.items():
         nested = f"{section}/{name}" if section else name
         if name == _SECTION:
@@ -243,7 +243,7 @@ def _sections(
 
 
 def _names(module: str, controller: ControllerChoice) -> set[str]:
-    """Return the names of what the node of a module declares."""
+    """Return the names of the parameters that a module's node declares."""
     with in_extra("pump"):
         node = import_module(module)
     of = controller if module.endswith(".controller") else default_site()

@@ -1,4 +1,4 @@
-"""A node's peers in a simulated run, by the wall clock: who is missing, too many, or gone."""
+"""Watch a node's peers in a simulated run: missing ones, duplicates, and a plant that has gone."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from greenroof_ros.graph.lockstep import CLOCK, PLANT
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.supervision import FINISHED
 
-# How often publishers are counted (s): asking takes a tenth of a millisecond and more.
+# How often publishers are counted (s): counting takes at least a tenth of a millisecond.
 _COUNT_S = 0.25
-# How long somebody must be missing before it is said, and how often it is said again (s).
+# How long peers must be missing before this is logged, and how often it is repeated (s).
 _PATIENCE_S, _AGAIN_S = 2.0, 5.0
 
 
 class Peers:
-    """Looks at the peers of a node.
+    """Watches the peers of a node.
 
     Attributes:
-        over: whether the node may end by itself: nobody supervises it, the run is over, and all
-            that it said has arrived.
+        over: whether the node may end by itself: it has no supervisor, the run is over, all that it
+            published has arrived, and the plant has gone or is this node.
     """
 
     def __init__(self, node: LinkedNode) -> None:
-        """Look at nothing yet.
+        """Do nothing yet.
 
         Args:
-            node: of a simulated graph.
+            node: a node of a simulated graph.
         """
         self.over = False
         self._node = node
@@ -37,17 +37,17 @@ class Peers:
         self._say_at = math.inf
 
     def look(self, now: float) -> None:
-        """Count publishers, say who is missing, and end with the run.
+        """Count publishers, log which peers are missing, and find the end of the run.
 
-        A node that somebody supervises ends when it is asked to: the supervisor needs the last word
-        of each, and names the node that failed first.
+        A node with a supervisor ends only when asked to: the supervisor needs each node's last
+        report, and names the node that failed first.
 
         Args:
-            now: of the steady clock (s).
+            now: time on the steady clock (s).
 
         Raises:
-            LockstepError: the plant went in the run, or a second publisher came.
-            OccupiedError: a second publisher was there before the run.
+            LockstepError: the plant ended during the run, or a second publisher appeared in it.
+            OccupiedError: a topic had a second publisher before the run.
         """
         node = self._node
         if now - self._counted < _COUNT_S:
@@ -55,7 +55,7 @@ class Peers:
         self._counted = now
         alone = not node.reports.supervisor.given
         if node.reports.state == FINISHED:
-            # The plant leaves first: until then somebody may need what the node said.
+            # The plant leaves first: until then a node may still need this node's messages.
             self.over = alone and node.all_arrived() and (
                 node.role == PLANT or self._plant_has_gone()
             )
@@ -63,10 +63,10 @@ class Peers:
         for entry in node.inputs.by_name.values():
             publishers = entry.publishers
             if not entry.tolerates_second and publishers.count > 1 and publishers.heard > 1:
-                # A wrong set-up before the run, then a failure.
+                # Before the run it is a wrong set-up, later a failure.
                 kind = LockstepError if node.acted else OccupiedError
                 raise kind(publishers.sentence(now))
-        if node.lockstep.is_over:  # what the plant says of the run came behind the last tick
+        if node.lockstep.is_over:  # /run arrived after the messages of the last tick
             node.finish()
             return
         if not node.acted:
@@ -79,7 +79,7 @@ class Peers:
         return clock is not None and clock.publishers.count == 0
 
     def _say_missing(self, now: float) -> None:
-        """Say who is missing before the run: once that lasts, and again and again."""
+        """Log which peers are missing before the run: after 2 s, then every 5 s."""
         missing = sorted(map(self._node.inputs.call, self._waiting()))
         if missing != self._missing:
             self._missing, self._say_at = missing, now + _PATIENCE_S
@@ -90,7 +90,7 @@ class Peers:
             self._say_at = now + _AGAIN_S if missing else math.inf
 
     def _waiting(self) -> set[str]:
-        """Return the roles for whom the node waits; where it has all, for whom the others do."""
+        """Return the roles that the node waits for; if none, those that its peers wait for."""
         node = self._node
         return set(node.inputs.absent()) or {
             topic.publishers[0] for topic in node.interface.values()

@@ -1,7 +1,7 @@
-"""Whether a pump driver keeps to the interface, tried over topics alone.
+"""Check over topics alone whether a pump driver conforms to the interface.
 
-The check plays the other side of a lockstep: plant, weather and controller. So it needs no more of
-a driver than a graph does, be it this package's node or another's in any language.
+The check plays the other nodes of a lockstep graph: plant, weather and controller. So it requires
+no more of a driver than a graph does, and works with a driver in any language.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_prof
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 
-# What the check publishes, in the order of a tick; the command comes last.
+# The topics that the check publishes, in the order of a tick; the command comes last.
 _COMMAND = "/pump/command"
 _PLAYED = ("/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND)
-# More ticks than any check has.
+# More ticks than a check ever takes.
 _LAST_TICK = 1e9
 # The simulated time of the first tick (ns since 1970): a summer's day.
 _EPOCH_NS = 1_751_371_200_000_000_000
-# Within this the ends of topics find each other on one machine (s).
+# Within this time the endpoints of topics discover each other on one machine (s).
 _DISCOVERY_S = 2.0
-# A flow is steady once this many answers differ by no more than this share of them.
+# A flow is steady if more than this many answers vary by at most this share of the largest.
 _STEADY_TICKS, _STEADY = 10, 0.01
-# A flow of this share of the steady one is none: a pump that runs down, the noise of a flow meter.
+# A flow up to this share of the steady one counts as 0: a pump running down, or meter noise.
 _NONE = 0.01
-# More than the flow at command 1 by this share is more than the pumps' maximum: noise is less.
+# A flow more than this share above the flow at command 1 exceeds the maximum: noise is less.
 _NOISE = 0.05
-# A pump that stood still has, one tick after it may run again, at most this share of its flow.
+# The first flow of a pump that was at rest is at most this share of its steady flow.
 _AT_REST = 0.5
-# What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
-# before it would go on.
+# Commands that a driver must refuse. NaN comes first, while the pump runs: a driver that keeps the
+# previous command would then go on pumping.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
-# For what it must stop while the command goes on: what is said, when that is, and when it is over.
+# Reasons to stop although the command goes on: topic, value, and the texts for "when" and "after".
 _STOPS = (
     ("/weather/frost", 1.0, "in frost", "the frost is over"),
     ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
@@ -62,32 +62,32 @@ _STOPS = (
         "the roof's level is known",
     ),
 )
-# The cistern begins with so much water above the suction level (m3), enough for all checks but the
-# last, and its level falls with what is pumped, at most to so little above it (m): a driver may
-# stop 2 cm above it already, for a sensor that is wrong. At the end it falls to just below it.
+# The cistern starts with this much water above the suction level (m3), enough for all checks before
+# the dry-run check. Its level falls as water is pumped, but stays this far above the suction level
+# (m), since a driver may stop 2 cm above it to allow for sensor error. Then it falls just below it.
 _WATER = 1.5
 _LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
-# To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
+# After that, rain refills it to this far above the suction level (m): more than a driver may need.
 _REFILLED = 0.5
-# By the word with which /pump/state begins, a pump is on; what comes behind a colon is for people.
+# A pump is on if /pump/state begins with one of these words; text after a colon is for people.
 _ON = ("starting", "running")
-# How many checks there are, for who waits.
+# The number of checks, for the progress messages.
 _CHECKS = 22
 _NOT_RUNNING = "not tried: the pump does not run"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What is asked of the driver, and how long it may take.
+    """The command for the driver, and its time limits.
 
     Attributes:
-        command: at which the pump is to run, a share of its maximum flow.
+        command: command for a running pump, a share of its maximum flow.
         period: least time between two commands (s).
-        answer: from a command to its flow (s).
-        start: from the first command to a flow, and to a steady one (s).
-        stop: from the reason to stop to the flow 0 (s).
-        silence: without a command, at whose end the pump must have stopped (s).
-        arrival: until the driver is in the graph (s).
+        answer: longest time from a command to its flow (s).
+        start: longest time until the flow is steady (s).
+        stop: longest time from the reason to stop until the flow is 0 (s).
+        silence: time without a command, after which the pump must have stopped (s).
+        arrival: longest wait for the driver to join the graph (s).
     """
 
     command: float
@@ -100,7 +100,7 @@ class Limits:
 
 
 class _ProblemError(Exception):
-    """The driver does not keep to a rule; the message says how."""
+    """The driver breaks a rule; the message says how."""
 
 
 def _require(right: bool, problem: str) -> None:
@@ -109,16 +109,16 @@ def _require(right: bool, problem: str) -> None:
 
 
 class PumpCheck:
-    """Tries one driver."""
+    """Checks one driver."""
 
     def __init__(self, node: Node, driver: str, site: Site, limits: Limits) -> None:
         """Open the topics, in the namespace of the node.
 
         Args:
-            node: that plays the driver's peers.
-            driver: name of its node, without namespace.
-            site: whose levels it gets.
-            limits: what is asked of it.
+            node: the node that plays the driver's peers.
+            driver: name of the driver's node, without namespace.
+            site: the site that sets the levels.
+            limits: the command and the time limits.
         """
         self._node = node
         self._driver = driver
@@ -127,7 +127,7 @@ class PumpCheck:
         self._interface = read_topics()
         self._executor = make_executor()
         self._executor.add_node(node)
-        # On the roof there is room for what will be pumped.
+        # Low, so that the roof has room for all water that will be pumped.
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
         self._least_above_suction = _LEAST_ABOVE_SUCTION
@@ -144,11 +144,11 @@ class PumpCheck:
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[Finding]:
-        """Try everything, and return a finding for each check.
+        """Run all checks, and return a finding for each; only the first if the topics do not fit.
 
         Raises:
             ConfigurationError: there is no such driver.
-            OccupiedError: a graph is at work with it.
+            OccupiedError: a graph already uses it.
         """
         self._wait_for_driver()
         unfit = self._unfit()
@@ -159,7 +159,7 @@ class PumpCheck:
         return self._findings
 
     def _try_all(self) -> None:
-        """Try one check after the other; after each stop the pump must run again."""
+        """Run all checks in turn; after each stop except the last, the pump must run again."""
         limits, site = self._limits, self._site
         with self._check("is off at start: no flow before a command, and 0 at command 0"):
             early = next(iter(self._flows), 0.0)
@@ -194,7 +194,7 @@ class PumpCheck:
             with self._check(f"stops {when}: {within}"):
                 self._must_run()
                 self._stop(f"{value:g} on {topic}", {topic: value})
-            if topic == "/roof/level":  # has dried meanwhile: there is room again
+            if topic == "/roof/level":  # the roof is taken to have dried: it has room again
                 self._volumes[1] = self._empty_roof
             self._runs(f"again when {after}")
         with self._check(f"stops when the cistern falls to the suction level: {within}"):
@@ -202,7 +202,7 @@ class PumpCheck:
             self._least_above_suction = _DRY
             dry = (site.suction_level + _DRY) * site.a1
             while self._volumes[0] > dry and self._flowing(self._answer({})):
-                pass  # a driver may stop earlier
+                pass  # until the suction level; a driver may stop earlier
             above = max(0.0, self._volumes[0] / site.a1 - site.suction_level)
             self._stop("the cistern fell to the suction level", {})
             self._came += f", {above:.3f} m above the suction level"
@@ -217,7 +217,7 @@ class PumpCheck:
 
     @contextmanager
     def _check(self, title: str) -> Iterator[None]:
-        """Note what a check finds."""
+        """Run a check and note its finding."""
         self._trying = f"check {len(self._findings) + 1} of {_CHECKS}: {title}"
         problem, self._came = "", ""
         try:
@@ -232,7 +232,7 @@ class PumpCheck:
         return self._node.resolve_topic_name(self._interface[topic].graph_name)
 
     def _ends(self) -> list[tuple[str, Qos, list[Any]]]:
-        """Return of flow and command the end that the driver must have, its profile, and who is."""
+        """Return the endpoints that the driver needs, each with required profile and candidates."""
         node, flow, command = self._node, self._interface["/pump/flow"], self._interface[_COMMAND]
         publishers = node.get_publishers_info_by_topic(self._name(flow.name))
         subscriptions = node.get_subscriptions_info_by_topic(self._name(command.name))
@@ -249,7 +249,7 @@ class PumpCheck:
         return [info for info in infos if (info.node_name, info.node_namespace) == driver]
 
     def _wait_for_driver(self) -> None:
-        """Wait until the driver has both its topics, and nobody else is there."""
+        """Wait until the driver has both its topics; refuse if other nodes publish its inputs."""
         until = time.monotonic() + self._limits.arrival
         while not all(self._of_driver(infos) for *_, infos in self._ends()):
             if time.monotonic() > until:
@@ -274,7 +274,7 @@ class PumpCheck:
         )
 
     def _unfit(self) -> str:
-        """Return what the ends of its topics lack."""
+        """Return what the driver's endpoints lack, as a text; empty if they fit."""
         return "; ".join(
             f"its {end} {' and '.join(lacking)}; it must be {requirements(qos)}"
             for end, qos, infos in self._ends() for info in self._of_driver(infos)
@@ -296,13 +296,13 @@ class PumpCheck:
             self._node.create_subscription(of, topic.graph_name, hear, profile)
         for name in (RUN, *_PLAYED):
             self._publishers[name] = self._publisher(self._node, name)
-        # The same run for every check of a driver, at the speed at which its levels change.
+        # A fixed identity: a driver can be checked twice. Its levels change at this speed.
         speed = max(1.0, self._site.tau / self._limits.period)
         self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, speed).values)
         self._spin(_DISCOVERY_S)
 
     def _publisher(self, node: Node, name: str) -> Callable[[Any], None]:
-        """Open a topic, and return what publishes a value on it."""
+        """Open a topic, and return a function that publishes a value on it."""
         topic = self._interface[name]
         encode = encoder(topic.type)
         publisher = node.create_publisher(
@@ -322,7 +322,7 @@ class PumpCheck:
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            overrides: instead of the truth and the usual command, by topic.
+            overrides: values, by topic, that replace those of an undisturbed tick.
         """
         _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau
@@ -357,7 +357,7 @@ class PumpCheck:
         return flow
 
     def _count_answers(self, answers: int) -> None:
-        """Note flows beyond those that were asked for, and forget all that came."""
+        """Note flows beyond the expected number, and forget all flows."""
         if len(self._flows) > answers and not self._lockstep_problem:
             self._lockstep_problem = (
                 f"{len(self._flows)} flows instead of {answers}, after {self._ticks} commands"
@@ -371,10 +371,10 @@ class PumpCheck:
         return flow > _NONE * self._steady
 
     def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
-        """Repeat a tick until the flow is 0, and some times more; note how long that took.
+        """Repeat a tick until the flow is 0, then ten times more; note how long the stop took.
 
         Raises:
-            _ProblemError: it is not within the limit, or does not stay so.
+            _ProblemError: the flow is not 0 within the limit, or does not stay 0.
         """
         began = time.monotonic()
         before = flow = self._answer(overrides)
@@ -391,14 +391,14 @@ class PumpCheck:
             _require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
-        """See to it that a stop is not found in a pump that stood before."""
+        """Require that the pump runs: otherwise a check of a stop proves nothing."""
         _require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
-        """Repeat a command until the flow is steady, and return it (m3/s).
+        """Repeat a command until the flow is steady and above 0, and return it (m3/s).
 
         Raises:
-            _ProblemError: it is not, or 0, within the limit.
+            _ProblemError: this does not happen within the limit.
         """
         until = time.monotonic() + self._limits.start
         flows: list[float] = []
@@ -422,7 +422,7 @@ class PumpCheck:
             self._came = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
     def _fall_silent(self) -> None:
-        """Say nothing; the first flow after it tells whether the pump had stopped meanwhile."""
+        """Send nothing for a while; the next flow then shows whether the pump had stopped."""
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
         self._count_answers(0)
@@ -438,7 +438,7 @@ class PumpCheck:
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:
-        """Have another node with a publisher of the command, which says nothing."""
+        """Add another node with a publisher of the command, which publishes nothing."""
         intruder = Node("check_pump_intruder", namespace=self._node.get_namespace())
         self._publisher(intruder, _COMMAND)
         try:
@@ -449,19 +449,19 @@ class PumpCheck:
 
 
 def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:
-    """Try a driver that runs.
+    """Check a running driver.
 
     Args:
-        driver: name of its node, with its namespace where it has one: ``/site1/pump``.
-        site: whose levels and ticks it gets.
-        limits: what is asked of it.
+        driver: name of its node, with its namespace if it has one: ``/site1/pump``.
+        site: the site that sets the levels and the tick.
+        limits: the command and the time limits.
 
     Returns:
         A finding for each check.
 
     Raises:
         ConfigurationError: there is no such driver.
-        OccupiedError: a graph is at work with it.
+        OccupiedError: a graph already uses it.
     """
     choose_transport()
     namespace, _, name = driver.rpartition("/")

@@ -1,7 +1,7 @@
-"""What this package uses of rclpy that is not public: here and nowhere else, each with its reason.
+"""All private parts of rclpy that this package uses, each with the reason.
 
-A new rclpy may lack any of it without a word, so that ``test/graph/test_rclpy_internals.py`` uses
-all of it, and fails then.
+A new rclpy can drop any of them without notice: ``test/graph/test_rclpy_internals.py`` uses all of
+them, and fails then.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-_CLOCK = "/clock"  # as rclpy names it
+_CLOCK = "/clock"  # rclpy's name
 
 
 class NoClockSubscription:
-    """Beside ``Node``: a node in simulated time that does not subscribe to the clock by itself.
+    """Mixin beside ``Node`` that keeps rclpy from subscribing to the clock in simulated time.
 
-    rclpy's own subscription, to ``/clock`` even in a namespace, costs 35 us of processor time a
-    tick in each node. It is opened by this method, and there is no public way to do without.
+    rclpy's own subscription, to ``/clock`` even in a namespace, costs 35 us of processor time per
+    tick in each node. rclpy opens it with this method, and has no public way to prevent it.
     """
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
-        """Open a subscription, but not rclpy's own to the clock."""
+        """Open a subscription, except rclpy's own subscription to the clock."""
         if topic == _CLOCK:
             return None
         return super().create_subscription(  # type: ignore[misc]
@@ -29,10 +29,10 @@ class NoClockSubscription:
 
 
 def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
-    """Take the messages that wait, serialised, each with what rclpy says of it.
+    """Take the waiting messages, each serialised and with its metadata from rclpy.
 
-    rclpy hands them to callbacks only, and its fast executor calls none for what waited before
-    it listened, and none says the number that the publisher gave a message.
+    rclpy gives messages only to callbacks. Its fast executor calls none for messages that waited
+    before it listened, and passes none the publisher's sequence number.
     """
     with subscription.handle:
         while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:
@@ -40,17 +40,17 @@ def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
 
 
 def lifecycle_state(node: Any) -> int:
-    """Return the present state of a lifecycle node: there is no public way to read it."""
+    """Return the present state of a lifecycle node; rclpy has no public way to read it."""
     return int(node._state_machine.current_state[0])
 
 
 def wrap_change_state(
     node: Any, wrap: Callable[[Callable[[Any, Any], Any]], Callable[[Any, Any], Any]]
 ) -> None:
-    """Wrap what answers a lifecycle node's service ``change_state``.
+    """Wrap the callback of a lifecycle node's service ``change_state``.
 
-    rclpy's own answer ends the node with an exception where the present state lacks a transition, a
-    second *activate* perhaps (rclpy issue 1209).
+    rclpy's own callback ends the node with an exception if the present state lacks the transition,
+    such as a second *activate* (rclpy issue 1209).
     """
     service = node._service_change_state
     service.callback = wrap(service.callback)

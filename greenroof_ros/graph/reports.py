@@ -1,4 +1,4 @@
-"""A node's state, on /diagnostics and to the process that started it."""
+"""Report a node's state on /diagnostics and to its supervisor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.supervision import STARTING, SupervisorSocket
 
-# How a part of a node is, as tools know it.
+# The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
@@ -27,14 +27,14 @@ LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """How a part of a node is.
+    """The state of a node or of a part of it.
 
     Attributes:
         level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
-        message: a sentence.
-        code: for programs; empty where all is well.
-        cause: the code that it follows from; empty where that is not known.
-        since: when it began to have this code, by the system's clock (s since 1970).
+        message: a sentence; for the node itself, its state.
+        code: for programs; empty if all is well.
+        cause: the code of the cause; empty if unknown.
+        since: when the present code began, by the system clock (s since 1970).
     """
 
     level: bytes
@@ -44,64 +44,62 @@ class Diagnosis:
     since: float
 
     def for_programs(self) -> dict[str, str]:
-        """Return its code, since when it has it (ISO 8601), and its cause; each may be empty."""
+        """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
         since = datetime.fromtimestamp(self.since, timezone.utc).isoformat(timespec="seconds")
         return {"code": self.code, "since": since if self.code else "", "cause": self.cause}
 
 
 class Reports:
-    """Says a node's state.
+    """Reports a node's state.
 
-    /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
-    node's fully qualified name, and its values are written as JSON. The status of a part has the
-    part's name behind it: ``/mpc: inputs``. Name and hardware of a status are the same after a
-    restart: tools take them for the identity of what they show. A status that is not OK, and one of
-    a node that waits, has a code of :mod:`greenroof_ros.common.interface`: programs
-    go by that, and none by a sentence.
+    As usual in ROS, /diagnostics is one topic for all nodes of a domain. The name of a status is
+    the node's fully qualified name; its values are JSON. The status of a part adds the part's name:
+    ``/mpc: inputs``. Name and hardware of a status stay the same after a restart, since tools use
+    them as its identity. A status that is not OK, or comes from a waiting node, has a code of
+    :mod:`greenroof_ros.common.interface`: programs use the code, never the sentence.
 
     Attributes:
-        state: of the node.
-        diagnoses: of its parts, by name.
-        numbers: of its parts, by name: what was measured or counted; None is not known.
-        hardware: what its parts are about, where that is a device; otherwise the machine.
-        publisher: of the reports.
-        supervisor: of the node, if it has one.
+        state: the node's state.
+        diagnoses: diagnoses of the node's parts, by name.
+        numbers: measured or counted values of the node's parts, by name; None if unknown.
+        hardware: the device that the parts belong to; empty for the machine.
+        publisher: publishes the reports.
+        supervisor: the socket to the node's supervisor, if there is one.
     """
 
     def __init__(self, node: Node, role: str) -> None:
-        """Open the topic and, where somebody supervises the node, the socket to it.
+        """Open the topic and, if the node has a supervisor, the socket to it.
 
         Args:
-            node: whose state it is.
-            role: what the interface calls it.
+            node: the node.
+            role: its role in the interface.
         """
         self.state = STARTING
         self.diagnoses: dict[str, Diagnosis] = {}
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
-        self._own: Diagnosis | None = None  # of the node itself
+        self._own: Diagnosis | None = None  # the node's own
         self._node = node
         self._role = role
         self._machine = socket.gethostname()
-        self._process = f"{self._machine} {os.getpid()}"  # another one after a restart
+        self._process = f"{self._machine} {os.getpid()}"  # changes at a restart
         self.supervisor = SupervisorSocket()
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
 
     def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
-        """Keep how a part is, and return whether that is another diagnosis than before."""
+        """Set the diagnosis of a part, and return whether it has changed."""
         before = self.diagnoses.get(part)
         self.diagnoses[part] = _dated(before, level, message, code, cause)
         return self.diagnoses[part] != before
 
     def say(self, values: dict[str, Any]) -> None:
-        """Publish the node's state with these values.
+        """Publish the node's state with these values, and send it to the supervisor.
 
-        It is an error where they say why the node failed, and a warning where they have warnings.
-        One that waits for its peers is well, and says so by its code.
-        The stamp is the node's time; until simulated time begins, the system's: tools take 0
-        for a stamp that was forgotten.
+        The level is ERROR if they have a failure, and WARN if they have warnings. A node that waits
+        for its peers is OK, with a code that says so. The stamp is the node's time, or the system's
+        until simulated time begins: tools take 0 for a missing stamp.
         """
         level, code = OK, ""
         if "failure" in values:
@@ -143,13 +141,13 @@ class Reports:
 def _dated(
     before: Diagnosis | None, level: bytes, message: str, code: str, cause: str = ""
 ) -> Diagnosis:
-    """Return a diagnosis that goes on since the one before it began, where its code is the same."""
+    """Return a diagnosis; it keeps the start of the previous one if that has the same code."""
     since = time.time() if before is None or before.code != code else before.since
     return Diagnosis(level, message, code, cause, since)
 
 
 def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
-    """Return what the status of a part says to programs: its code, and its numbers."""
+    """Return the values in the status of a part: its numbers, code, start and cause."""
     values = {key: f"{number:.6g}" for key, number in numbers.items() if number is not None}
     values |= diagnosis.for_programs()
     return [KeyValue(key=key, value=value) for key, value in values.items() if value]

@@ -1,6 +1,6 @@
-"""What a supervisor and its nodes say to each other: states and reports, and the pump's permit.
+"""Messages between a supervisor and its nodes: states, reports and the pump's permit.
 
-Through a socket, since discovery in the graph can take seconds. No ROS is needed here.
+They use a socket, since discovery in the graph can take seconds. This module needs no ROS.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
-# The states of a node: not all its peers are there; they are; the run is over; so is the process.
+# The states of a node: it waits for its peers; they are there; the run is over; the process ends.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
-# What to call the node that has a role of the interface, where its name is not known.
+# How to name the node of a role if its node name is not known.
 ROLES = {"controller": "the controller", "pump": "the pump driver"}
 
-# Nodes that their supervisors treat in their own ways.
+# Nodes that a supervisor treats specially.
 PUMP, RECORDER = "pump", "recorder"
 
-# The environment variable that holds the file descriptor of a started node's end of a socket to its
-# supervisor. There it writes its reports, one JSON object a line with the key "state". The pump
-# node reads there, four times a second, whether it may run: one JSON object a line, with the key
-# "inhibit", empty or why it may not, and "at", the time since the machine started (CLOCK_BOOTTIME,
-# s) at which that was so.
+# Environment variable with the file descriptor of a node's end of the socket to its supervisor. The
+# node writes its reports to it, one JSON object per line, with the key "state". The pump node reads
+# its permit from it, which comes four times a second as one JSON object per line: "inhibit" is why
+# the pump must not run, empty if it may; "at" is the time since the machine started
+# (CLOCK_BOOTTIME, s) at which this was decided.
 SOCKET = "GREENROOF_ROS_SUPERVISOR"
-# How old a permit may be (s).
+# The greatest age of a permit (s).
 _GREATEST_AGE_S = 2.0
 
 
@@ -35,7 +35,7 @@ def _is_text(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a number, or None, which stands for unknown."""
+    """Whether it is a number, or None for unknown."""
     return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
@@ -44,12 +44,12 @@ def _is_list(value: object) -> bool:
 
 
 def _is_diagnosis(value: object) -> bool:
-    """Whether it is how a part is; see :class:`greenroof_ros.graph.reports.Diagnosis`."""
+    """Whether it is a part's diagnosis; see :class:`greenroof_ros.graph.reports.Diagnosis`."""
     keys = ("level", "message", "code", "cause", "since")
     return isinstance(value, dict) and all(_is_text(value.get(key)) for key in keys)
 
 
-# What its readers take for granted of what a report says.
+# Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("pump", "pump_state", "failure", "fault", "stop"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
@@ -63,25 +63,25 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
 
 
 def read_socket(number: int) -> bytes:
-    """Return what waits in a socket; nothing at its end, in whatever way the other side ended.
+    """Return the data waiting in a socket; empty if the other side has ended in any way.
 
     Args:
-        number: of its file descriptor.
+        number: the socket's file descriptor.
 
     Raises:
-        BlockingIOError: nothing waits.
+        BlockingIOError: no data is waiting.
     """
     try:
-        return os.read(number, 1 << 18)  # more than waits in one
-    except ConnectionResetError:  # it ended with something unread
+        return os.read(number, 1 << 18)  # more than a socket holds
+    except ConnectionResetError:  # the other side ended with data unread
         return b""
 
 
 def read_report(line: bytes) -> dict[str, Any] | None:
-    """Return the report in a line of the socket, or None where there is none.
+    """Return the report in a line from the socket; None if it is not a report.
 
-    A node that was started again can be of another version than its supervisor, where the package
-    was changed meanwhile. What is of another type than readers expect is as if it were not said.
+    A restarted node can have another version than its supervisor, if the package was updated in
+    between. Entries whose type is not the one that readers expect are dropped.
     """
     try:
         report = json.loads(line)
@@ -97,15 +97,15 @@ def read_report(line: bytes) -> dict[str, Any] | None:
 
 
 class SupervisorSocket:
-    """A node's end: what it reports, and for the pump node whether bringup lets the pump run.
+    """A node's end of the socket: sends its reports and, for the pump node, reads the permit.
 
     Attributes:
-        given: whether who started the node wants its reports, and ends it; otherwise the pump
-            needs no permit.
+        given: whether the node has a supervisor, which gets its reports and ends it. Without one,
+            the pump needs no permit.
     """
 
     def __init__(self) -> None:
-        """Take the socket that the environment names, if it does."""
+        """Use the socket that the environment names, if there is one."""
         self.given = SOCKET in os.environ
         self._socket = int(os.environ[SOCKET]) if self.given else -1
         if self.given:
@@ -115,20 +115,20 @@ class SupervisorSocket:
         self._at: float | None = None
 
     def report(self, report: Mapping[str, Any]) -> None:
-        """Report, to who wants that.
+        """Send a report to the supervisor, if there is one.
 
-        A reader that is stopped must not stop the node: what does not fit is dropped, and said
-        again a moment later.
+        A stopped supervisor must not block the node: a report that does not fit is dropped; the
+        next one follows a moment later.
         """
         if self.given:
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 os.write(self._socket, f"{json.dumps(report)}\n".encode())
 
     def missing(self, now: float) -> str:
-        """Return why the pump may not run; empty where it may.
+        """Return why the pump must not run; empty if it may.
 
         Args:
-            now: since the machine started (s), a suspend included: no permit outlasts one.
+            now: time since the machine started (s); includes suspends, so permits expire in them.
         """
         if not self.given:
             return ""
@@ -137,20 +137,20 @@ class SupervisorSocket:
             return "bringup has ended"
         if self._at is None:
             return "bringup has given no permit yet"
-        if not 0 <= now - self._at <= _GREATEST_AGE_S:  # nor of a time to come, or of none
+        if not 0 <= now - self._at <= _GREATEST_AGE_S:  # also if it is in the future or NaN
             return f"bringup has given no permit for {_GREATEST_AGE_S:g} s"
         return self._inhibit
 
     def _read(self) -> None:
-        """Take the newest line of those that came."""
+        """Take the newest line that has come."""
         data = b""
         with contextlib.suppress(BlockingIOError):
             while not self._ended:
                 read = read_socket(self._socket)
                 self._ended = not read
                 data += read
-        # A line is whole: so short, it is written at once. What a bringup of another version says
-        # is no permit where it says something else.
+        # Lines are whole: they are short enough to be written at once. A line in another form, as
+        # from a bringup of another version, is no permit.
         with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
             line = json.loads(data.splitlines()[-1])
             self._inhibit, self._at = str(line["inhibit"]), float(line["at"])

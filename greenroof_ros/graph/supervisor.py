@@ -1,4 +1,4 @@
-"""The processes of a graph's nodes: started, heard, logged, ended; on a live site started again."""
+"""Start, watch, log and end the processes of a graph's nodes; on a live site, restart them, too."""
 
 from __future__ import annotations
 
@@ -36,61 +36,61 @@ from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, SOCKET, read_report, read_socket
 
-# How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
-# node, which waits until the pump stands: as long as the speed falls.
+# How long to wait after asking a process to end before killing it (s). The pump node gets longer:
+# it waits until the pump stands, for as long as the speed falls.
 ENDING_S, PUMP_ENDING_S = 8.0, 40.0
-# How long the kernel may take (s).
+# How long killing a process may take (s).
 KILLING_S = 5.0
-# How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
+# How long a started node may be silent at first (s): imports take seconds on a busy machine.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
 # How often the pump node gets its permit (s).
 PERMIT_S = 0.25
-# Nodes that report four times a second fall silent for one reason within this time (s).
+# Nodes that fall silent for one reason do so within this time (s): they report every 0.25 s.
 _SAME_SILENCE_S = 0.5
-# Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
-# months. How long the end of nodes waits for what they printed to be written (s).
+# Size at which a node's log is renamed to .log.1, replacing the previous one: a live site runs for
+# months. After the nodes have ended, how long to wait until their output is written (s).
 _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
-# A pause of this process itself (s): what it did not hear is not the nodes' silence.
+# A gap longer than this means that this process was paused (s): the nodes were not silent then.
 _PAUSE_S = 1.0
 
-# Of a live site: a node that says nothing for so long (s) stops the pump; reports come four times a
-# second. A pump node that did not say that the pump stands is killed then.
+# Live: the pump is stopped after a node has been silent for this long (s); nodes report four times
+# a second. A silent pump node is killed then, unless it last reported the pump at rest.
 SILENT_S = 2.0
-# How long after the permit was withdrawn the pump node may say that it runs the pump (s); the pump
-# may turn longer by its drive's ramp.
+# How long after the permit is withdrawn the pump node may still report that it runs the pump (s).
+# The pump itself may turn longer, by the drive's ramp.
 _OBEYS_S = 2.0
-# The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
+# The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
 _LONGEST_WAIT_S = 10.0
 _WINDOW_S = 600.0
-# A node that was killed is one of two publishers for so long (s) when it is started again.
+# How long a killed node still counts as a second publisher after its restart (s).
 _LIVE_LEASE_S = "3"
-# Nodes without which the pump may run: what else needs a gauge says so itself.
+# Nodes without which the pump may run; a node that needs a gauge reports its absence itself.
 _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
-# A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
-# would be waited for; each line is flushed when it is written.
+# A full disk is not an error of logging: lines that do not fit are lost. Do not flush at exit: it
+# would block on a hung disk, and each line is flushed when it is written.
 logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 
-# Stops the drive without the pump node, given its process; returns whether the drive says
-# that the pump stands, and what came of it, in words.
+# Stops the drive without the pump node, given that node's process id; returns whether the drive
+# reports the pump at rest, and the outcome in words.
 StopDrive = Callable[[int], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """A node ended or hangs, and the graph with it; the message quotes the node's last lines.
+    """A node ended or hangs, so the graph must end; the message quotes the node's last lines.
 
     Attributes:
-        reason: the message without these lines.
-        last_lines: these; empty where the reason says all.
-        code: what the exit code should be.
+        reason: the message without the quoted lines.
+        last_lines: the quoted lines; empty if the reason is enough.
+        code: the exit code for bringup.
     """
 
     def __init__(self, reason: str, last_lines: str, code: int | None) -> None:
-        """Fail; of the exit codes of a node only wrong use and another graph are handed on."""
+        """Create the error; a node's exit code other than 2 (usage) and 3 (occupied) becomes 1."""
         super().__init__("\n".join(filter(None, (reason, last_lines))))
         self.reason = reason
         self.last_lines = last_lines
@@ -99,13 +99,13 @@ class NodeFailed(Exception):
 
 @dataclass(frozen=True)
 class NodeStart:
-    """A node that is to be started.
+    """A node to be started.
 
     Attributes:
-        name: of the node; the pump node's decides that it gets a permit.
-        module: that it is, such as greenroof_ros.nodes.weather.
-        arguments: of the module's command line, beside those for ROS.
-        parameters: that bringup decides, where they are not written elsewhere.
+        name: the node's name; the node named ``pump`` gets the permit.
+        module: its Python module, such as greenroof_ros.nodes.weather.
+        arguments: its command-line arguments, without ROS arguments.
+        parameters: the parameters that bringup sets, if they are not written elsewhere.
     """
 
     name: str
@@ -115,15 +115,15 @@ class NodeStart:
 
 
 class NodeProcess:
-    """A process of a node, and what it has said.
+    """The process of a node, with its reports and output.
 
     Attributes:
-        process: that runs it.
-        socket: to it.
-        heard: when it last said something of itself, or was started (steady clock, s).
-        spoke: whether it has.
-        last: that it said of itself; empty before.
-        last_lines: that it printed.
+        process: the operating-system process.
+        socket: the supervisor's end of the socket to it.
+        heard: when it last reported or was started, or this process resumed (steady clock, s).
+        spoke: whether it has reported.
+        last: its last report; empty before the first.
+        last_lines: the last lines that it printed.
     """
 
     def __init__(
@@ -138,46 +138,46 @@ class NodeProcess:
         self._cut = b""
 
     def hear(self, data: bytes) -> None:
-        """Take what came through the socket."""
+        """Take data from the socket."""
         self.spoke = True
         self.heard = time.monotonic()
         *lines, self._cut = (self._cut + data).split(b"\n")
         for line in lines:
-            # One that did not fit into a full socket is cut short; the next one says it again.
+            # A report that did not fit into a full socket is cut short; the next one follows.
             self.last = read_report(line) or self.last
 
     def log(self, data: bytes) -> None:
-        """Keep what it prints: in its log, and in memory should the disk be full or hang."""
+        """Keep its output in its log, and the last lines in memory, as the disk can fail."""
         self.last_lines.extend(data.decode(errors="replace").splitlines())
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
 
     @property
     def is_stopped(self) -> bool:
-        """Whether it was stopped, by Ctrl-Z or a debugger."""
-        with contextlib.suppress(OSError):  # it ends just now
+        """Whether it is stopped, by Ctrl-Z or a debugger."""
+        with contextlib.suppress(OSError):  # it has just ended
             stat = Path(f"/proc/{self.process.pid}/stat").read_text()
             return stat.rpartition(")")[2].split()[0] in "Tt"
         return False
 
     def kill(self) -> None:
-        """Have the kernel end it."""
+        """Kill it, and wait at most 1 s."""
         self.process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel is busy with it
+        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
             self.process.wait(1.0)
 
 
 class Supervisor:
-    """Node processes, each with a socket on which it says every quarter of a second how it is.
+    """Node processes, each with a socket on which it reports its state every quarter of a second.
 
-    Discovery in the graph can take seconds, and who watches over nodes must not miss a word. Where
-    the pump node dies, it cannot stop the drive any more: leaving the ``with`` block ends all nodes
-    and does that, whatever the pump node says.
+    Not over topics: discovery can take seconds, and a supervisor must not miss a report. A pump
+    node that has died cannot stop the drive. So leaving the ``with`` block ends all nodes and then
+    stops the drive, whatever the pump node reports.
 
     Attributes:
-        nodes: those that were started, by name.
-        awake_since: when this process itself last stood still (steady clock, s), or began.
-        may_run: that the pump may run after the end, and what protects; empty where it stands.
+        nodes: the started nodes, by name.
+        awake_since: when this process began, or last resumed from a pause (steady clock, s).
+        may_run: a warning that the pump may still run after the end; empty if it stands.
     """
 
     def __init__(
@@ -187,12 +187,12 @@ class Supervisor:
         """Start nothing yet.
 
         Args:
-            logs: the directory for what the nodes print, one file each; must exist.
-            parameters: ROS 2 parameter files of all nodes; what a later one says counts.
-            namespace: of all nodes, such as ``/site1``; empty for none.
-            stop_drive: None where there is none, or the pump is somebody else's.
-            on_failure: called where a node failed and the run goes on, with its name, and what
-                happened and was done about it.
+            logs: the directory for the nodes' output, one file each; must exist.
+            parameters: ROS 2 parameter files for all nodes; later files override earlier ones.
+            namespace: the nodes' namespace, such as ``/site1``; empty for none.
+            stop_drive: stops the drive; None if there is none, or the user runs the pump.
+            on_failure: called with a node's name and a text if the node failed without ending the
+                run, or the drive had to be stopped in its place.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
@@ -203,8 +203,8 @@ class Supervisor:
         self._directory = logs
         self._logs: dict[str, RotatingFileHandler] = {}
         self._environment: dict[str, str] = {}
-        # rcl writes files of its own on the node's thread: besides what a node prints, they would
-        # grow for months, and a disk that hangs would stop the node.
+        # rcl would also write log files, on the node's thread: they would grow for months, and a
+        # hung disk would stop the node.
         self._ros_arguments = ["--ros-args", "--disable-external-lib-logs"]
         for file in parameters:
             self._ros_arguments += ["--params-file", str(file)]
@@ -214,13 +214,13 @@ class Supervisor:
         self._looked = self.awake_since = time.monotonic()
 
     def __enter__(self) -> Supervisor:
-        """Nothing runs yet."""
+        """Return the supervisor; nothing is started."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all: the pump node first, the recorder last, whose bag holds all that was said."""
+        """End all nodes: the pump node first, the recorder last, so that the bag is complete."""
         for node in self.nodes.values():
-            node.process.send_signal(signal.SIGCONT)  # one that is stopped hears nothing else
+            node.process.send_signal(signal.SIGCONT)  # a stopped process would not get SIGTERM
         names = self.nodes.keys()
         self._end(names & {PUMP})
         if self._stop_drive is not None and PUMP in names:
@@ -229,7 +229,7 @@ class Supervisor:
         self._end(names & {RECORDER})
 
     def _see_drive_off(self, stop_drive: StopDrive) -> None:
-        """Stop the drive, and tell it where the pump node did not end well, or the pump may run."""
+        """Stop the drive; report it if the pump node did not end well or the pump may still run."""
         process = self.nodes[PUMP].process
         stands, message = stop_drive(process.pid)
         self.may_run = "" if stands else message
@@ -239,10 +239,10 @@ class Supervisor:
     # --- starting -------------------------------------------------------------------------------
 
     def start(self, node: NodeStart) -> None:
-        """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
+        """Start one node, in its own session: the terminal's Ctrl-C reaches only this process.
 
         Raises:
-            OSError: the system has no process or file descriptor to give; nothing is left open.
+            OSError: the system is out of processes or file descriptors; nothing is left open.
         """
         name = node.name
         if name not in self._logs:
@@ -270,28 +270,28 @@ class Supervisor:
         self._ears.register(printed, selectors.EVENT_READ, running.log)
 
     def permit(self, inhibit: str) -> None:
-        """Tell the pump node, if there is one, whether it may run, when that is new or due.
+        """Send the pump node, if there is one, its permit if that has changed or is due.
 
         Args:
-            inhibit: why it may not; empty where it may.
+            inhibit: why the pump must not run; empty if it may.
         """
         now, node = boot_time(), self.nodes.get(PUMP)
         if node and (inhibit != self._inhibit or now - self._permitted >= PERMIT_S):
             self._permitted, self._inhibit = now, inhibit
             line = json.dumps({"inhibit": inhibit, "at": now})
-            with contextlib.suppress(OSError):  # it does not read, or has ended
+            with contextlib.suppress(OSError):  # the node does not read, or has ended
                 node.socket.send(f"{line}\n".encode(), socket.MSG_DONTWAIT)
 
     # --- hearing --------------------------------------------------------------------------------
 
     @property
     def last(self) -> dict[str, dict[str, Any]]:
-        """The last report of each node that has said something."""
+        """The last report of each node that has reported."""
         return {name: node.last for name, node in self.nodes.items() if node.last}
 
     def listen(self) -> None:
-        """Hear what the nodes say, for at most a tenth of a second."""
-        self._read(0.1)  # which, where this process was stopped in it, may find nothing
+        """Read the nodes' reports and output; wait at most a tenth of a second."""
+        self._read(0.1)  # may find nothing if this process was paused in it
         now = time.monotonic()
         if now - self._looked > _PAUSE_S:
             self.awake_since = now
@@ -300,7 +300,7 @@ class Supervisor:
         self._looked = now
 
     def _read(self, seconds: float) -> None:
-        """Read what the nodes say, after at most so long (s): all that waits by then."""
+        """Wait for data from the nodes, at most this long (s), and read all that is there."""
         for key, _ in self._ears.select(seconds):
             data = read_socket(key.fd)
             if data:
@@ -310,13 +310,13 @@ class Supervisor:
                 cast(socket.socket, key.fileobj).close()
 
     def quoted(self, node: str) -> str:
-        """Read all that a node has said, and return its last lines."""
+        """Read the nodes' remaining output, and return the last lines of one."""
         self._read(0.0)
         quoted = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
         return "\n".join([f"last lines of {node}:", *quoted])
 
     def ended(self, node: str) -> str:
-        """Return how a node ended, and why if it said so; empty while it runs."""
+        """Return how a node ended, and the reason if it gave one; empty while it runs."""
         code = self.nodes[node].process.poll()
         if code is None:
             return ""
@@ -326,14 +326,14 @@ class Supervisor:
         return f"ended ({ending})" + (f": {why}" if why else "")
 
     def check(self, limit: float) -> None:
-        """Look whether all nodes live and speak.
+        """Check that all nodes run and report.
 
         Args:
-            limit: longest silence (s); half a second later, when all that it silenced are silent
-                for as long, it is reported.
+            limit: longest silence (s). It is reported 0.5 s later, when the nodes that wait for the
+                silent one have also exceeded it.
 
         Raises:
-            NodeFailed: one has ended, or some were silent for longer.
+            NodeFailed: a node has ended, or nodes have been silent for longer.
         """
         for name, node in self.nodes.items():
             ended = self.ended(name)
@@ -343,8 +343,7 @@ class Supervisor:
         silent = {
             name: now - node.heard for name, node in self.nodes.items() if now - node.heard > limit
         }
-        # A node that is stopped silences those that wait for it: all of them are named, and which
-        # of them is stopped.
+        # A stopped node silences those that wait for it: name all of them, and mark the stopped.
         if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
             raise NodeFailed(
                 "; ".join(
@@ -358,10 +357,10 @@ class Supervisor:
     # --- ending ---------------------------------------------------------------------------------
 
     def _end(self, nodes: Collection[str]) -> None:
-        """Ask these nodes to end, and after a while have the kernel end them.
+        """Ask these nodes to end by SIGTERM, and kill them if they take too long.
 
-        Not by SIGINT: what a shell starts in its background ignores it, and so would a node that
-        just begins.
+        Not by SIGINT: processes in a shell's background ignore it, and so would a node that is just
+        starting.
         """
         began = time.monotonic()
         limits = {
@@ -385,7 +384,7 @@ class Supervisor:
 
 
 def _log_file(path: Path) -> RotatingFileHandler:
-    """Return what writes a node's log, opened with the first line."""
+    """Return the handler that writes a node's log; it opens the file with the first line."""
     log = RotatingFileHandler(
         path, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
         delay=True,
@@ -396,27 +395,28 @@ def _log_file(path: Path) -> RotatingFileHandler:
 
 @dataclass
 class _Kept:
-    """A node of a live site: how it is started, and how it has fared."""
+    """A node of a live site: how to start it, and the history of its starts."""
 
     start: NodeStart
-    started: float = 0.0  # at what time (steady clock, s)
-    starts_again: float | None = None  # at what time, where it does not run
-    restarts: deque[float] = field(default_factory=deque)  # when, within the window
+    started: float = 0.0  # when it was last started (steady clock, s)
+    starts_again: float | None = None  # when its restart is due; None while it runs
+    restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
     was_ready: bool = False
-    cannot_start: str = ""  # why the system gives no process for it
+    cannot_start: str = ""  # why the system could not start the process
 
 
 class LiveSupervisor(Supervisor):
     """The node processes of a live site, and whether the pump may run.
 
-    A node that ends, or says nothing for too long, is started again, after a while that grows; one
-    that needs that too often is given up, and the site with it, the pump stopped. The pump node
-    gets a permit four times a second. Where it dies, falls silent or does not obey, it is
-    killed, and the drive is stopped from here. The recorder is never given up, and ends nothing:
-    recording must not stop control.
+    A node that ends or is silent for too long is restarted after a delay that grows. If a node
+    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder and
+    gauges are never given up: recording must not stop control.
+
+    The pump node gets a permit four times a second. If it dies, falls silent or disobeys, it is
+    killed and the drive is stopped from here.
 
     Attributes:
-        inhibit: why the pump may not run; empty where it may.
+        inhibit: why the pump must not run; empty if it may.
     """
 
     def __init__(
@@ -438,8 +438,8 @@ class LiveSupervisor(Supervisor):
             namespace: likewise.
             stop_drive: likewise.
             on_failure: likewise.
-            silence_s: how long a node may say nothing before it is killed (s).
-            restarts: of one node within ten minutes; one more, and the site is stopped.
+            silence_s: how long a node may be silent before it is killed (s).
+            restarts: most restarts of one node within ten minutes; one more stops the site.
         """
         super().__init__(logs, parameters, namespace, stop_drive, on_failure)
         self._environment[LEASE] = _LIVE_LEASE_S
@@ -450,22 +450,22 @@ class LiveSupervisor(Supervisor):
         self._silence_s = silence_s
         self._restarts = restarts
         self._stopper = ThreadPoolExecutor(1)
-        self._stopper.submit(int)  # its thread is here before the system may have none to give
+        self._stopper.submit(int)  # start its thread now: later the system may be out of threads
         self._stopping: Future[tuple[bool, str]] | None = None
 
     def __exit__(self, *error: object) -> None:
-        """End all; a stop of the drive that lasts first: two would be in each other's way."""
+        """End all nodes; first wait for a running stop of the drive, since two would collide."""
         if self._stopping is not None:
             self._stopping.result()
         super().__exit__(*error)
 
     def add(self, node: NodeStart) -> None:
-        """Start a node, now and whenever it has failed; see :meth:`start`."""
+        """Start a node now, and again whenever it has failed; see :meth:`start`."""
         self._kept[node.name] = _Kept(node)
         self._start(node.name, time.monotonic())
 
     def _start(self, name: str, now: float) -> None:
-        """Start a node; one for which the system has no process or file is tried again for ever."""
+        """Start a node; if the system is out of processes or files, try again every 10 s."""
         record = self._kept[name]
         record.started, record.starts_again = now, None
         try:
@@ -480,11 +480,11 @@ class LiveSupervisor(Supervisor):
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def look(self) -> None:
-        """Restart what failed, and tell the pump node whether it may run; called all the time.
+        """Restart failed nodes, and send the pump node its permit; called repeatedly.
 
         Raises:
-            NodeFailed: a node was restarted too often, or was never ready and says that its
-                parameters are wrong.
+            NodeFailed: a required node was restarted too often; or it was never ready and ended
+                because of wrong parameters or another graph.
         """
         now = time.monotonic()
         for name, record in self._kept.items():
@@ -505,7 +505,7 @@ class LiveSupervisor(Supervisor):
         self.permit(self.inhibit)
 
     def _killed(self, name: str, now: float) -> str:
-        """Kill a node that hangs or does not obey, and return why; empty where it does neither."""
+        """Kill a node that hangs or does not obey, and return why; empty if it does neither."""
         node = self.nodes[name]
         limit = self._silence_s if node.spoke else max(self._silence_s, START_LIMIT_S)
         if name == PUMP and node.spoke and not self._says_it_stands():
@@ -519,14 +519,14 @@ class LiveSupervisor(Supervisor):
         return f"{why}: killed"
 
     def _says_it_stands(self) -> bool:
-        """Whether the pump node said last that the pump stands: it was seen to, or must by now."""
+        """Whether the pump node last reported the pump at rest: read, or concluded by timeout."""
         return self.nodes[PUMP].last.get("stands") is True
 
     def _disobeys(self, now: float) -> str:
-        """Return what the pump node does although it may not; empty where it does nothing such.
+        """Return what the pump node does although it is forbidden; empty if it obeys.
 
-        A pump that turns although the node says that it was ordered to stop is met once while the
-        pump may not run: the node is right perhaps, and another stop no use.
+        If the pump still turns although the node reports that it ordered a stop, this is returned
+        once per inhibit: the node can be right, and then another stop is no use.
         """
         if not self.inhibit or self._says_it_stands():
             return ""
@@ -540,10 +540,10 @@ class LiveSupervisor(Supervisor):
         return ""
 
     def _failed(self, name: str, failure: str, now: float) -> None:
-        """Tell that a node failed, and when it starts again.
+        """Report that a node failed and schedule its restart; for the pump node, stop the drive.
 
         Raises:
-            NodeFailed: not at all.
+            NodeFailed: it is not restarted, and the site must end.
         """
         record, code = self._kept[name], self.nodes[name].process.returncode
         while record.restarts and now - record.restarts[0] > _WINDOW_S:
@@ -567,12 +567,12 @@ class LiveSupervisor(Supervisor):
 
     @property
     def all_ready(self) -> bool:
-        """Whether every node that the pump needs runs and has all that it needs."""
+        """Whether every node that the pump needs is ready, the pump node included."""
         return self._kept.keys() - _NOT_REQUIRED <= self.ready
 
     @property
     def ready(self) -> set[str]:
-        """The nodes that run and have all that they need."""
+        """The names of the nodes that run and have reported the state *ready*."""
         return {
             name for name, record in self._kept.items()
             if record.starts_again is None and self._is_ready(name)
@@ -582,7 +582,7 @@ class LiveSupervisor(Supervisor):
         return self.nodes[name].last.get("state") == READY
 
     def _reason_to_inhibit(self, now: float) -> str:
-        """Return why the pump may not run; empty where it may."""
+        """Return why the pump must not run; empty if it may."""
         reasons = []
         for name, record in self._kept.items():
             if name == PUMP or name in _NOT_REQUIRED:

@@ -1,4 +1,4 @@
-"""Initial states: the paper's, Table II, a site's own, and the volumes that a place can hold."""
+"""Initial states: the paper's (Table II), a site's own, and the volumes that a site can hold."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
 
-# Table II: the volumes at which the outlet and the target are, times these.
+# Table II: factors of the volumes at the outlet's level and at the target.
 INITIAL_STATES = {
     "low-low": (1 / 1.3, 1 / 1.3),
     "high-low": (1.3, 1 / 1.3),
@@ -19,9 +19,9 @@ INITIAL_STATES = {
 }
 
 SITES_OWN = "site"
-"""Name of the state that a site file gives, by ``initial_cistern`` and ``initial_roof``."""
+"""Name of the state that a site file defines by ``initial_cistern`` and ``initial_roof``."""
 OWN_KEYS = ("initial_cistern", "initial_roof")
-"""What the volumes of that state are called in the site file."""
+"""Keys of that state's volumes in the site file."""
 
 
 def initial_state(site: Site, name: str) -> tuple[float, float]:
@@ -31,37 +31,37 @@ def initial_state(site: Site, name: str) -> tuple[float, float]:
 
 
 def own_state(site: Site) -> tuple[float, float] | None:
-    """Return the volumes x1 and x2 (m3) that the site file gives; None where it gives none."""
+    """Return the volumes x1 and x2 (m3) that the site file gives; None if it gives none."""
     if site.initial_cistern is None or site.initial_roof is None:
         return None
     return site.initial_cistern, site.initial_roof
 
 
 def default_state(site: Site) -> tuple[str, tuple[float, float]]:
-    """Return the state that a run begins in unless a user gives another, by name and volumes (m3).
+    """Return the state that a run begins in by default: its name and its volumes (m3).
 
-    It is the site file's own, or else low-low. What the drainage layer of a measured roof holds at
-    first is always the site file's ``initial_layer``: no other state speaks of it.
+    It is the site file's own, or else low-low. The drainage layer of a measured roof always begins
+    with the site file's ``initial_layer``: the states do not include it.
     """
     state = own_state(site)
     return ("low-low", initial_state(site, "low-low")) if state is None else (SITES_OWN, state)
 
 
-@functools.cache  # so that a study says what it warns of once, not for each of its runs
+@functools.cache  # so that a study warns once, not in each of its runs
 def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]) -> None:
-    """Refuse initial volumes that the place cannot hold, and warn of a roof fuller than its soil.
+    """Refuse initial volumes that the site cannot hold, and warn of a roof fuller than its soil.
 
-    The plant has no rim: rain raises the roof above the soil's capacity, from where it drains
-    slowly, a measured one in the first tick. Whatever state a run ends in, another can begin in.
+    The plant has no rim: rain can raise the roof above the soil's capacity. It then drains slowly,
+    on a measured roof in the first tick. A run can begin in any state in which another one ends.
 
     Args:
-        site: the place.
+        site: the site.
         cistern: volume x1 (m3).
         roof: volume x2 (m3).
-        keys: what the two volumes are called where they were given.
+        keys: names of the two volumes in messages.
 
     Raises:
-        ConfigurationError: no rain could have made such a state; a unit is wrong.
+        ConfigurationError: no rain can lead to such a state; a unit is wrong.
     """
     for place, expected in unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=keys[place], value=(cistern, roof)[place])

@@ -1,27 +1,27 @@
-"""How far controllers look ahead, in which steps, and at how many forecasts."""
+"""How far controllers look ahead, in which steps, and with how many forecasts."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Steps (s) for the first day; further ones are six hours each. Fine where a decision is carried
-# out, coarse where it only has to be made room for.
+# Steps (s) for the first day; later steps are six hours each. Steps are fine while decisions are
+# carried out, and coarse while a plan only has to leave room.
 _FIRST_DAY = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6 + [3600] * 20
 _LATER = 21_600
 _HOUR = 3600
 
 LONGEST_HORIZON = 240.0
-"""The longest horizon (h): as far as weather services forecast for a place, ten days."""
+"""The longest horizon (h): ten days, the longest forecasts that weather services give."""
 
-# Of an ensemble of forecasts.
+# Largest ensemble of forecasts.
 MOST_MEMBERS = 100
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:
-    """Return the ends of steps that grow, from now to the horizon.
+    """Return the ends of growing steps, from now to the horizon.
 
-    From 4 h 20 min on they are an hour each, from 24 h 20 min on six hours; the last one ends at
+    From 4 h 20 min on steps are an hour each, from 24 h 20 min on six hours; the last one ends at
     the horizon.
 
     Args:

@@ -1,13 +1,12 @@
-"""What a run is judged by: one entry a metric, for every summary, table and report.
+"""The metrics of a run, one entry each, for every summary, table and report.
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
-combine those numbers: their sum, the largest, the last; hours are counted in ticks. A ratio is of
-two sums, and the share of rain kept is of the sums of each hour. The same function serves a
-run that is under way, block by block (:class:`Metrics`), and one that was recorded
-(:func:`totals_of`).
+combine these numbers: their sum, the largest, the last; hours are counted in ticks. A ratio comes
+from two sums, and the share of rain kept from hourly sums. The same function serves a run in
+progress, block by block (:class:`Metrics`), and a recorded run (:func:`totals_of`).
 
-All sums are Euler's, and sequential: a value holds from its sample to the next, and what was
-added up before comes first. The bits of a sum do not depend on the blocks in which it was made.
+All sums are sequential Euler sums: a value holds from its sample to the next, and the earlier
+total is added first. So the bits of a sum do not depend on the blocks in which it was made.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
-# What a roof drains is of what came in so many hours; those without rain for as long end an event.
+# A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
-# Sums of rain are rounded: 20 mm are not more than 20 mm.
+# Sums of rain are rounded: 20 mm must not count as more than 20 mm.
 _ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
-"""Half width of the band about the roof's target in which its level is good, as share of it."""
+"""Half width of the band around the roof's target that is near it, as a share of the target."""
 
 Values = NDArray[np.float64]
 
@@ -49,26 +48,26 @@ Values = NDArray[np.float64]
 class Samples:
     """A stretch of a run; each array has shape (n,).
 
-    A run ends in the state of its last sample: there nothing flows, the command is 0, and it
-    lasts a tick, with which it counts in the deviation as the paper has it.
+    A run ends in the state of its last sample: there nothing flows and the command is 0. This
+    sample lasts one tick, so that the deviation counts it as in the paper.
 
     Attributes:
         duration: from each sample to the next (s).
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
-        command: as given (1); a pump driver makes of it what it can.
+        command: as given (1); a pump driver does what it can.
         precipitation: rain (m/s).
         outflow: from the cistern to the sewer (m3/s).
         pump: from the cistern to the roof (m3/s).
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
-        layer: water volume in the drainage layer of a measured roof (m3); of others 0.
-        mains: from the mains into the cistern (m3/s); None where there is no valve.
-        limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
-        potential: evapotranspiration of plants that lack no water (m3/s); None where it is unknown.
-        time: at which each begins, since the run's start (s); None where it is unknown.
-        pumping_before: whether something was pumped in the sample before the first.
-        earlier_starts: when the pumps started in the hour before the first sample (s, so negative).
+        layer: water volume in the drainage layer of a measured roof (m3); 0 on others.
+        mains: from the mains into the cistern (m3/s); None if there is no valve.
+        limited: 1 if a tank held less than was demanded, else 0; None if unknown.
+        potential: evapotranspiration of plants that lack no water (m3/s); None if unknown.
+        time: start of each sample, since the run's start (s); None if unknown.
+        pumping_before: whether there was a pump flow in the sample before the first.
+        earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
 
     duration: Values
@@ -93,7 +92,7 @@ class Samples:
 
 
 def _sum(before: float, values: Values) -> float:
-    # Not numpy's sum, whose pairs depend on the length of the block.
+    # Not numpy's sum: its order of summation depends on the length of the block.
     return float(np.cumsum(np.append(before, values))[-1])
 
 
@@ -116,17 +115,17 @@ def _sums(before: Values | float, values: Values) -> Values:
 
 
 def _sums_by(before: Values | float, values: Values) -> Values:
-    """Add up each row but the first, which is the hour or week in which each sample counts."""
+    """Add up each row except the first, which has the hour or week of each sample."""
     places = values[0].astype(np.intp)
     earlier = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
     sums = np.zeros((len(earlier), max(earlier.shape[1], int(places.max()) + 1)))
     sums[:, : earlier.shape[1]] = earlier
     for row, amounts in zip(sums, values[1:], strict=True):
-        np.add.at(row, places, amounts)  # one after the other, as _sum
+        np.add.at(row, places, amounts)  # sequentially, like _sum
     return sums
 
 
-# --- what is made of the combined number ---------------------------------------------------------
+# --- the metric from the combined number ---------------------------------------------------------
 
 
 def _as_it_is(site: Site, total: float) -> float:
@@ -142,26 +141,26 @@ def _ratio(site: Site, sums: Values) -> float | None:
 
 
 def _rolling(values: Values, hours: int) -> Values:
-    """Return the sum of each value and the last ones before it, so many in all."""
+    """Return the sum of each value and the values before it, ``hours`` values in all."""
     padded = np.concatenate((np.zeros(hours - 1), values))
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 
 
 def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
-    """Return which share of the rain on the roof did not drain off it in the same hours (1).
+    """Return the share of the rain on the roof that did not drain off it in the same hours (1).
 
-    What drains in an hour is shared between rain and pumped water as they came in the six hours
-    that end with it. The rain's part counts in the hours that lie in a stretch of ``hours`` with
-    more than ``above``, as does the rain.
+    The drainage of an hour is split between rain and pumped water in the ratio in which they came
+    in the six hours that end with it. Rain, and its part of the drainage, count in every hour that
+    is part of a stretch of ``hours`` with more than ``above``.
 
     Args:
         site: with the area of the roof.
         by_hour: rain on the roof, pumped and drained water (m3), shape (3, n).
         above: depth of rain (mm).
-        hours: whose rain is added up.
+        hours: length of a stretch.
 
     Returns:
-        From 0 to 1; None where there was no such rain.
+        From 0 to 1; None if there was no such rain.
     """
     rain, pumped, drained = by_hour
     came, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
@@ -174,19 +173,19 @@ def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) 
 
 @dataclass(frozen=True)
 class Metric:
-    """One thing that a run is judged by.
+    """A metric of a run.
 
     Attributes:
         name: key of ``summary.json``, column of ``results.csv``.
-        unit: as people read it; 1 for a plain number.
-        label: as tables name it.
+        unit: for people; 1 for a plain number.
+        label: name in tables.
         meaning: in a few words.
-        function: gives a value for each sample; None where the samples do not say.
-        combine: what it was before, with the values of further samples; it is 0 at the beginning.
+        function: gives a value for each sample; None if the samples do not have it.
+        combine: combines the earlier number, at first 0, with the values of further samples.
         form: format of its number in tables.
-        most: what is above it is shown as a warning.
-        finish: makes the metric of what was combined: a sum of ticks is exact, one of hours is not.
-            None where the run has no such thing.
+        most: a larger value is shown as a warning.
+        finish: computes the metric from the combined number (a sum of ticks is exact, a sum of
+            hours is not); None if the run has no such thing.
     """
 
     name: str
@@ -201,11 +200,11 @@ class Metric:
 
     @property
     def description(self) -> str:
-        """Unit and meaning, as a table has them beside the number."""
+        """Unit and meaning, as a table shows them beside the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
-# --- what each sample gives ----------------------------------------------------------------------
+# --- the values of each sample -------------------------------------------------------------------
 
 
 def _pump_starts(site: Site, samples: Samples) -> Values:
@@ -220,7 +219,7 @@ def _start_times(site: Site, samples: Samples) -> Values:
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """For each start the number of starts in the hour that ends with it, 0 elsewhere."""
+    """Return, for each start, the number of starts in the hour that ends with it; 0 elsewhere."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
@@ -239,7 +238,7 @@ def _hydraulic_energy(site: Site, samples: Samples) -> Values:
 
 
 def _deviation(site: Site, samples: Samples) -> Values:
-    # Samples that are not a tick apart count with their time over tau.
+    # Samples that are not a tick long have the weight duration / tau.
     return np.abs(samples.roof - site.x2_star) * (samples.duration / site.tau)
 
 
@@ -250,7 +249,7 @@ def _actual_and_potential(site: Site, samples: Samples) -> Values | None:
 
 
 def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
-    """Return what gives the volume of a flow (m3)."""
+    """Return a function that gives the volume of a flow (m3)."""
 
     def volume(site: Site, samples: Samples) -> Values | None:
         rate: Values | None = getattr(samples, flow)
@@ -260,12 +259,12 @@ def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
-    """Return what gives the ticks in which something is so."""
+    """Return a function that gives the ticks in which a condition holds."""
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
 def _roof_water(site: Site, samples: Samples) -> Values | None:
-    """Return the hour of the run in which each begins; rain, pumped and drained water (m3)."""
+    """Return each sample's hour of the run, and its rain, pumped and drained water (m3)."""
     if samples.time is None:
         return None
     hour = (samples.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
@@ -408,12 +407,12 @@ METRICS = (
 def totals_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> dict[str, float]:
-    """Return each metric of a whole run by its name; one that its samples do not say is left out.
+    """Return each metric of a whole run by its name, without those that its samples do not have.
 
     Args:
         site: its parameters.
         samples: at least one.
-        before: the combined numbers of what came before them.
+        before: combined numbers of the samples before these.
     """
     totals = _add(before or {}, site, samples)
     values = (
@@ -424,9 +423,9 @@ def totals_of(
 
 
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
-    """Return the combined numbers of a run, with further samples; none before its beginning."""
+    """Return the combined numbers of a run with further samples; ``totals`` is empty at first."""
     result: dict[str, Any] = {}
-    combined: dict[Any, Any] = {}  # several metrics may be made of it
+    combined: dict[Any, Any] = {}  # several metrics can share a number
     for metric in METRICS:
         key = metric.function, metric.combine
         if key not in combined:
@@ -437,18 +436,18 @@ def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, A
     return result
 
 
-# What a tick is made of: its state, then what happens until the next.
+# The values of a tick: its state, then what happens until the next.
 _TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
 _pack_tick = struct.Struct(f"{len(_TICK)}d").pack
-# Ticks that are added up together: less than half the time that a tick would take alone.
+# Ticks that are added up together, in less than half the time of single ticks.
 _BLOCK_BYTES = 4096 * 8 * len(_TICK)
 
 
 class Metrics:
-    """The metrics of a run under way, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
+    """The metrics of a run in progress, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
 
     def __init__(self) -> None:
-        """Begin with pumps that stand still."""
+        """Start with pumps at rest."""
         self._totals: dict[str, Any] = {}
         self._weeks: Values | float = 0.0
         self._done = 0  # ticks that are in the totals
@@ -459,14 +458,14 @@ class Metrics:
         self._state = (0.0, 0.0, 0.0)
 
     def observe(self, site: Site, x1: float, x2: float, layer: float = 0.0) -> None:
-        """Take the state of a tick (m3), for each tick 0..N."""
+        """Set the state of a tick (m3), for each tick 0..N."""
         self._site = site
         self._state = (x1, x2, layer)
 
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
     ) -> None:
-        """Take what happens between a tick and the next, for each tick 0..N-1, once observed.
+        """Add what happens from a tick to the next, for each tick 0..N-1, after :meth:`observe`.
 
         Args:
             command: the command given (1).
@@ -479,22 +478,22 @@ class Metrics:
             self._add_ticks()
 
     def results(self) -> dict[str, float]:
-        """Return each metric by its name, of a run that ends in the tick observed last."""
+        """Return each metric by its name, if the run ends in the tick observed last."""
         end = self._end()
         return totals_of(self._site, end, self._totals)
 
     def weekly_deviations(self) -> list[float]:
         """Return the total deviation of each week of the run (m3), summed over its ticks.
 
-        A bad fortnight of a season does not show in the season's sum. The last week may be short;
-        the last tick of all counts in it, so that the weeks make up the total.
+        A bad fortnight does not show in a season's sum. The last week can be short; it includes the
+        last tick of all, so that the weeks add up to the total.
         """
         return [float(week) for week in self._weekly(self._end())[0]]
 
     def _end(self) -> Samples:
         """Add up all ticks, and return the state in which the run ends.
 
-        It counts in the hour and week of the tick before it: none begins with it.
+        That state counts in the hour and week of the tick before it, and begins no new one.
         """
         if self._ticks:
             self._add_ticks()

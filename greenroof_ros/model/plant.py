@@ -1,6 +1,6 @@
 """The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule.
 
-Eq. (4) is in :mod:`greenroof_ros.model.soil`, with the soil of a measured roof, which may have a
+Eq. (4) is in :mod:`greenroof_ros.model.soil`, with the soil of a measured roof, which can have a
 third state: the water in its drainage layer.
 """
 
@@ -21,14 +21,14 @@ JOULES_PER_KWH = 3.6e6
 
 Values = NDArray[np.float64]
 
-# Makes a named tuple of a tuple in half the time that its own class takes.
+# Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
 
 
 def outlet_flow(site: Site, x1: float) -> float:
     """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2).
 
-    It is what both outlets take where there is a low one.
+    If there is a low outlet, it is the flow of both outlets.
     """
     level = x1 / site.a1
     if level <= site.lowest_outlet:
@@ -47,9 +47,9 @@ def low_outlet_flow(site: Site, x1: float) -> float:
 
 
 def mains_flow(site: Site, x1: float) -> float:
-    """What the mains give (m3/s) a cistern holding x1 (m3): the valve's flow below its level.
+    """The mains' flow (m3/s) into a cistern holding x1 (m3): the valve's flow below its level.
 
-    The valve looks once a tick, and is open for all of it.
+    The valve is checked once a tick, and is open for the whole tick.
     """
     if site.mains_level is None or site.mains_flow is None:
         return 0.0
@@ -57,7 +57,7 @@ def mains_flow(site: Site, x1: float) -> float:
 
 
 def mains_flows(site: Site, x1: Values) -> Values:
-    """What the mains give (m3/s) at each of these volumes (m3), as :func:`mains_flow`."""
+    """The mains' flow (m3/s) at each of these volumes (m3), as :func:`mains_flow`."""
     if site.mains_level is None or site.mains_flow is None:
         return np.zeros_like(x1)
     return np.where(x1 / site.a1 < site.mains_level, site.mains_flow, 0.0)
@@ -66,7 +66,7 @@ def mains_flows(site: Site, x1: Values) -> Values:
 def maximum_pump_flow(site: Site, x1: float) -> float:
     """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3e).
 
-    It is 0 below the head that lifts no water, a level at which the pumps must not run anyway.
+    It is 0 if the pumps cannot lift water to the roof; they must not run at such a level anyway.
     """
     head = x1 / site.a1 + site.c_hat - site.d
     return site.b * math.sqrt(head) if head > 0 else 0.0
@@ -82,14 +82,14 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 def command_to(
     site: Site, soil: Soil, x1: float, x2: float, target: float, rain: float, potential: float
 ) -> float:
-    """Return the command that leads a roof from x2 to a volume in a tick; 0 where none does.
+    """Return the command that brings a roof from x2 to a volume in a tick; 0 if none does.
 
     Args:
         site: its parameters.
         soil: of the site.
         x1: in the cistern (m3).
         x2: on the roof (m3).
-        target: on it at the end of the tick (m3).
+        target: volume on it at the end of the tick (m3).
         rain: in the tick (m/s).
         potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
     """
@@ -102,13 +102,13 @@ def command_to(
 
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
-    """L (m): the head that flows (m3/s) take from a cistern holding x1 (m3), Eq. (3c)."""
-    # With the bits of a number's square, which numpy's own square has not.
+    """L (m): the head needed by flows (m3/s) from a cistern holding x1 (m3), Eq. (3c)."""
+    # float_power gives the bits of a number's square; numpy's square does not.
     return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
 
 
 class Flows(NamedTuple):
-    """What moves during one tick (m3/s), after the limit to what each tank holds."""
+    """What moves during one tick (m3/s), limited to what each tank holds."""
 
     outflow: float
     """from the cistern to the sewer"""
@@ -119,7 +119,7 @@ class Flows(NamedTuple):
     evapotranspiration: float
     """off the roof"""
     limited: bool
-    """whether a tank held less than was asked of it"""
+    """whether a tank held less than was demanded"""
 
 
 class Plant:
@@ -127,14 +127,14 @@ class Plant:
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume in the green roof (m3), of a measured roof that in its substrate.
+        x2: water volume in the green roof (m3), on a measured roof in its substrate.
         layer: water volume in the drainage layer of a measured roof (m3), at first the site's
-            ``initial_layer``; of other roofs always 0.
+            ``initial_layer``; always 0 on other roofs.
     """
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
         self._site = site
-        # Here once: the time of a tick counts.
+        # Looked up once: the time of a tick counts.
         self._a1, self._a2, self._tau = site.a1, site.a2, site.tau
         self._lowest_outlet, self._catchment = site.lowest_outlet, site.effective_catchment
         self._soil = soil_of(site)
@@ -157,10 +157,10 @@ class Plant:
         return pump_flow(self._site, self.x1, self.x2, command) if command else 0.0
 
     def flows(self, precipitation: float, evapotranspiration: float, pump: float) -> Flows:
-        """What moves during the present tick.
+        """Return what moves during the present tick.
 
-        Where the paper's model would empty a tank below zero, all that leaves it is scaled down
-        to what it holds plus what enters it.
+        If the paper's model would empty a tank below zero, all that leaves it is scaled down to
+        what it holds plus what enters it.
 
         Args:
             precipitation: rain (m/s).
@@ -181,8 +181,8 @@ class Plant:
             limited = True
         drainage = 0.0
         available = x2 / self._tau + precipitation * self._a2 + pump
-        # Otherwise the soil loses what is asked of it: most ticks of the paper's, without a call
-        # that would make them a tenth longer.
+        # Otherwise the soil loses what is demanded: in most ticks of the paper's site, which saves
+        # a call that would make them a tenth longer.
         if x2 >= self._keeps_all_below or evapotranspiration > available:
             arriving = precipitation * self._a2 + pump
             drainage, evapotranspiration, dry = self._soil.tick(
@@ -209,6 +209,6 @@ class Plant:
             self.layer = max(0.0, self.layer + tau * (drained - flows.drainage))
         x1 = self.x1 + tau * (into_cistern - outflow - pump)
         x2 = self.x2 + tau * (into_roof - (evapotranspiration + drained))
-        # A limited tank ends at 0, not at the last bit below it.
+        # A limited tank ends at 0, not a bit below it.
         self.x1 = x1 if x1 > 0 else 0.0
         self.x2 = x2 if x2 > 0 else 0.0

@@ -22,7 +22,7 @@ def fit_pump_curve(flow: ArrayLike, head: ArrayLike) -> PumpCurve:
 
     Args:
         flow: flow rates (m3/s), not negative, shape (n,), at least two different ones. The paper
-            doubles the flow of one pump, because the site has two; so should the caller.
+            doubles the flow of one pump, because its site has two; the caller must do the same.
         head: heads (m) at those flows, not negative, shape (n,).
 
     Returns:

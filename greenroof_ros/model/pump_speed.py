@@ -1,8 +1,8 @@
-"""From a flow to the speed of the pumps and back: the affinity laws on the site's pump curve.
+"""From pump flow to speed and back: the affinity laws applied to the site's pump curve.
 
-At a share s of its rated speed a pump has the flow s y and the head s^2 phi(y) where it has y and
-phi(y) at rated speed (affinity laws, e.g. White, Fluid Mechanics, Sec. 11.3). Of Eq. (3b) that
-makes phi_s(q) = s^2 c_hat + a_hat q^2. It meets the head loss L(q) of Eq. (3c) where
+At a share s of its rated speed a pump has the flow s y and the head s^2 phi(y), if it has y and
+phi(y) at rated speed (affinity laws, e.g. White, Fluid Mechanics, Sec. 11.3). Eq. (3b) becomes
+phi_s(q) = s^2 c_hat + a_hat q^2. It meets the head loss L(q) of Eq. (3c) at
 s^2 c_hat = (pipe_resistance - a_hat) q^2 + d - x1/a1.
 
 The curve stands for all pumps of the site together, at one speed.
@@ -15,14 +15,14 @@ import math
 from greenroof_ros.model.site import Site
 
 STANDS = 0.02
-"""up to this share of its rated speed, backwards too, a pump stands: noise of a drive's reading"""
+"""a pump is at rest up to this share of its rated speed, either way: noise of a drive's reading"""
 
 
 def flow_at(site: Site, speed: float, cistern_level: float) -> float:
-    """Return the flow (m3/s) of pumps at a speed; 0 where they lift no water to the roof.
+    """Return the flow (m3/s) of pumps at a speed; 0 if they lift no water to the roof.
 
-    Pumps at rest deliver nothing, even from a cistern above the roof: a check valve is taken for
-    granted. At speed 1 it has the bits of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
+    Pumps at rest deliver nothing, even from a cistern above the roof: a check valve is assumed. At
+    speed 1 the result has the bits of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
 
     Args:
         site: with the curve.
@@ -36,9 +36,9 @@ def flow_at(site: Site, speed: float, cistern_level: float) -> float:
 def speed_for(site: Site, share: float, cistern_level: float) -> float:
     """Return the speed (share of the rated one) for a share of the maximum flow at a level.
 
-    It is 0 for the share 0, and where the pumps lift no water at rated speed. From a cistern above
-    the roof, where a slow pump is beyond a small share already, it is at least the least positive
-    number, so that a positive share never means rest.
+    It is 0 for the share 0, and if the pumps lift no water at rated speed. From a cistern above
+    the roof, even a slow pump exceeds a small share. The speed is then at least the smallest
+    positive number, so that a positive share never means rest.
 
     Args:
         site: with the curve.

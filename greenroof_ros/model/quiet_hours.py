@@ -1,4 +1,4 @@
-"""Quiet hours: times of day in which the pump must stand, by the clock on the wall."""
+"""Quiet hours: times of day when the pump must stand still, by the local clock."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 _SECOND_NS = 1_000_000_000
 _MINUTE_NS = 60 * _SECOND_NS
 _DAY_S, _DAY_MINUTES = 86_400, 1440
-# So many days are kept: more than a look-ahead reaches, with the days after its forecast.
+# Number of days kept: more than a look-ahead with the days after its forecast.
 _MOST_DAYS = 60
 _INTERVAL = re.compile(r"([0-9]{2}):([0-5][0-9])-([0-9]{2}):([0-5][0-9])")
 
 
 class QuietHours:
-    """Intervals of the day in a time zone, in summer time too.
+    """Intervals of the day in a time zone, with daylight saving time.
 
-    A minute is quiet if the clock on the wall shows a time within an interval. So an interval in
-    the hour that a clock skips in spring does not happen on that day, and one in the hour that it
-    repeats in autumn happens twice.
+    A minute is quiet if the local clock shows a time within an interval. So an interval in the hour
+    that the clock skips in spring does not occur on that day, and an interval in the hour that it
+    repeats in autumn occurs twice.
     """
 
     def __init__(self, intervals: Sequence[str], zone: tzinfo) -> None:
         """Read the intervals.
 
         Args:
-            intervals: such as ``22:00-06:00``; the first minute is quiet, the last one is not.
+            intervals: such as ``22:00-06:00``; 22:00 is quiet, 06:00 is not.
             zone: of the clock.
 
         Raises:
-            ValueError: an interval is none, or together they leave no time to pump.
+            ValueError: an interval is invalid, or together they leave no time to pump.
         """
         self._zone = zone
         self._by_clock = np.zeros(_DAY_MINUTES, dtype=bool)
@@ -52,7 +52,7 @@ class QuietHours:
         return bool(self._day(day)[minute])
 
     def end_after(self, time_ns: int) -> datetime:
-        """Return when the quiet hours end that a time (ns since 1970) is in, in the zone."""
+        """Return when the quiet hours around a time (ns since 1970) end, in the zone."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         while self._day(day)[minute:].all():
             day, minute = day + 1, 0
@@ -93,7 +93,7 @@ def _minutes(interval: str) -> tuple[int, int]:
     """Return begin and end of an interval, in minutes of the day.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is invalid.
     """
     match = _INTERVAL.fullmatch(interval)
     if match is None:

@@ -1,7 +1,7 @@
-"""What a real site has and the paper's does not: a level sensor that errs, pumps that need time.
+"""What a real site has and the paper's has not: errors of the level sensor, pumps that need time.
 
-The plant stays exact, and so do all sums of a run: what is imperfect is what the controller is
-given of the roof, and when the pumps follow it.
+The plant stays exact, and so do all sums of a run. Only the roof level that the controller gets
+and the times at which the pumps follow it are imperfect.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from greenroof_ros.model.plant import Plant
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
-# A time that is a whole number of ticks but for a rounding has no further tick.
+# A time that is a whole number of ticks, apart from rounding, has no further tick.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class SensorPumpErrors:
-    """How a site differs from the paper's; by default in nothing."""
+    """How a site differs from the paper's; by default not at all."""
 
     roof_noise: float = entry(
         "standard deviation of the roof's level sensor, independent each tick", 0.0, 1.0, unit="m",
@@ -61,7 +61,7 @@ class SensorPumpErrors:
         return asdict(self)
 
     def refuse_external_pump(self) -> None:
-        """Refuse minimum times where a driver has the pump: they are its own business.
+        """Refuse minimum times if a driver controls the pump: it has its own.
 
         Raises:
             ConfigurationError: there are minimum times.
@@ -80,7 +80,7 @@ PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorPum
 class RoofSensor:
     """Reads the level of the roof.
 
-    The noise of a tick follows from the seed and the tick alone, whoever asks and when.
+    The noise of a tick depends only on the seed and the tick.
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
@@ -91,7 +91,7 @@ class RoofSensor:
         self._errors = [sensor_pump_errors.roof_offset] * _BLOCK
 
     def reading(self, tick: int, level: float) -> float:
-        """Return what it reads (m, never below 0) at a tick and a true level (m)."""
+        """Return the reading (m, at least 0) at a tick and a true level (m)."""
         if self._exact:
             return level
         block, index = divmod(tick, _BLOCK)
@@ -103,17 +103,17 @@ class RoofSensor:
 
 
 class Pump:
-    """The pumps behind the switch that spares them.
+    """The pumps behind the switch that protects them.
 
-    Once on they stay on for ``minimum_on``, at the last positive command while the command is 0;
-    once off they stay off for ``minimum_off``, whatever the command. A run begins with pumps that
-    have been off for long enough.
+    Once on, they stay on for ``minimum_on``; while the command is 0, they run at the last positive
+    command. Once off, they stay off for ``minimum_off``, whatever the command. A run begins with
+    pumps that have been off for long enough.
 
-    The switch sees what is delivered, not what is commanded. Where Eq. (3a) stops the flow, by the
-    true levels, that ends the time on however short it was, as a float switch would, and begins a
-    time off; otherwise pumps whose roof is full would start again each time a drop evaporates.
-    Frost switches off at once: a running pump's pipe bursts in it, which is worse than a short time
-    on. So do quiet hours, as they do to a real pump.
+    The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow, by the
+    true levels, the time on ends, however short it was, and a time off begins, as with a float
+    switch. Otherwise pumps with a full roof would start again each time a drop evaporates. Frost
+    switches off at once: it bursts a running pump's pipe, which is worse than a short time on. So
+    do quiet hours, as on a real pump.
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
@@ -121,16 +121,16 @@ class Pump:
         self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False
-        self._ticks = self._least_off  # for which they have been on, or off
+        self._ticks = self._least_off  # since they were switched
         self._passed = 0.0
 
     def flow(self, plant: Plant, command: float, forbidden: bool) -> float:
-        """Return what the pumps deliver in the present tick (m3/s); to be asked once a tick.
+        """Return what the pumps deliver in the present tick (m3/s); call it once a tick.
 
         Args:
             plant: in its present state.
             command: the controller's (share of the maximum flow).
-            forbidden: whether there is frost, or it is in quiet hours.
+            forbidden: whether frost or quiet hours forbid pumping.
         """
         flow = plant.pump_flow(self._switched(command, forbidden))
         if (flow > 0) != self._on:

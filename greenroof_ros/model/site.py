@@ -1,4 +1,4 @@
-"""The site: Table I of the paper and its place on earth, from a YAML file and checked."""
+"""The site: Table I of the paper and its place on earth, read from a YAML file and checked."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from greenroof_ros.model.quiet_hours import QuietHours
 if TYPE_CHECKING:
     from ruamel.yaml import YAML
 
-# No parameter of any site is beyond these, and nothing computed from them overflows.
+# Bounds of all sites' parameters: nothing that is computed within them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
-# A product that a person rounds when writing it down, such as x2_star, is still consistent.
+# Relative error up to which a product rounded by a person, such as x2_star, is consistent.
 _ROUNDING = 1e-6
-# Eq. (4) has what the soil does not hold stand on it until it drains. No more stands there than the
-# most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
+# By Eq. (4), water that the soil cannot hold stands on it until it drains. At most this much stands
+# there, the most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
 _MOST_PONDED = 1.825
-# A cistern lies below the roof; where its outlet does not, it holds what Table II asks of it.
+# A cistern reaches up to the roof, or to this multiple of its outlet (Table II) if that is higher.
 _ABOVE_OUTLET = 1.3
-# Products, computed where a file leaves them out; a paper's roof has no field capacity.
+# Products, computed if a file omits them; the paper's roof has no field capacity.
 _FOLLOW_FROM = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 # Volumes, and what they are proportional to.
 _FOLLOW = {
@@ -41,17 +41,17 @@ _FOLLOW = {
 }
 _CLIMATE = "monthly_evapotranspiration"
 _QUIET, _ZONE = "quiet_hours", "time_zone"
-# Names the file that has what a site file does not say.
+# Key of the file that has what a site file omits.
 _EXTENDS = "extends"
-# Parameters of earlier versions that changed nothing: the sites that older runs keep have them.
+# Parameters of earlier versions, without effect: site files kept by older runs have them.
 _WITHOUT_EFFECT = ("pumps_in_series", "pumps_in_parallel")
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
 )
-"""What the weather of a site depends on, computed evapotranspiration included."""
-# Of what may be left out these belong together: each needs the others of its line. A roof without a
-# drainage layer may be a measured one, too.
+"""What the weather of a site depends on, including computed evapotranspiration."""
+# Optional parameters that belong together: each needs the others of its line. A measured roof can
+# lack a drainage layer.
 _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
@@ -64,9 +64,9 @@ _TOGETHER = (
 
 @dataclass(frozen=True)
 class Site:
-    """The parameters of Table I under the paper's symbols, and what may be left out.
+    """The parameters of Table I under the paper's symbols, and optional ones.
 
-    Unit, range and meaning of each stand beside it, and :func:`site_parameters` lists them.
+    Unit, range and meaning of each stand beside it; :func:`site_parameters` lists them.
     """
 
     a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
@@ -210,7 +210,7 @@ class Site:
 
     @cached_property
     def quiet(self) -> QuietHours | None:
-        """Its quiet hours; None where the pump may run at any time."""
+        """Its quiet hours; None if the pump may run at any time."""
         if not self.quiet_hours or self.time_zone is None:
             return None
         return QuietHours(self.quiet_hours, ZoneInfo(self.time_zone))
@@ -227,7 +227,7 @@ class Site:
 
     @cached_property
     def c_low(self) -> float:
-        """The same of the low outlet (m^2.5/s); 0 where there is none."""
+        """Coefficient of the low outlet (m^2.5/s); 0 if there is none."""
         return self._outlet_coefficient(self.low_outlet_radius or 0.0)
 
     def _outlet_coefficient(self, radius: float) -> float:
@@ -270,21 +270,21 @@ class Site:
 
     @cached_property
     def layer_storage(self) -> float:
-        """Volume of the full drainage layer (m3); 0 where there is none."""
+        """Volume of the full drainage layer (m3); 0 if there is none."""
         return self.a2 * (self.drainage_storage or 0.0)
 
     @property
     def highest_cistern_level(self) -> float:
-        """Three times the outlet's level (m): a reading above is no level in metres."""
+        """Three times the outlet's level (m): a higher reading is not a level in metres."""
         return 3 * self.z_o
 
     @property
     def highest_roof_level(self) -> float:
-        """Twice the soil's depth (m): a reading above is no level in metres."""
+        """Twice the soil's depth (m): a higher reading is not a level in metres."""
         return 2 * self.z_soil
 
     def climatic_evapotranspiration(self, month: int) -> float | None:
-        """Mean off the whole bed in a month, 1 to 12 (m3/s); None where it is not known."""
+        """Mean evapotranspiration off the bed in a month, 1 to 12 (m3/s); None if unknown."""
         if self.monthly_evapotranspiration is None:
             return None
         reference = self.monthly_evapotranspiration[month - 1]
@@ -297,7 +297,7 @@ class Site:
     def roof_level(self, x2: float) -> float:
         """Depth of a water volume x2 (m3) on the roof (m).
 
-        Of a measured roof that is the water in its substrate, without that in the drainage layer.
+        On a measured roof this is the water in the substrate, without the drainage layer.
         """
         return x2 / self.a2
 
@@ -311,19 +311,19 @@ class Site:
 
 
 def _product(name: str, values: Mapping[str, float | None]) -> float:
-    """Return what a volume is that follows from others (m3)."""
+    """Return a volume that is the product of other parameters (m3)."""
     factors = [values.get(factor) for factor in _FOLLOW_FROM[name]]
     return math.prod(factor for factor in factors if factor is not None)
 
 
 def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
-    """Yield which of two volumes the place cannot hold, and what would be right.
+    """Yield which of two volumes a site cannot hold, and what would be right.
 
-    No rain could have made such a state; a unit is wrong.
+    No rain can lead to such a state; a unit is wrong.
 
     Args:
-        site: the place.
-        volumes: x1 and x2 (m3), which are 0 and 1 in what is yielded.
+        site: the site.
+        volumes: x1 and x2 (m3), numbered 0 and 1 in the result.
     """
     full = site.roof_level(site.z_cap)
     cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
@@ -346,7 +346,7 @@ def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
 def site_parameters() -> list[Parameter]:
     """Return every parameter of a site, in the order of Table I, the place last.
 
-    The default is None where there is none.
+    The default is None if there is none.
     """
     return parameters_of(Site)
 
@@ -354,13 +354,13 @@ def site_parameters() -> list[Parameter]:
 def edited(path: Path, values: Mapping[str, float]) -> str:
     """Return the text of a site file with other values; its comments stay.
 
-    What it has from a file that it extends is put into it, so that it stands by itself. The volumes
-    that go with what is edited follow it: x2_star and z_cap, which are products, and those that a
-    run begins with, whose levels stay.
+    The entries of a file that it extends are copied into it, so that it is complete. Volumes that
+    depend on changed values follow them: the products x2_star and z_cap, and the initial volumes
+    (their levels stay the same).
 
     Args:
         path: of a file that :func:`read_site` accepts.
-        values: by their symbols; one that the file does not have is added.
+        values: by their symbols; those missing in the file are added.
     """
     current = {key: value for key, (_, _, value) in _entries(path).items()}
     new = {**current, **values}
@@ -375,7 +375,7 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
-    """Return YAML with a line for each key, whatever its form was, and with other values."""
+    """Return YAML with one line per key, whatever its form was, and with other values."""
     yaml, stream = site_yaml(), io.StringIO()
     site = yaml.load(text)
     site.fa.set_block_style()
@@ -385,7 +385,7 @@ def _with(text: str, values: Mapping[str, str]) -> str:
 
 
 def _whole(path: Path) -> str:
-    """Return a site file's text, with what it has from the file that it extends below its own."""
+    """Return a site file's text, followed by what comes from the file that it extends."""
     text, mapping = _with(read_text(path), {}), read_yaml(path)
     base = mapping.get(_EXTENDS)
     if base is None:
@@ -397,15 +397,15 @@ def _whole(path: Path) -> str:
     own_lines = [line for line in text.splitlines() if key(line) != _EXTENDS]
     further, copying = [f"# From {base}"], True
     for line in _whole(_base(path, base)).splitlines():
-        if not line[:1].isspace():  # or it goes on with the one above it
+        if not line[:1].isspace():  # otherwise it continues the line above
             copying = key(line) not in mapping
         further += [line] * copying
     return "\n".join([*own_lines, "", *further, ""])
 
 
 def site_yaml() -> YAML:
-    """Return what reads and writes YAML with its comments, and takes every value for a text."""
-    # Here, since every node reads a site and few edit one: it takes long to import.
+    """Return a reader and writer of YAML that keeps comments and reads every value as text."""
+    # Imported here: it takes long, and every node reads a site but few edit one.
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
@@ -420,9 +420,9 @@ def site_yaml() -> YAML:
 
 
 def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
-    """Return what a site file says, and what it does not say but the file that it extends.
+    """Return the entries of a site file, including the file that it extends.
 
-    Of each value by its key: file, line and value.
+    By key: file, line and value. The site file's own entries take precedence.
     """
     mapping = read_yaml(path)
     entries = {key: (path, mapping.lines[key], value) for key, value in mapping.items()}
@@ -439,7 +439,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
 
 
 def _base(path: Path, name: str) -> Path:
-    """Return the file that a site file extends: beside it, or of this package."""
+    """Return the file that a site file extends: in its own directory, or of this package."""
     shipped = shared_directory() / "config" / name
     return (
         shipped if shipped.is_file() and not (path.parent / name).is_file() else path.parent / name
@@ -449,11 +449,11 @@ def _base(path: Path, name: str) -> Path:
 def read_site(path: Path) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
-    It may extend another one, ``extends: site.yaml``, beside it or of this package, and says then
-    what differs.
+    It can extend another file (``extends: site.yaml``), in its own directory or of this package.
+    It then contains only the differences.
 
     Raises:
-        ConfigurationError: a parameter is missing, unknown, no number, beyond its range, or
+        ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or
             inconsistent with another; the message names the file, line, key and value.
     """
     entries = _entries(path)
@@ -511,7 +511,7 @@ def _quiet_value(
     """Return the value of ``quiet_hours`` or ``time_zone``.
 
     Raises:
-        ConfigurationError: it is none, as ``refuse`` says.
+        ConfigurationError: it is invalid; ``refuse`` makes the error.
     """
     if name == _ZONE:
         try:
@@ -534,11 +534,11 @@ def _quiet_value(
 
 
 def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, str]]:
-    """Yield each parameter that cannot be right beside the others, and what would be.
+    """Yield each parameter that contradicts others, and what would be right.
 
     Args:
         site: with each parameter in its range.
-        entries: those that its file has.
+        entries: names of the parameters that its file has.
     """
     for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
         high = read_topics()[topic].high

@@ -4,8 +4,8 @@ Each equation is a function: :func:`f` is Eq. (5), :func:`psi` (6), :func:`q_out
 :func:`q_pump` (8) and :func:`q_drain` (9). The last four also give the derivatives that Eq. (10)
 needs.
 
-The soil of a measured roof, in place of Eq. (9), is taken as it is: continuous, and between its
-wilting point, the onset of stress and field capacity as smooth as can be.
+The soil of a measured roof replaces Eq. (9) unchanged: it is continuous, and smooth except at the
+wilting point, the onset of stress and field capacity.
 """
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def f(
         w_e: evapotranspiration (m3/s).
         out: q_out, Eq. (7) (m3/s).
         pumped: q_pump, Eq. (8) (m3/s).
-        soil: with q_drain, Eq. (9).
+        soil: including q_drain, Eq. (9).
     """
     f1 = w_r * site.effective_catchment + mains_flow(site, x1) - out - pumped
     return f1, (w_r * site.a2 + pumped) * soil.kept - w_e * soil.stress - soil.drained
@@ -60,7 +60,7 @@ def q_out(site: Site, x1: float) -> tuple[float, float]:
 def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
     """q_pump^epsilon: what the pumps lift at a command u (m3/s), Eq. (8).
 
-    Its slopes by x1 and x2 (1/s) and by u (m3/s) come after it.
+    Its slopes by x1 and x2 (1/s) and by u (m3/s) follow.
     """
     epsilon = site.epsilon
     root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)

@@ -1,6 +1,6 @@
 """The soil of a roof: the paper's, Eq. (4), or a measured one. Both have the same methods.
 
-:func:`soil_of` gives the soil of a site; :class:`PaperSoil` says what each method returns.
+:func:`soil_of` returns the soil of a site; :class:`PaperSoil` documents what each method returns.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
 Losses = tuple[float, float, bool]  # drainage, evapotranspiration; whether they are limited
-Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume; and its slope
+Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume, and its slope
 
-# No rain raises the paper's roof further above its target (m).
+# Rain raises the paper's roof by at most this much above its target (m).
 _ABOVE_M = 0.15
-# Where an infinite volume must arrive to reach field capacity, so much (of TAW) is counted.
+# Only an infinite volume would fill the soil to field capacity: this share of TAW counts as full.
 _ALMOST_FULL = 1 - 1e-9
-# lasting_share follows at least that much, of the water that plants can take (1): differences of
-# less would be of rounding.
+# lasting_share adds at least this share of the water that plants can take (1): smaller differences
+# would be rounding errors.
 _LEAST_ADDED = 0.005
-# Less is not distinguished from nothing (1); a storm that fills the substrate leaves nothing.
+# Least result of lasting_share (1): a storm that fills the substrate leaves no difference.
 _LEAST_LASTING = 1e-3
 
 
 class SoilSlopes(NamedTuple):
-    """What the soil makes of water, at a volume x2, and the derivatives by x2 (1/m3 of each)."""
+    """What the soil does with water at a volume x2, and the derivatives by x2 (1/m3 of each)."""
 
     kept: float
     """share of the arriving water that stays (1)"""
     kept_2: float
     stress: float
-    """share of the evapotranspiration that it gives (1)"""
+    """share of the potential evapotranspiration that it yields (1)"""
     stress_2: float
     drained: float
-    """what drains beside the share that does not stay (m3/s)"""
+    """drainage besides the share of the arriving water that does not stay (m3/s)"""
     drained_2: float
 
 
 class Followed(NamedTuple):
-    """What left a roof, and what its drainage layer held, sample by sample."""
+    """What left a roof, and what its drainage layer held, for each sample."""
 
     evaporated: Values
     """m3/s, shape (n,)"""
@@ -61,12 +61,12 @@ class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
     Attributes:
-        measured: whether it is a measured roof's.
-        above_target: by how much rain can raise it above its target (m3).
-        keeps_all_below: volume below which all that arrives stays and all that is asked for
-            evaporates, if it is there (m3); 0 where there is none.
+        measured: whether it is the soil of a measured roof.
+        above_target: how far rain can raise it above its target (m3).
+        keeps_all_below: volume below which all arriving water stays, and evaporation is only
+            limited by the water that is there (m3); 0 if there is no such volume.
         excess: what water above its capacity does, in words.
-        stress_volume: below which :meth:`water_stress` is less than 1 (m3).
+        stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
 
     measured = False
@@ -78,7 +78,7 @@ class PaperSoil:
         self.above_target = site.a2 * _ABOVE_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return what leaves the soil in a tick, if it is there (m3/s): q_drain, Eq. (4).
+        """Return the drainage off the soil in a tick, if it holds that much (m3/s), Eq. (4).
 
         Args:
             x2: what the soil holds (m3).
@@ -92,15 +92,15 @@ class PaperSoil:
         return 1.0
 
     def water_stress(self, x2: float) -> float:
-        """Return the share of the evapotranspiration that a soil holding x2 (m3) gives (1)."""
+        """Return the share of the potential evapotranspiration at a volume x2 (m3) (1)."""
         return 1.0
 
     def tick(
         self, x2: float, layer: float, most: float, arriving: float, potential: float
     ) -> Losses:
-        """Return what leaves the roof in a tick: no more than it holds and gets.
+        """Return what leaves the roof in a tick: at most what it holds and gets.
 
-        Where that is less than Eqs. (1) and (4) ask for, both are scaled down to it.
+        If that is less than Eqs. (1) and (4) demand, both losses are scaled down to it.
 
         Args:
             x2: what the soil holds (m3).
@@ -110,7 +110,7 @@ class PaperSoil:
             potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
 
         Returns:
-            Drainage and evapotranspiration (m3/s), and whether there was less than was asked for.
+            Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
         """
         drainage = self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
         demand = potential + drainage
@@ -120,18 +120,18 @@ class PaperSoil:
         return drainage, potential, False
 
     def fastest_fall(self, level: float) -> float:
-        """Return the most by which drainage lowers a level (m) as time goes by (m/s).
+        """Return the fastest rate at which drainage lowers a level (m), in m/s.
 
-        It is Eq. (4), below the capacity as well.
+        It is Eq. (4), also below the capacity.
         """
         return self._site.K * (level + self._site.z_soil) / self._site.z_soil
 
     def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
-        """Return what a linear model about x2 (m3) needs.
+        """Return what a linear model around x2 (m3) needs.
 
         Args:
             x2: what the soil holds (m3).
-            q_drain: Eq. (9) and its slope, in place of Eq. (4), whose drainage sets in with a jump.
+            q_drain: Eq. (9) and its slope, instead of Eq. (4), where drainage starts with a jump.
         """
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
 
@@ -141,12 +141,12 @@ class PaperSoil:
     ) -> Values:
         """Return what the roof holds after a step of any length (m3), in which rain comes first.
 
-        What stands above the capacity drains at the end of the step.
+        Water above the capacity drains at the end of the step.
 
         Args:
             x2: what it holds before (m3).
-            arriving: rain and pumped water in the step (m3), of a shape that goes with x2, as
-                asked and seconds.
+            arriving: rain and pumped water in the step (m3); its shape must broadcast with x2,
+                potential and seconds.
             potential: what would evaporate from plants that lack no water (m3).
             seconds: the step's length.
         """
@@ -157,11 +157,11 @@ class PaperSoil:
         return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Return what must arrive on an empty roof until it holds x2 (m3), of any shape."""
+        """Return the water that fills an empty roof to x2 (m3), of any shape."""
         return x2
 
     def filled_by(self, arrived: Values) -> Values:
-        """Return what an empty roof holds (m3) when so much has arrived (m3)."""
+        """Return what an empty roof holds (m3) after this much has arrived (m3)."""
         return arrived
 
     def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
@@ -180,12 +180,12 @@ class PaperSoil:
         return np.asarray((rain * self._site.a2 - potential) * lengths)
 
     def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict which share of what fills the roof now is still on it in later steps (1): all.
+        """Predict the share of water added now that is still on the roof in later steps (1): all.
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            changes: of the roof left alone, as :meth:`free_changes` returns them (m3).
-            weather: rain, evapotranspiration and lengths of the steps that gave them.
+            changes: without pumping, as :meth:`free_changes` returns them (m3).
+            weather: the arguments rain, potential and lengths of that call.
 
         Returns:
             The mean of each step, shape (n,).
@@ -196,27 +196,27 @@ class PaperSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> Followed:
-        """Compute what nobody measures on a roof whose volume is known.
+        """Compute the unmeasured quantities of a roof with known volumes.
 
         Args:
             layer: what its drainage layer holds at first (m3).
-            x2: at the beginning of each sample (m3), NaN where it is unknown, shape (n,).
+            x2: at the beginning of each sample (m3), NaN if unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
             pump: from the cistern (m3/s), shape (n,).
             potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
-            drainage: off the roof (m3/s), shape (n,); None where nobody says it.
+            drainage: off the roof (m3/s), shape (n,); None if unknown.
             durations: of the samples (s), shape (n,).
         """
         if drainage is None:
             drainage = np.where(x2 >= self.keeps_all_below, self._darcy(x2), 0.0)
-        # As Plant.flows: what is not there does not evaporate.
+        # As in Plant.flows: at most the available water evaporates.
         available = x2 / durations + rain * self._site.a2 + pump - drainage
         evaporated = np.fmin(potential, np.maximum(available, 0.0))
         return Followed(evaporated, drainage, np.full_like(x2, layer), layer)
 
     def _darcy(self, x2: Any) -> Any:
-        """Return what drains from a soil that holds x2 (m3), its capacity or more (m3/s)."""
+        """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
         site = self._site
         return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
 
@@ -226,8 +226,8 @@ class MeasuredSoil:
 
     The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and
     Vis 2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
-    drainage layer is a reservoir whose outflow goes with the square of what it holds. Only a site
-    with a ``field_capacity`` has it.
+    drainage layer is a reservoir whose outflow is proportional to the square of its volume. Only
+    sites with a ``field_capacity`` have this soil.
     """
 
     measured = True
@@ -242,7 +242,7 @@ class MeasuredSoil:
         self.stress_volume = self._wilting + self._drying
 
     def filled_share(self, x2: float) -> float:
-        """Return S (1): how full of water that plants can take a substrate holding x2 (m3) is.
+        """Return S (1): the filled share of the water that plants can take, at x2 (m3).
 
         0 at the wilting point and below, 1 at field capacity and above.
         """
@@ -251,22 +251,22 @@ class MeasuredSoil:
         return max(0.0, (x2 - self._wilting) / self._available)
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return what percolates (m3/s): S^2 of what arrives, and the excess.
+        """Return the percolation (m3/s): S^2 of the arriving water, and the excess.
 
-        The excess is what is held above field capacity; it leaves within the tick.
+        The excess is the water above field capacity; it leaves within the tick.
         """
         filled = self.filled_share(x2)
         return filled * filled * arriving + max(0.0, x2 - self._capacity) / seconds
 
     def mean_percolation(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return what leaves the substrate on average over a step that may be long (m3/s).
+        """Return the mean percolation out of the substrate over a step that can be long (m3/s).
 
-        The share that passes grows as the substrate fills: dS/dt = (1 - S^2) i / TAW, solved for a
+        The share that passes grows as the substrate fills. dS/dt = (1 - S^2) i / TAW, solved for a
         constant i, is
 
             S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
 
-        Up to the wilting point all stays.
+        Up to the wilting point all water stays.
 
         Args:
             x2: water in the substrate at the beginning (m3).
@@ -282,14 +282,14 @@ class MeasuredSoil:
         return max(0.0, arriving - retained / seconds)
 
     def kept_share(self, x2: float) -> float:
-        """Return 1 - S^2; the rest finds its way past the soil to the drainage layer."""
+        """Return 1 - S^2; the rest bypasses the soil to the drainage layer."""
         filled = self.filled_share(x2)
         return 1 - filled * filled
 
     def water_stress(self, x2: float) -> float:
         """Return K_s = (TAW - D_r) / ((1 - p) TAW), at most 1: FAO-56, Eq. 84.
 
-        TAW is what plants can take at field capacity, and D_r what is missing of it.
+        TAW is the water that plants can take at field capacity, D_r the part of it that is missing.
         """
         return min(1.0, self.filled_share(x2) / self._onset)
 
@@ -301,8 +301,8 @@ class MeasuredSoil:
 
             V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
 
-        What is then above its storage has flown off as well. Without a layer the inflow leaves at
-        once.
+        The volume then above the layer's storage also leaves in the tick. Without a layer the
+        inflow leaves at once.
 
         Args:
             layer: what it holds (m3).
@@ -321,7 +321,7 @@ class MeasuredSoil:
     def tick(
         self, x2: float, layer: float, most: float, arriving: float, potential: float
     ) -> Losses:
-        """Return what leaves the layer and the plants: what percolates is always there."""
+        """Return drainage and evapotranspiration; there is always enough water to percolate."""
         percolated = self.drained(x2, arriving, self._tau)
         evaporated, remaining = potential * self.water_stress(x2), most - percolated
         limited = evaporated > remaining
@@ -330,14 +330,13 @@ class MeasuredSoil:
         return self.layer_outflow(layer, percolated, self._tau), evaporated, limited
 
     def fastest_fall(self, level: float) -> float:
-        """Return what takes the excess off within a tick (m/s)."""
+        """Return the rate that removes the excess within a tick (m/s)."""
         return max(0.0, level - self._site.roof_level(self._capacity)) / self._tau
 
     def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
-        """Return the soil as it is, since it is continuous.
+        """Return the slopes of the soil itself, since it is continuous.
 
-        At the wilting point, the onset of stress and field capacity the slopes are taken from
-        one side.
+        At the wilting point, the onset of stress and field capacity the slopes are one-sided.
         """
         filled, stress = self.filled_share(x2), self.water_stress(x2)
         excess = max(0.0, x2 - self._capacity)
@@ -372,17 +371,17 @@ class MeasuredSoil:
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
 
     def filled_by(self, arrived: Values) -> Values:
-        """Return the inverse."""
+        """Return the inverse of :meth:`water_to_fill`."""
         more = np.maximum(arrived - self._wilting, 0.0) / self._available
         return np.minimum(arrived, self._wilting) + self._available * np.tanh(more)
 
     def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
-        """Predict the change in steps that may be long, as in :meth:`after`."""
+        """Predict the changes in steps that can be long, as in :meth:`after`."""
         dry, most, drying = self._wilting, self._available, self._drying
         stressed = dry + drying  # below it evapotranspiration decays
         fallen, demand = rain * self._a2 * lengths, potential * lengths
-        # Of most steps, all at once: those that begin above the wilting point, and end all
-        # stressed.
+        # Computed at once, and right for most steps, which begin above the wilting point and are in
+        # stress after the rain.
         steps = fallen, np.tanh(fallen / most), demand, np.expm1(-demand / drying)
         volumes = [x2]
         for fell, gained, dried, decay in zip(*(part.tolist() for part in steps), strict=True):
@@ -405,12 +404,12 @@ class MeasuredSoil:
         return np.diff(volumes)
 
     def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict which share of what fills the roof now is still on it in later steps (1).
+        """Predict the share of water added now that is still on the roof in later steps (1).
 
-        Two roofs are followed by :meth:`free_changes`: one left alone, and one filled to its target
-        now. What they differ by, over what they differed by at first, is the share, at least 0.001.
-        It falls: the fuller substrate lets more of each rain pass and, where plants lack water,
-        gives more to them. A storm that fills both leaves no difference.
+        :meth:`free_changes` follows two roofs: one without pumping, and one filled to its target
+        now. The share is their difference over their first difference, at least 0.001. It falls:
+        the fuller substrate lets more of each rain pass and, if plants lack water, gives more to
+        them. A storm that fills both leaves no difference.
         """
         added = max(self._site.x2_star - x2, _LEAST_ADDED * self._available)
         fades = self.free_changes(x2 + added, *weather) - changes
@@ -421,7 +420,7 @@ class MeasuredSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> Followed:
-        """Compute what the substrate lost, and the drainage whether or not anybody says it."""
+        """Compute what the substrate lost, and the drainage even if ``drainage`` is given."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, drained, layers = array("d"), array("d"), array("d")
         for volume, comes, demand, seconds in zip(
@@ -442,12 +441,12 @@ Soil: TypeAlias = PaperSoil | MeasuredSoil
 
 
 def soil_of(site: Site) -> Soil:
-    """Return the soil of a site: a measured one where its file has a ``field_capacity``."""
+    """Return the soil of a site: a measured one if its file has a ``field_capacity``."""
     return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
 
 
 def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
-    """Return what a roof of x2 (m3) has at the end of a tick, below 0 where it would dry out.
+    """Return what a roof of x2 (m3) holds at the end of a tick, below 0 if it would dry out.
 
     Args:
         soil: of the roof.

@@ -21,9 +21,9 @@ from greenroof_ros.report.about import controller_name
 if TYPE_CHECKING:
     from greenroof_ros.report.groups import Report
 
-# On the terminal; the report has them all.
+# Shown on the terminal; the report has all tables.
 _MOST_TABLES = 3
-# Besides it, a report's directory holds figures/.
+# A report's directory holds this file and figures/.
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
@@ -46,7 +46,7 @@ examples:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="greenroof report",
         description=_DESCRIPTION,
@@ -95,15 +95,15 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) -> list[Path]:
-    """Return the files of a report that is to be replaced.
+    """Return the files of an earlier report that the new one replaces.
 
     Args:
-        directory: of the new one.
-        own: whether a file in ``figures/`` is a report's, by its name.
-        force: whether one may be replaced.
+        directory: of the new report.
+        own: tells by its name whether a file in ``figures/`` belongs to a report.
+        force: whether an earlier report may be replaced.
 
     Raises:
-        ConfigurationError: there is one, or somebody else's file, or it is no directory.
+        ConfigurationError: there is a report and ``force`` is not set, or there are other files.
     """
     figures = directory / "figures"
     there = list(directory.iterdir()) if directory.exists() else []
@@ -129,7 +129,7 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 
 @contextmanager
 def _writing(directory: Path) -> Iterator[None]:
-    """Say which option names a directory that cannot be read or written."""
+    """Turn an ``OSError`` in the block into an error that names ``--output``."""
     try:
         yield
     except OSError as error:
@@ -140,7 +140,7 @@ def _writing(directory: Path) -> Iterator[None]:
 
 @command
 def main() -> int:
-    """Make the report that the command line asks for."""
+    """Make a report as the command line says."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
         from greenroof_ros.report import figures, groups, page, runs
@@ -174,7 +174,7 @@ def main() -> int:
 
 
 def _show(report: Report) -> None:
-    """Print what is not as it should be, and the best runs of the first windows."""
+    """Print problems of runs, the best runs of the first windows, and counts of other runs."""
     from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL
 
     console = Console()

@@ -1,4 +1,4 @@
-"""A run of a report: its row of the table, and what a run directory says of itself."""
+"""A run in a report: its row of the table, and what its directory says about it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from greenroof_ros.recording.results_table import shortest, summary_columns
 from greenroof_ros.weather.series import REFUSE
 
 NO_ERRORS = "none"
-"""of a level sensor and pumps that do not err"""
+"""label of runs without sensor and pump errors"""
 
 PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
-# What names forecasts beside their model or file, in this order.
+# The options in a name of forecasts, in the order in which they follow the model or file.
 _LABELLED = (*OPTIONS, "dressed")
 _PARAMETERS = "configuration/parameters.yaml"
-# What a run did that is not done, as a sentence and in short, by the status of its summary.
+# How an unfinished run ended, as a sentence and in short, by the status in its summary.
 _NOT_DONE = {
     "failed": ("failed", "failed"),
     "interrupted": ("was interrupted", "interrupted"),
@@ -44,46 +44,46 @@ _NOT_DONE = {
 }
 
 Row = dict[str, Any]
-"""A run's row of the table"""
+"""a run's row of the table"""
 
 Parameters = dict[str, "float | str"]
 
 
 class Note(NamedTuple):
-    """What a reader should know of a run."""
+    """Something that a reader should know about a run."""
 
     text: str
-    """of one run"""
+    """the note on a single run"""
     of_many: str = ""
-    """of many that differ in a number; empty where none is in it"""
+    """the note on several runs, without the number that differs; empty if ``text`` has none"""
     listed: str = ""
-    """what it is about, one by one; the page folds it away"""
+    """the items that it is about; the page folds them away"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run, in whatever words it says so itself; as it is here where it says nothing.
+    """A run as its files describe it; the defaults stand for anything that they do not say.
 
     Attributes:
-        site: Table I.
-        row: of the table, in the columns of a study's ``results.csv`` and those of
-            :func:`labels`; of a bag without what is worked out from it.
-        parameters: the controller's at the start; no entry where there is no bound.
-        exact_sensor: whether the roof's level is the true one.
-        zone: offset from UTC; None where it is unknown.
-        own: whether this package wrote it.
-        external_pump: whether its flow was a pump driver's.
-        changes: what parameters became in the run, as it stands behind the value before.
-        ending: how a run ended that is not done, as a sentence without its name and full stop.
+        site: the site, Table I.
+        row: its row of the table: the columns of a study's ``results.csv`` and of :func:`labels`.
+            The row of a bag lacks the results that are computed from the bag.
+        parameters: the controller's at the start; an infinite bound has no entry.
+        exact_sensor: whether the roof's recorded level is the true one.
+        zone: offset from UTC; None if unknown.
+        own: whether it is a simulation by this package.
+        external_pump: whether a pump driver reported its pump flow.
+        changes: the values that a parameter took during the run, as text to follow its first value.
+        ending: how an unfinished run ended, as a sentence without subject and full stop.
         short: the same in a few words.
-        incidents: what was lost in it while it went on, the newest where there were very many.
-        notes: what a reader should know of it.
-        load: reads what happened, with further notes; None where no trajectory was kept.
-        bound: of what happened, the least total deviation (m3) that a controller with commands
-            up to 1 could reach, None where that is unknown; None of a run whose row has it.
-        source: the study or run directory that it is from, by a name that no other one has.
-        meant: what stands behind names of the row, by column: where two sources use a name for
-            different things, they are told apart.
+        incidents: losses that did not end the run; only the newest if there were very many.
+        notes: what a reader should know about it.
+        load: reads the trajectory, with further notes; None if no trajectory was kept.
+        bound: returns the least total deviation (m3) that a controller with commands up to 1 could
+            reach in a recorded run, or None if unknown. None if the row has the bound.
+        source: the study or run directory that it is from, by a unique name.
+        meant: what a name in the row stands for, by column. It shows whether two sources use a
+            name for different things.
     """
 
     site: Site
@@ -108,27 +108,27 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of the run, unique in the report."""
+        """Name of the run, unique in the report."""
         return str(self.row["run"])
 
     @property
     def incident_count(self) -> int:
-        """How many incidents there were: they are numbered from 1 on."""
+        """Number of incidents, including those not kept: they are numbered from 1."""
         return max((incident.number for incident in self.incidents), default=0)
 
     @property
     def ended(self) -> str:
-        """How it ended, in a few words, with how many incidents there were."""
+        """How it ended in a few words, with the number of incidents."""
         return with_incidents(self.short, self.incident_count)
 
 
 def controller_name(name: str) -> str:
-    """Return a controller's name for people."""
+    """Return the display name of a controller."""
     return " ".join(PAPERS_CONTROLLERS.get(word, word) for word in name.split("_"))
 
 
 def parameter_text(value: float | str | None) -> str:
-    """Return a parameter's value as people write it: 0.00001, not 1e-05."""
+    """Return a parameter's value as a person writes it: 0.00001, not 1e-05."""
     if not isinstance(value, float):
         return value or "none"
     plain = 1e-7 < abs(value) < 1e7
@@ -136,7 +136,7 @@ def parameter_text(value: float | str | None) -> str:
 
 
 def parameters(cells: Mapping[str, object]) -> Parameters:
-    """Return the parameters that are there and mean something: no blank, no infinite bound."""
+    """Return the parameters that are set: neither blank cells nor infinite bounds."""
     values: Parameters = {}
     for key, cell in cells.items():
         try:
@@ -151,10 +151,10 @@ def parameters(cells: Mapping[str, object]) -> Parameters:
 
 
 def labels(row: Row) -> Row:
-    """Return the columns that name a run for people, from those of ``results.csv``.
+    """Return the columns that describe a run in words, from those of ``results.csv``.
 
-    They are ``from`` (the initial state), ``length``, ``forecast``, ``model`` (the forecast without
-    skill and seed of its errors), ``kind of forecast`` (without the seed), ``skill``, ``seed`` and
+    They are ``from`` (the initial state), ``length``, ``forecast``, ``model`` (the forecast with
+    its number of members only), ``kind of forecast`` (all but the seed), ``skill``, ``seed`` and
     ``sensor and pump errors``.
     """
     options = {option: row.get(f"forecast_{option}") for option in _LABELLED}
@@ -180,7 +180,7 @@ def labels(row: Row) -> Row:
 
 
 def _initial(row: Row) -> str:
-    """Return the name of an initial state, its volumes where it has none."""
+    """Return the name of an initial state, or its volumes if it has no name."""
     if row.get("initial") is None:
         return "as recorded"
     named = row["initial"] not in ("", "custom")
@@ -188,13 +188,13 @@ def _initial(row: Row) -> str:
 
 
 def meaning_of_initial(row: Row) -> object:
-    """Return what an initial state's name means: Table II's states differ with the site."""
+    """Return what an initial state means: a name of Table II, which fits any site, or volumes."""
     name = row.get("initial")
     return name if name in INITIAL_STATES else (row.get("cistern_m3"), row.get("roof_m3"))
 
 
 def _forecast(name: str | None, options: Mapping[str, object]) -> str:
-    """Return a name for forecasts with those of their options that are there."""
+    """Return a name for forecasts, with the options that are set."""
     texts = [
         f"{option} {Path(str(value)).name if option == 'dressed' else value}"
         for option, value in options.items() if value not in (None, "")
@@ -203,7 +203,7 @@ def _forecast(name: str | None, options: Mapping[str, object]) -> str:
 
 
 def notes_of(row: Row) -> list[Note]:
-    """Return what a row says of its run that no number of a result shows."""
+    """Return the notes that a row gives on its run, in addition to the results."""
     notes = []
     if row.get("filled_hours"):
         notes.append(Note(
@@ -224,10 +224,10 @@ def notes_of(row: Row) -> list[Note]:
 
 
 def read_about(run: Path, site: Site) -> Run:
-    """Read a run's summary, or if there is none that is whole, the parameters of its nodes.
+    """Read a run's summary or, if it is missing or damaged, the parameters of its nodes.
 
-    What is beside a bag is no reason to refuse it: a file that is damaged or foreign leaves a note.
-    Incidents have a file of their own, which is there before a summary has them.
+    A damaged or foreign file beside a bag leaves a note; the bag is still used. Incidents have a
+    file of their own, which exists before the summary lists them.
     """
     about, notes = Run(site=site), list[Note]()
     incidents: tuple[Incident, ...] = ()
@@ -261,7 +261,7 @@ def _summary(file: Path) -> Any:
 
 
 def _external_pump(run: Path) -> bool:
-    """Whether the parameters of a run's nodes say that a pump driver was to give the flow."""
+    """Whether a run's node parameters say that the pump flow came from a pump driver."""
     try:
         return bool(_nodes(run / _PARAMETERS)["plant"]["pump"] == "external")
     except Exception:  # no such file, or a foreign one, which can be wrong in any way
@@ -269,7 +269,7 @@ def _external_pump(run: Path) -> bool:
 
 
 def _nodes(file: Path) -> dict[str, YamlMapping]:
-    """Return the parameters of each of a run's nodes, by its name."""
+    """Return the parameters of a run's nodes, by node name."""
     return {
         key.removeprefix("/**/"): section["ros__parameters"]
         for key, section in read_yaml(file).items()
@@ -300,10 +300,10 @@ def _node_parameters(file: Path) -> dict[str, Any]:
 
 
 def _understand(content: dict[str, Any], site: Site) -> Run:
-    """Return what a summary says.
+    """Return the run that a summary describes.
 
     Raises:
-        Exception: of many kinds, where it is no summary.
+        Exception: of any kind, if the content is no summary.
     """
     if not isinstance(content["controller"], str):
         raise TypeError
@@ -339,14 +339,14 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
     return Run(
         site=site, row=row, parameters=given, exact_sensor=exact_sensor, changes=changes,
         zone=None if start is None else start.tzinfo, ending=ending, short=short,
-        own=not live,  # what sensors said may be anything
+        own=not live,  # live sensors can report anything
         incidents=tuple(Incident(**incident) for incident in content.get("incidents") or []),
         notes=tuple(notes),
     )
 
 
 def _row(content: Mapping[str, Any], *, live: bool, done: bool) -> Row:
-    """Return what a summary says was asked for, was done to its weather, and came out."""
+    """Return a summary's row: what was requested, what was done to its weather, the results."""
     forecast = {"file": content.get("forecast")} if live else content.get("forecast") or {}
     row = {
         "controller": content["controller"],
@@ -370,7 +370,7 @@ def _row(content: Mapping[str, Any], *, live: bool, done: bool) -> Row:
 
 
 def _ending(content: Mapping[str, Any]) -> tuple[str, str]:
-    """Return how a run ended that is not done, by its summary: a sentence, and in a few words."""
+    """Return how an unfinished run ended, by its summary: as a sentence, and in a few words."""
     sentence, short = _NOT_DONE[content["status"]]
     tick = content.get("last_tick")
     if tick is not None:
@@ -378,6 +378,6 @@ def _ending(content: Mapping[str, Any]) -> tuple[str, str]:
         sentence += f" at tick {tick} of {content['steps']} ({time})"
         short += f" at tick {tick}"
     if content.get("reason"):
-        # The last lines of a log may be among it.
+        # The reason can include the last lines of a log.
         sentence += f": {' '.join(content['reason'].split())}"
     return sentence, short

@@ -1,4 +1,4 @@
-"""A run directory or a bag as a run of a report; what happened: its results, and what is drawn."""
+"""Run directories and bags as runs of a report: their results, and the curves to draw."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from greenroof_ros.report.about import Note, Row, Run, labels, meaning_of_initia
 from greenroof_ros.weather.reading import read_weather
 
 MOST_POINTS = 500
-"""of a drawn line"""
+"""of a drawn line, about"""
 
 _WEATHER = Path("configuration") / "weather"
 
 
 def run_directory(path: Path) -> Path:
-    """Return the directory in which a run wrote about itself: the path, or its bag's."""
-    # The bag in a run directory may be named itself.
+    """Return the directory with a run's configuration: the path, or the parent of its bag."""
+    # The path may be the bag in a run directory.
     return next((place for place in (path, _bag_in(path).resolve().parent)
                  if (place / "configuration").is_dir()), path)
 
@@ -48,7 +48,7 @@ def _bag_in(path: Path) -> Path:
 
 
 def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
-    """Return the run of a run directory or a bag, under a name; of one without a bag its row."""
+    """Return the run in a run directory or bag; a row with its error if it left no bag."""
     bag, run = _bag_in(path), run_directory(path)
     if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
         bag = recovered_bag(bag)
@@ -87,13 +87,13 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     forecast = sorted((run / "configuration" / "forecast").rglob("*"))
     return replace(
         about,
-        row={**row, **labels(row), "seed": ""},  # it is shown alone
+        row={**row, **labels(row), "seed": ""},  # a run by itself is no group of seeds
         notes=(*notes, *about.notes),
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
         ),
-        # What a sensor reads is neither the roof's initial volume nor its deviation.
+        # A sensor with errors shows neither the roof's initial volume nor its deviation.
         bound=partial(
             _own_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
         ) if about.exact_sensor else lambda _: None,
@@ -116,7 +116,7 @@ def _own_bound(
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
-    None where that is unknown: there are no weather files, or they are not what the bag has.
+    None if that is unknown: there are no weather files, or the bag's weather or times differ.
     """
     trajectory = recorded.trajectory
     steps = len(trajectory.time) - 1
@@ -144,9 +144,9 @@ def _own_bound(
 def measured(run: Run, recorded: Recorded) -> Row:
     """Return the row of a bag's run with its results.
 
-    Those that the summary of a run that is done has are its own. All else is worked out from the
-    bag. All sums are Euler's: a value holds from its sample to the next, over the difference of
-    their times. The flows of the last sample count in no sum, because the run ends in its state.
+    Results in the summary of a finished run are kept; all others are computed from the bag. Sums
+    are Euler's: a value holds from its sample to the next, over the difference of their times. The
+    flows of the last sample count in no sum, because the run ends in its state.
     """
     trajectory, site = recorded.trajectory, run.site
     dt = np.diff(trajectory.time)
@@ -166,22 +166,22 @@ def measured(run: Run, recorded: Recorded) -> Row:
 
 
 def near_hours(site: Site, trajectory: Trajectory, band: float) -> float:
-    """Return for how long the roof is near its target (h).
+    """Return how long the roof is near its target (h).
 
     Args:
-        site: where it is, Table I.
-        trajectory: what happened; the last sample counts for a tick.
-        band: half width of what is near, as a share of the target (1).
+        site: the site, Table I.
+        trajectory: of the run; the last sample counts for a tick.
+        band: half width of the band about the target, as a share of the target (1).
     """
     near = np.abs(trajectory.roof - site.x2_star) <= band * site.x2_star
     return float(np.append(np.diff(trajectory.time), site.tau)[near].sum()) / 3600
 
 
 def samples_of(site: Site, trajectory: Trajectory) -> Samples:
-    """Return a whole run as samples; where a tank's flows were limited is unknown.
+    """Return a whole run as samples. Whether a tank's flows were limited is unknown.
 
-    The drainage layer of a measured roof is computed from what percolates; it begins with
-    the site's ``initial_layer``.
+    The drainage layer of a measured roof is computed from percolation; it begins with the site's
+    ``initial_layer``.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
     values = {
@@ -191,7 +191,7 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
             for name in ("command", "precipitation", "outflow", "drainage")
         },
     }
-    # Until the end: in the last sample nothing flows any more.
+    # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
     followed = soil_of(site).follow(
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
@@ -206,23 +206,23 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
 
 
 class Drawn(NamedTuple):
-    """What is drawn of a run."""
+    """The curves of a run that are drawn."""
 
     start: datetime
-    """of the first sample"""
+    """time of the first sample"""
     curves: dict[str, list[tuple[float, float]]]
-    """time (s) and value of :data:`MOST_POINTS` samples, by the trajectory's attribute"""
+    """time (s) and value of :data:`MOST_POINTS` samples, by attribute of the trajectory"""
     frost: list[tuple[float, float]]
-    """from and to (s since the start) of each time of frost"""
+    """start and end (s since the first sample) of each period of frost"""
 
 
 def drawn(trajectory: Trajectory) -> Drawn:
-    """Return what is drawn of what happened."""
+    """Return the curves of a trajectory that are drawn."""
     curves = {}
     for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
         values = getattr(trajectory, name)
         if name not in ("cistern", "roof"):
-            # The run ends in its last sample: what would hold from then on never did.
+            # The run ends at the last sample: its flows never held, so draw the values before it.
             values = np.append(values[:-1], values[-2])
         index = thin(values)
         times = trajectory.time[index].tolist()
@@ -233,11 +233,11 @@ def drawn(trajectory: Trajectory) -> Drawn:
 
 
 def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Return which samples to draw: the first, the last, and each bucket's least and largest.
+    """Return the samples to draw: the first, the last, and the least and largest of each bucket.
 
     Args:
         values: shape (n,).
-        most: number of samples to keep, about; all are kept where there are no more.
+        most: number of samples to keep, about; all are kept if there are no more than this.
     """
     count = len(values)
     if count <= most:

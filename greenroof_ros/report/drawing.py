@@ -1,4 +1,4 @@
-"""What every figure is made of: panels, colours that all can distinguish, and its files."""
+"""The parts of every figure: panels, colours that everybody can distinguish, and its files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import vl_convert
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
-# For those who see no colours; their number and the number of colours have no common factor.
+# For readers who cannot see colours. The numbers of dashes and colours have no common factor.
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
 _PANEL_WIDTH = 400
 _VEGA_LITE = ".".join(alt.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
-# Of a legend (px): its symbols with what is about them, its widest label, and a letter of those.
+# Widths in a legend (px): a symbol with its margins, the widest label, and a letter of a label.
 _LEGEND_SYMBOL, _LEGEND_LABEL, _LETTER = 46, 240, 7
 CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
@@ -27,7 +27,7 @@ CONFIG: dict[str, Any] = {
     "axis": {
         "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
         "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
-        # Two numbers with less between them (px) read as one; the last is moved inwards.
+        # Numbers closer than this (px) read as one; the last is moved inwards.
         "labelSeparation": 6,
     },
     "legend": {
@@ -52,9 +52,9 @@ class Panel:
         chart: without size and title.
         title: of the panel, line by line.
         height: of its plotting area (px).
-        hover: unseen points on the lines, for the pointer to find on the page.
-        toggle: the field whose legend switches series on and off on the page; empty for none.
-        zoom: whether the page lets a reader zoom along x.
+        hover: invisible points on the lines that show their values under the pointer on the page.
+        toggle: field with a legend that switches series on and off on the page; empty for none.
+        zoom: whether a reader can zoom along x on the page.
     """
 
     chart: Chart
@@ -89,7 +89,7 @@ class Panel:
             })
         if self.zoom:
             along = next(layer for layer in layers if "field" in layer["encoding"].get("x", {}))
-            # With shift only: a wheel without it must go on scrolling the page.
+            # With shift only: the wheel alone must still scroll the page.
             wheel = {"type": "interval", "encodings": ["x"], "zoom": "wheel![event.shiftKey]"}
             along.setdefault("params", []).append(
                 {"name": "zoom", "select": wheel, "bind": "scales"}
@@ -98,7 +98,7 @@ class Panel:
 
 
 def _fit_legend(color: dict[str, Any]) -> None:
-    """Give a legend as many columns as fit into the panel, however wide the page makes it."""
+    """Give a legend as many columns as fit into the panel at any width of the page."""
     names = color.get("scale", {}).get("domain")
     if not names:
         return
@@ -110,16 +110,16 @@ def _fit_legend(color: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: its panels, their data, and how it is to be read.
+    """A figure: its panels, their data, and how to read it.
 
     Attributes:
         name: of its files.
         title: what it shows.
-        caption: how it is to be read.
+        caption: how to read it.
         panels: in reading order.
         columns: how many panels go side by side.
         data: the rows that the panels refer to by name.
-        folded: whether it is about the site and no run, so that few look for it.
+        folded: whether the page folds it away, because it is about the site and not about a run.
     """
 
     name: str
@@ -145,7 +145,7 @@ class Figure:
             color="independent", shape="independent", strokeDash="independent"
         )
         specification = whole.properties(title=self.title).configure(**CONFIG).to_dict()
-        # Past altair, which would check every row by its schema, and lay out each file again.
+        # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
         (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")
@@ -163,10 +163,10 @@ def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
 
 
 def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
-    """Return what the pointer shows: fields, some with a title, whose numbers have six digits.
+    """Return the tooltips for some fields; numbers of a field with a title have six digits.
 
-    As any channel it is made here: of one that is but a name Altair goes through all of its own
-    classes, which takes longer than the rest of a chart.
+    They are made here because Altair would search all of its classes for a channel given only by
+    name, which takes longer than the rest of a chart.
     """
     def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
         if isinstance(shown, tuple):
@@ -178,13 +178,13 @@ def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
 
 
 def cycled(choices: Sequence[Any], values: list[str]) -> alt.Scale:
-    """Return the scale that gives each value a choice, and begins again where values are more."""
+    """Return a scale that gives each value a choice; choices repeat if there are more values."""
     chosen = list(itertools.islice(itertools.cycle(choices), len(values)))
     return alt.Scale(domain=values, range=chosen)
 
 
 def hover_points(lines: alt.Chart) -> alt.Chart:
-    """Return unseen points on the lines, for the pointer to find."""
+    """Return invisible points on the lines, which show their values under the pointer."""
     points: alt.Chart = lines.copy().mark_point(opacity=0, size=60, filled=True)
     points.encoding.strokeDash = alt.Undefined
     return points
@@ -199,15 +199,15 @@ def series_panel(
     lines: alt.Chart, field: str, names: list[str], title: str, *, legend: str = "",
     below: Sequence[alt.Chart] = (), height: int = 190, zoom: bool = False,
 ) -> Panel:
-    """Return a panel of lines, which the pointer finds and the legend switches on and off.
+    """Return a panel of lines with tooltips, and a legend that switches them on and off.
 
     Args:
-        lines: with axes, and what the pointer shows.
-        field: by which lines are told apart.
-        names: of the lines, in it.
+        lines: chart with axes and tooltips.
+        field: that distinguishes the lines.
+        names: of the lines, the values of ``field``.
         title: of the panel.
         legend: its title.
-        below: charts that lie below the lines.
+        below: charts to draw underneath the lines.
         height: see :class:`Panel`.
         zoom: see :class:`Panel`.
     """
@@ -219,7 +219,7 @@ def series_panel(
 
 
 def reference_line(points: Rows, x: alt.X, y: alt.Y) -> alt.Chart:
-    """Return a thin grey line, such as that on which a perfect forecast lies."""
+    """Return a thin grey line, such as the one on which a perfect forecast lies."""
     line: alt.Chart = alt.Chart(alt.InlineData(points)).mark_line(
         color="#888888", strokeWidth=1
     ).encode(x=x, y=y)

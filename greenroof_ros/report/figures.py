@@ -1,7 +1,7 @@
 """The figures of results, and which figures a report has; one specification makes page, PNG, SVG.
 
-A panel of marks is over a controller's settings, over the skill of forecasts, over years, or over
-sizes of a cistern; trajectories, weather and pumps have modules of their own.
+Here the x axis of a panel is a controller's settings, the skill of forecasts, years, or sizes of a
+cistern. Trajectories, weather and pumps have their own modules.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _TOTAL_AXIS = "total |x2 - x2*| (m³)"
 
 
 class Quantity(NamedTuple):
-    """What the runs are compared by, setting by setting."""
+    """A quantity by which runs are compared, setting by setting."""
 
     name: str
     title: str
@@ -88,7 +88,7 @@ QUANTITIES = (
     ),
 )
 
-# The names of all figures begin with these; their numbers follow.
+# The names of all figures begin with one of these; numbers can follow.
 _KINDS = (
     *(quantity.name for quantity in QUANTITIES), "pump-curve", "pump-smoothing", "weather",
     "trajectories", "water-balance", "forecast-errors", "seasons", "season-comparisons", "sizing",
@@ -96,7 +96,7 @@ _KINDS = (
 
 
 def is_figure(name: str) -> bool:
-    """Whether a file has the name of a report's figure."""
+    """Whether a file has the name of a figure in a report."""
     return re.fullmatch(rf"({'|'.join(_KINDS)})(-\d+)*\.(svg|png)", name) is not None
 
 
@@ -105,10 +105,10 @@ def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
 
     Args:
         report: all results.
-        pump_data: points of the pumps' data sheet, if there are any.
+        pump_data: file with points of the pumps' data sheet, if there is one.
 
     Raises:
-        ConfigurationError: their file is wrong.
+        ConfigurationError: that file is wrong.
     """
     points = read_pump_data(pump_data) if pump_data is not None else None
     windows = [
@@ -118,7 +118,7 @@ def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
     recorded = [
         (number, [row for row in rows if row["run"] in report.drawn]) for number, rows in windows
     ]
-    # Windows that differ in the evapotranspiration only share a figure of the weather.
+    # Windows that differ only in evapotranspiration share a figure of the weather.
     skies: dict[tuple[str, ...], dict[str, Row]] = {}
     for _, rows in recorded:
         for row in rows[:1]:
@@ -127,7 +127,7 @@ def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
     for number, methods in enumerate(skies.values(), start=1):
         yield weather(report, list(methods.values()), number)
     for number, rows in windows:
-        # A single mark in each panel would say what the table does.
+        # With a single mark in each panel the figure would only repeat the table.
         if len({row["controller"] for row in rows}) < len(rows):
             for quantity in QUANTITIES:
                 known = [row for row in rows if row[quantity.column] is not None]
@@ -148,7 +148,7 @@ def make_figures(report: Report, pump_data: Path | None) -> Iterator[Figure]:
         yield by_year(report)
         if report.over_onoff:
             yield comparison_figure(report)
-    # Seasons are of many sites, which differ in size alone: their pumps are the same.
+    # Seasons are left out: their sites differ only in size, so the pumps are the same.
     alone = [*report.single, *report.of(SEEDS)]
     sites = {row["site"]: report.runs[row["run"]].site for row in alone}
     for number, (name, site) in enumerate(sites.items(), start=1):
@@ -165,11 +165,11 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
 
     Args:
         report: all results.
-        rows: runs of a window, whose quantity is known.
+        rows: runs of a window for which the quantity is known.
         number: of the window.
-        quantity: what is drawn.
+        quantity: to draw.
     """
-    # The first is drawn larger, so that it shows where another lies on it.
+    # Its marks are larger, to show behind others at the same place.
     first = report.initials[0]
     published: Rows = []
     bounds: Rows = []
@@ -182,7 +182,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
             for name, bound in known.items()
         ]
     values = [quantity.times * row[quantity.column] for row in rows]
-    # Where all are 0 any axis does.
+    # If all values are 0, any axis will do.
     top = max([*values, *(row["v"] for row in (*published, *bounds))]) or 1.0
     y = alt.Y("v:Q", title=quantity.axis, scale=alt.Scale(domain=[0, 1.08 * top], nice=False))
     colour = alt.Color("initial:N", title="from", scale=cycled(COLOURS, report.initials))
@@ -246,7 +246,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
 
 
 def _settings_axis(settings: Settings, rows: Rows) -> alt.X:
-    """Return the axis of a controller's settings: numbers, where just one differs, or names."""
+    """Return the axis of a controller's settings: numeric if one parameter differs, else names."""
     if not settings.axis:
         angle = -20 if max(map(len, settings.labels)) > 12 else 0
         axis = alt.Axis(labelAngle=angle, labelLimit=160)
@@ -258,7 +258,7 @@ def _settings_axis(settings: Settings, rows: Rows) -> alt.X:
 
 
 def _least_layers(bounds: alt.Chart, *pointed_at: tuple[str, str]) -> list[alt.Chart]:
-    """Return the lines of the least possible, each with its name in the left corner."""
+    """Return the lines of the least possible deviation, each with its name at the left."""
     names = bounds.copy()
     names.encoding.strokeWidth = alt.Undefined
     return [
@@ -272,10 +272,10 @@ def _least_layers(bounds: alt.Chart, *pointed_at: tuple[str, str]) -> list[alt.C
 
 
 def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
-    """Return the authors' values, where a window is the paper's; none elsewhere."""
+    """Return the authors' values if a window is the paper's, or else none."""
     row, config = rows[0], shared_directory() / "config"
     site, papers = report.runs[row["run"]].site, read_site(config / "site.yaml")
-    # What may be left out of a site file is its place, which makes no published evapotranspiration.
+    # Table I's parameters, which have no default; optional ones are not compared.
     table = [parameter.name for parameter in fields(Site) if parameter.default is MISSING]
     if (
         row["evapotranspiration"] != "published"
@@ -299,7 +299,7 @@ def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
 def _is_time(text: str, time: datetime) -> bool:
     try:
         return datetime.fromisoformat(text) == time
-    except (ValueError, TypeError):  # no time, or one without an offset
+    except (ValueError, TypeError):  # not a time, or a time without an offset
         return False
 
 
@@ -310,7 +310,7 @@ _TERMS = {
     "drainage": "#000000",
     "outflow": "#999999",
 }
-# Of each tank: what comes in is positive.
+# By tank: inflows are positive.
 _BALANCE = {
     "Cistern": {"rain": "rain_cistern_m3", "pumped": "-pumped_m3", "outflow": "-outflow_m3"},
     "Green roof": {
@@ -321,7 +321,7 @@ _BALANCE = {
 
 
 def balance(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return the water balance of both tanks, run by run."""
+    """Return the figure of both tanks' water balance, run by run."""
     rows = sorted(rows, key=lambda row: (report.initials.index(row["from"]), row["rank"]))
     names = unique(rows, [f"{who(row)}, {row['from']}" for row in rows])
     panels, data = [], {}
@@ -357,7 +357,7 @@ _AMOUNTS = {"mean": TOTAL, "mean of the worst tenth": "worst_tenth_m3"}
 
 
 def forecast_errors(report: Report) -> Figure:
-    """Return mean and worst tenth of the total deviation over the forecasts' skill."""
+    """Return the figure of total deviation, mean and worst tenth, over the skill of forecasts."""
     cases, apart = report.of(SEEDS), report.apart(SEEDS)
     panels, data = [], {}
     for number, here in enumerate(by_place(cases), start=1):
@@ -390,7 +390,7 @@ def forecast_errors(report: Report) -> Figure:
 
 
 def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
-    """Return a panel: lines and marks of each series, and the least possible."""
+    """Return a panel's chart: lines and marks of each series, and the least possible deviation."""
     bounds = sorted({row["bound_m3"] for row in cases if row["bound_m3"] is not None})
     values = [*bounds, *(row[column] for row in cases for column in _AMOUNTS.values())]
     low, high = min(values), max(values)
@@ -402,7 +402,7 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
     x = alt.X("skill:O", title="skill of the forecasts", sort=list(skills),
               axis=alt.Axis(labelAngle=0))
     y = alt.Y("v:Q", title=_TOTAL_AXIS, scale=scale)
-    # Colours by controller, shapes by the controller's setting.
+    # Colours show the controller, shapes its setting.
     named = {who(row): row["controller"] for row in cases}
     colours = dict(zip(report.controllers, itertools.cycle(COLOURS)))
     shapes = {name: itertools.cycle(SHAPES) for name in report.controllers}
@@ -435,14 +435,14 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
 
 
 def _places(report: Report, rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the cases of each place, with what distinguishes it from the others."""
+    """Yield the cases of each place, with the facts that distinguish it from other places."""
     apart = report.apart(SEASONS)
     for here in by_place(rows):
         yield ", ".join(here[0][name] for name in apart) or "all years", here
 
 
 def _series(row: Row, rows: Sequence[Row]) -> str:
-    """Name a controller, with its setting and its forecasts where there are others."""
+    """Name a controller, with its setting and its forecasts if it has several of them."""
     own = [other for other in rows if other["controller"] == row["controller"]]
     name = controller_name(row["controller"])
     if len({other["setting"] for other in own}) > 1:
@@ -458,7 +458,7 @@ def _scale(values: str) -> dict[str, Any]:
 
 
 def by_year(report: Report) -> Figure:
-    """Return the deviation of each year: a panel for each place and kind of forecasts."""
+    """Return the figure of each year's deviation: a panel for each place and kind of forecast."""
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
     cases, looking = report.of(SEASONS), report.given_errors
@@ -492,7 +492,7 @@ def by_year(report: Report) -> Figure:
 
 
 def comparison_figure(report: Report) -> Figure:
-    """Return the deviations relative to on/off with their intervals, a panel for each place."""
+    """Return the figure of deviations over on/off's with intervals, a panel for each place."""
     cases = report.of(SEASONS)
     names = list(map(controller_name, report.controllers))
     colour = alt.Color("controller:N", title=None, scale=cycled(COLOURS, names))
@@ -529,7 +529,7 @@ def comparison_figure(report: Report) -> Figure:
 
 
 def sizing(report: Report) -> Figure:
-    """Return water saved over the cistern's volume, and overflow over it, for each roof area."""
+    """Return water saved over the cistern's volume and over overflow, for each roof area."""
     cases = report.of(SEASONS)
     data: dict[str, Rows] = {}
     upper, lower = [], []

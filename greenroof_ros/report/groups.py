@@ -1,8 +1,8 @@
-"""How the runs of a report belong together: one table with a row a run, and its groups.
+"""How a report groups its runs: a table with a row for each run, and its cases.
 
-Runs that differ in the seed of their forecasts' errors alone are one case; so are, with their
-seeds, runs of a week or more that are the same season of several years. Every other run is a case
-of its own. Whatever a report says it says of cases.
+Runs that differ only in the seed of their forecasts' errors are one case. Runs of a week or more
+that are the same season of several years are one case, together with their seeds. Every other run
+is a case of its own. All statements of a report are about cases.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
 from greenroof_ros.report.runs import Sources
 
 SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
-"""kinds of cases"""
+"""the kinds of cases"""
 
 TOTAL = "total_deviation_m3"
 ALIKE = "all alike"
-"""instead of a setting, where all give the same"""
+"""shown instead of a setting if all settings give the same"""
 
-# What runs can be compared within, by the columns of the table, which are headers of the page's.
+# Runs are compared if they agree in these columns, which are also headers on the page.
 _WINDOW = (
     "site", "weather", "start", "length", "evapotranspiration", "forecast",
     "sensor and pump errors",
 )
 SKY = _WINDOW[:4]
-"""what windows have in common that share a figure of the weather"""
+"""windows that agree in these columns share a figure of the weather"""
 _SEASON = ("site", "from", "start", "length", "evapotranspiration", "sensor and pump errors")
 _FACTS = {SINGLE: _WINDOW, SEEDS: _WINDOW, SEASONS: _SEASON}
 
@@ -72,9 +72,9 @@ _SCHEMA: dict[str, Any] = {
         pl.Float64,
     ),
 }
-# More than any controller has settings: a rank is a controller's place times this, and a setting's.
+# A rank is a controller's place times this, plus the place of the setting; no controller has more.
 _SETTINGS = 10_000
-# What follows a site's size: areas, the cistern's depth, and volumes in them.
+# The parameters that depend on a site's size: areas, the cistern's depth, and volumes.
 _BY_SIZE = {
     "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
 }
@@ -82,7 +82,7 @@ _BY_SIZE = {
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What a table does not say and a person must assume.
+    """Assumptions that runs do not state.
 
     Attributes:
         energy_price: of a kWh of electric energy.
@@ -98,12 +98,12 @@ class Assumptions:
 
 
 def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
-    """Name a set of runs: by what tells it apart from others, and what a reader asks for anyway.
+    """Name a set of runs by the facts that distinguish it from others, and by unusual facts.
 
     Args:
-        row: of one of them.
-        apart: the facts that tell it apart, by the header of their columns.
-        names: of the facts that count; all that its kind has, unless given.
+        row: of a run in the set.
+        apart: the facts that distinguish it, as column headers.
+        names: the facts to use; by default all of its kind.
     """
     usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
     facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
@@ -115,14 +115,14 @@ def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
 
 
 class Settings:
-    """The names of one controller's runs: the parameters that differ, or were changed in a run.
+    """Labels of one controller's runs: the parameters that differ, or were changed during a run.
 
     Attributes:
-        title: what a label gives, the parameter's name where there is just one.
+        title: what a label shows: the parameter's name if there is just one, or ``setting``.
         labels: all labels, in the order of their values.
-        axis: the one numeric parameter that differs; empty if there is none, or more than one, or
-            one was changed in a run.
-        log: whether it spans so much that its axis is logarithmic.
+        axis: the one numeric parameter that differs; empty if there is none, if there are several,
+            or if a parameter was changed during a run.
+        log: whether that parameter's range is wide enough for a logarithmic axis.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
@@ -146,11 +146,11 @@ class Settings:
         self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=order))))
 
     def label(self, run: Run, *, full: bool = False) -> str:
-        """Return the setting of a run, as it differs from the controller's others.
+        """Return the setting of a run: the parameters that differ between the controller's runs.
 
         Args:
             run: of the controller.
-            full: whether with the name of the parameter, where there is just one.
+            full: whether to name the parameter even if there is just one.
         """
         texts = {
             name: parameter_text(run.parameters.get(name)) + run.changes.get(name, "")
@@ -162,34 +162,34 @@ class Settings:
 
 
 class Report:
-    """All results, and how they fall into cases.
+    """All results, and their grouping into cases.
 
     Attributes:
-        table: a row a run, with its kind and the numbers of its window, place and case: those of
-            the first of its runs. A place is a window and an initial state.
-        cases: a row a case, place by place, in the order of controllers, settings and skills.
+        table: a row for each run, with its kind and the numbers of its window, place and case. Each
+            number is the index of its first run. A place is a window and an initial state.
+        cases: a row for each case, place by place, ordered by controller, setting and skill.
         runs: by name.
-        failed: runs that left nothing to show.
-        configuration: name and text of each further file that decided the numbers.
-        drawn: what is drawn of the runs that are cases of their own, by name.
+        failed: runs without results.
+        configuration: name and text of each further file that affects the results.
+        drawn: curves of the runs that are cases of their own, by name.
         controllers: names, the paper's first.
-        settings: of each controller.
-        assumptions: what the results rest on.
+        settings: by controller.
+        assumptions: that the results are based on.
     """
 
     def __init__(
         self, sources: Sources, assumptions: Assumptions,
         track: Callable[[Sequence[Run]], Iterable[Run]] = iter,
     ) -> None:
-        """Judge runs.
+        """Read and group runs.
 
         Args:
-            sources: all that there is.
-            assumptions: what it does not say.
-            track: shows how far the runs are read.
+            sources: the runs.
+            assumptions: that the runs do not state.
+            track: shows the progress of reading runs.
 
         Raises:
-            ConfigurationError: what happened in a run cannot be read, or no run is left.
+            ConfigurationError: the trajectory of a finished run cannot be read, or no run is left.
         """
         self.assumptions = assumptions
         self.failed, self.configuration = list(sources.failed), sources.configuration
@@ -223,9 +223,9 @@ class Report:
         self.cases = self._cases()
 
     def _read(self, run: Run, kind: str) -> Run:
-        """Return a run with its kind; of one that stands alone with what happened in it.
+        """Return a run with its kind; if it is a case of its own, also read its trajectory.
 
-        What is drawn of that is kept. No more is shown of the others than the study's table.
+        The curves to draw are kept. For other runs, only the results in the study's table are used.
         """
         row, notes = {**run.row, "kind": kind}, list(run.notes)
         recorded = run.load() if kind == SINGLE and run.load is not None else None
@@ -252,7 +252,7 @@ class Report:
         return replace(run, row=row, notes=tuple(notes))
 
     def _grouped(self, runs: list[Run]) -> pl.DataFrame:
-        """Return the table: names and results of the runs, and which belong together."""
+        """Return the table: names and results of the runs, and their window, place and case."""
         rows = []
         for run in runs:
             settings = self.settings[run.row["controller"]]
@@ -291,7 +291,7 @@ class Report:
         )
 
     def _cases(self) -> pl.DataFrame:
-        """Return the means of the runs of each case: over the seeds of a year, then over years."""
+        """Return the means of each case's runs: over the seeds of each year, then over years."""
         table, col = self.table, pl.col
         yearly = table.group_by("case", "year", maintain_order=True).agg(
             col(_NUMBERS).mean(), col("bound_m3").first(), seeds=pl.len(),
@@ -325,7 +325,7 @@ class Report:
 
     @cached_property
     def _deviations(self) -> dict[int, Deviations]:
-        """Of each case that is a season of several years."""
+        """Deviations of each case that is a season of several years."""
         deviations: dict[int, Deviations] = {}
         seasons = self.table.filter(kind=SEASONS).sort(
             "year", pl.col("seed").str.len_chars(), "seed"
@@ -336,7 +336,7 @@ class Report:
             of.weeks[year] = np.array(runs["season"].to_list())
         return deviations
 
-    # --- what runs are compared within -----------------------------------------------------------
+    # --- windows and headings --------------------------------------------------------------------
 
     def of(self, kind: str) -> list[Row]:
         """Return the cases of a kind."""
@@ -344,7 +344,7 @@ class Report:
 
     @cached_property
     def single(self) -> list[Row]:
-        """The runs that are cases of their own, in the order in which they were given."""
+        """The runs that are cases of their own, in the given order."""
         return self.table.filter(kind=SINGLE).to_dicts()
 
     def windows(self, kind: str = SINGLE) -> list[Row]:
@@ -353,7 +353,7 @@ class Report:
         ).to_dicts()
 
     def apart(self, kind: str = SINGLE) -> list[str]:
-        """Return the facts that differ between windows, which are columns and in titles."""
+        """Return the facts that differ between windows, for use as columns and in titles."""
         return differing([facts(row) for row in self.windows(kind)])
 
     @cached_property
@@ -362,17 +362,17 @@ class Report:
         return list(dict.fromkeys(row["from"] for row in self.single))
 
     def heading(self, row: Row, names: Sequence[str] = ()) -> str:
-        """Name the window of a run, or what windows have in common by these facts."""
+        """Name the window of a run; with ``names``, by these facts only."""
         return heading(row, self.apart(row["kind"]), names)
 
     def title(self, text: str, row: Row) -> str:
-        """Return a figure's title, with the window where there are others."""
+        """Return a figure's title, with the window if there are several."""
         return f"{text}: {self.heading(row)}" if len(self.windows()) > 1 else text
 
     def best(self) -> list[Row]:
-        """Return the single run of each controller with the least deviation, place by place.
+        """Return the run of each controller with the least deviation, place by place.
 
-        Of several that are equal it is the first, and its setting is :data:`ALIKE`.
+        Only single runs count. If all of them are equal, the setting is :data:`ALIKE`.
         """
         def order(row: Row) -> tuple[int, ...]:
             return row["window"], self.initials.index(row["from"]), row["rank"] // _SETTINGS
@@ -388,25 +388,25 @@ class Report:
 
     @cached_property
     def sizing(self) -> bool:
-        """Whether the seasons are of sites that differ in size, and in nothing else."""
+        """Whether the seasons are of several sites that differ only in size."""
         sites = [asdict(self.runs[row["run"]].site) for row in self.of(SEASONS)]
         sizes = {(site["a2"], site["a1"] * site["z_o"]) for site in sites}
         return len(sizes) > 1 and set(differing(sites)) <= _BY_SIZE
 
     @cached_property
     def given_errors(self) -> set[str]:
-        """The controllers that ran seasons with forecasts that are not perfect.
+        """The controllers that ran seasons with imperfect forecasts.
 
-        Another beside them may look at none, as on/off does: it stands for itself with all of them.
+        Other controllers, such as on/off, may use no forecast: they are shown beside any of these.
         """
         return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
 
     @cached_property
     def plain_onoff(self) -> dict[int, Row]:
-        """In each place the on/off that fills to the target, as the paper's does.
+        """By place, the on/off controller that fills to the target, as in the paper.
 
-        Of several with a share of the flow each, it is the one with the least mean deviation: in
-        ticks of some seconds full flow goes beyond the target, which no site would have.
+        Of several with different shares of the flow, it is the one with the least mean deviation:
+        with ticks of some seconds, full flow overshoots the target, which no site would accept.
         """
         (level,) = (known.default for known in OnOff.parameters if known.name == "level")
         return _least(
@@ -416,9 +416,9 @@ class Report:
 
     @cached_property
     def least(self) -> dict[int, Row]:
-        """In each place the controller with the least mean deviation that a site could have.
+        """By place, the controller with the least mean deviation that is possible on a site.
 
-        One that was given perfect forecasts is none, unless no forecasts here have errors.
+        Controllers with perfect forecasts do not count, unless no forecasts here have errors.
         """
         return _least(
             row for row in self.of(SEASONS)
@@ -429,15 +429,15 @@ class Report:
 
     @cached_property
     def over_onoff(self) -> list[Row]:
-        """The cases of seasons beside plain on/off, each with what it ``has`` over it.
+        """The seasons' cases compared with plain on/off.
 
-        That is a :class:`.intervals.Comparison`; ``than`` is the other's row.
+        ``has`` is the :class:`.intervals.Comparison`, ``than`` the row of plain on/off.
         """
         return self._over(self.plain_onoff)
 
     @cached_property
     def over_least(self) -> list[Row]:
-        """The same over the one with the least deviation, where that is not plain on/off."""
+        """The same compared with the case of least deviation, if that is not plain on/off."""
         plain = [row["case"] for row in self.plain_onoff.values()]
         return self._over({
             place: row for place, row in self.least.items() if row["case"] not in plain
@@ -453,18 +453,18 @@ class Report:
         return compared
 
     def years(self, row: Row) -> list[tuple[int, np.ndarray[Any, Any]]]:
-        """Return each year of a season's case with the total deviation of each seed (m3)."""
+        """Return each year of a season's case, and the total deviation of each seed in it (m3)."""
         return list(self._deviations[row["case"]].totals.items())
 
 
 def who(row: Row) -> str:
-    """Name the controller of a case with its setting, where one of them is meant."""
+    """Name the controller of a case, with its setting unless all settings are alike."""
     name = controller_name(row["controller"])
     return name if row["setting"] == ALIKE else f"{name} {row['setting']}".strip()
 
 
 def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
-    """Return names of runs; those that several have with the run's own behind them."""
+    """Return names of runs; a name that several runs have is followed by the run's own."""
     return [
         f"{name} ({row['run']})" if names.count(name) > 1 else name
         for row, name in zip(rows, names, strict=True)
@@ -472,36 +472,36 @@ def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
 
 
 def facts(row: Row) -> Row:
-    """Return what a run has in common with those that it is compared with."""
+    """Return the facts that a run shares with the runs that it is compared with."""
     return {name: row[name] for name in _FACTS[row["kind"]]}
 
 
 def by_place(rows: Iterable[Row]) -> list[list[Row]]:
-    """Return the cases of each place, which come one after another."""
+    """Return the cases of each place, which must be adjacent."""
     return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
 
 
 def _least(rows: Iterable[Row]) -> dict[int, Row]:
-    """Return in each place the case with the least mean deviation."""
+    """Return by place the case with the least mean deviation."""
     return {here[0]["place"]: min(here, key=lambda row: row[TOTAL]) for here in by_place(rows)}
 
 
 def _skill_rank(row: Row) -> int:
-    """Return the place of a skill: those with a name from the best to the worst, then the files."""
+    """Return the rank of a skill: named skills from the best to the worst, then skill files."""
     words = row["forecast"].split()
     known = [number for number, skill in enumerate(SKILLS) if skill in words]
     return known[0] if known else len(SKILLS) if row["skill"] else -1
 
 
 def _kinds(rows: Sequence[Row]) -> list[str]:
-    """Say of each run whether it is alone, one of many seeds, or of a season of several years."""
+    """Return the kind of each run: single, one of many seeds, or of a season of several years."""
     season = pl.col("season").is_not_null() & (pl.col("year").n_unique().over(
         "site", "evapotranspiration", "begins", "hours", "sensor and pump errors", "from",
         pl.col("season").is_not_null(),
     ) > 1)
     of_season = pl.when(season).then(pl.lit(SEASONS))
     table = pl.DataFrame(rows, schema=_SCHEMA).with_columns(kind=of_season)
-    # All initial states of a window belong together.
+    # All initial states of a window are of one kind.
     seeds = (pl.col("seed") != "") & (pl.col("seed").n_unique().over(
         "site", "weather", "start", "hours", "evapotranspiration", "model",
         "sensor and pump errors", "skill", "kind",
@@ -511,10 +511,10 @@ def _kinds(rows: Sequence[Row]) -> list[str]:
 
 
 def _derived(assumptions: Assumptions) -> list[pl.Expr]:
-    """Return what follows from the results: changes of storage, what is unexplained, and money.
+    """Return what is derived from the results: changes of storage, mass balance errors and money.
 
-    A change of storage that the flows do not explain is rounding in a simulation; on a site it is
-    whatever was not measured.
+    The mass balance error, the change of storage that the flows do not explain, is rounding in a
+    simulation. On a site it is whatever was not measured.
     """
     col = pl.col
     cistern = col("final_cistern_m3") - col("cistern_m3")
@@ -534,6 +534,6 @@ def _derived(assumptions: Assumptions) -> list[pl.Expr]:
         (col("electric_energy_kwh") * assumptions.energy_price).alias("energy_cost"),
         (col("pumped_m3") * assumptions.water_price).alias("water_value"),
         (col(TOTAL) / pl.when(col("bound_m3") > 0).then("bound_m3")).alias("ratio"),
-        # The last sample counts for a tick.
+        # The last sample counts as one tick.
         (col("near_target_hours") / (col("hours") + col("tau") / 3600)).alias("near_share"),
     ]

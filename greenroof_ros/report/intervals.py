@@ -1,12 +1,12 @@
-"""How sure a difference between two controllers is: all statistics of a report, stated once.
+"""How certain a difference between two controllers is: all statistics of a report.
 
-Years are the sample. Within a year hours depend on each other, and so do forecasts of several
-seeds on the year's weather; so a year has one value, the mean of its seeds, and whole years are
-resampled. Seeds that were drawn again within each year would count their variance twice: a mean
-over them has it already.
+Years are the sample. Hours within a year depend on each other, and forecasts with several seeds
+depend on the same weather. So a year has one value, the mean over its seeds, and whole years are
+resampled. Seeds are not resampled within years: that would count their variance twice, because the
+mean over them already contains it.
 
-Each interval is for one comparison alone. Where a table has many, some leave 1 out by chance: with
-no difference anywhere, one in twenty does.
+Each interval is for one comparison alone. If a table has many, some exclude 1 by chance: with no
+difference anywhere, one in twenty does.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 RESAMPLES = 2000
-"""of the bootstrap: the ends of its intervals are then sure to some hundredths of their width"""
+"""of the bootstrap: enough to know the ends of intervals to some hundredths of their width"""
 
 CONTAINS_1 = "contains 1"
-"""the verdict on such an interval"""
+"""verdict on an interval that contains 1"""
 
 _SEED = 1
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class Ratio(NamedTuple):
-    """What one has over another (1), and its 95 % interval."""
+    """The ratio of one controller's value to another's (1), and its 95 % interval."""
 
     value: float
     low: float
@@ -44,7 +44,7 @@ class Ratio(NamedTuple):
 
 
 class Deviations:
-    """Of a controller in the same season of several years.
+    """Deviations of a controller in the same season of several years.
 
     Attributes:
         totals: total deviation of each seed (m3), shape (seeds,), by year.
@@ -57,11 +57,11 @@ class Deviations:
         self._resampled: dict[tuple[int, ...], tuple[Array, Array]] = {}
 
     def worst_weeks(self) -> float:
-        """Return the mean deviation of the worst tenth of weeks (m3); seeds share their year's."""
+        """Mean deviation of the worst tenth of weeks (m3); seeds share a year's weight."""
         return float(self._of_weeks(tuple(self.weeks), np.ones((1, len(self.weeks))))[0])
 
     def resampled(self, years: tuple[int, ...]) -> tuple[Array, Array]:
-        """Return mean and worst tenth of weeks (m3) of some years, then of each resample."""
+        """Return mean and worst tenth of weeks (m3), each for the years, then for each resample."""
         if years not in self._resampled:
             counts = np.vstack((np.ones(len(years)), _draws(len(years))))
             means = counts @ [self.totals[year].mean() for year in years] / len(years)
@@ -69,7 +69,7 @@ class Deviations:
         return self._resampled[years]
 
     def _of_weeks(self, years: tuple[int, ...], counts: Array) -> Array:
-        """Return the worst tenth of weeks where each year counts so often, shape (n, years)."""
+        """Return the worst tenth of weeks (m3) for each row of ``counts``, shape (n, years)."""
         weeks = [self.weeks[year] for year in years]
         place = np.repeat(np.arange(len(years)), [seasons.size for seasons in weeks])
         seeds = np.array(list(map(len, weeks)))
@@ -79,24 +79,24 @@ class Deviations:
 
 
 class Comparison(NamedTuple):
-    """What a controller has over another in the same years."""
+    """A controller compared with another in the same years."""
 
     difference: float
-    """in the total deviation of a season (m3), negative where it has less"""
+    """in the mean total deviation of a season (m3), negative if the controller has less"""
     mean: Ratio
-    """of the total deviation of all seasons"""
+    """ratio of the mean total deviations of a season"""
     worst_weeks: Ratio
-    """of the mean deviation of the worst tenth of weeks"""
+    """ratio of the mean deviations of the worst tenth of weeks"""
     better: int
-    """in how many years it had less"""
+    """number of years in which it had less"""
     years: int
-    """in how many both ran"""
+    """number of years in which both ran"""
 
 
 def worst_tenth(values: Array) -> float:
-    """Return the mean of the largest tenth; of the value at its edge counts the part within.
+    """Return the mean of the largest tenth; the value at its edge counts in part.
 
-    A tenth is at least one whole value: of fewer than ten it is the largest.
+    A tenth is at least one whole value: with fewer than ten values it is the largest.
     """
     return float(_worst_tenths(np.ones((1, values.size)), values)[0])
 
@@ -113,7 +113,7 @@ def _worst_tenths(weights: Array, values: Array) -> Array:
 
 
 def compare(own: Deviations, other: Deviations) -> Comparison | None:
-    """Return what one has over another; None of fewer than two years, or over no deviation."""
+    """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
     years = tuple(year for year in own.totals if year in other.totals)
     if len(years) < 2:
         return None
@@ -131,9 +131,9 @@ def compare(own: Deviations, other: Deviations) -> Comparison | None:
 
 @cache
 def _draws(years: int) -> Array:
-    """Draw as many years with replacement: how often each is in each resample.
+    """Return how often each year is in each resample: as many years, drawn with replacement.
 
-    The draws begin again each time, so that a report is the same each time it is made.
+    The seed is fixed, so a report is the same each time it is made.
     """
     drawn = np.random.default_rng(_SEED).integers(years, size=(years, RESAMPLES))
     counts: Array = (drawn[:, :, None] == np.arange(years)).sum(axis=0).astype(np.float64)
@@ -141,24 +141,24 @@ def _draws(years: int) -> Array:
 
 
 def _ratio(ratios: Array, years: int) -> Ratio:
-    """Return an estimate with its 95 % interval: its resamples' percentiles, widened.
+    """Return an estimate with its 95 % interval: the percentiles of its resamples, widened.
 
-    The percentiles of few years are too near to the estimate, since the years' spread is measured
-    about their own mean, and as if it were known: for eleven years nine of a hundred intervals
-    missed a normal mean. They are moved off the estimate by the ratio of Student's interval of a
-    mean to theirs,
+    With few years the percentiles are too near to the estimate: the years' spread is measured about
+    their own mean, and treated as known. With eleven years, nine of a hundred intervals missed a
+    normal mean. The distance of the percentiles from the estimate is multiplied by the ratio of
+    Student's interval of a mean to the percentile interval,
 
         t(0.975, n - 1) / z(0.975) sqrt(n / (n - 1))
 
-    That is the correction of the expanded percentile interval: Hesterberg (2015), What Teachers
-    Should Know About the Bootstrap, The American Statistician 69(4), 371-386. He takes percentiles
-    further out instead, which four years do not have.
+    This is the correction of the expanded percentile interval: Hesterberg (2015), What Teachers
+    Should Know About the Bootstrap, The American Statistician 69(4), 371-386. He uses percentiles
+    further out instead, which do not exist for four years.
 
     Args:
-        ratios: of the years as they are, then of each resample.
-        years: n.
+        ratios: of the original years, then of each resample.
+        years: n, the number of years.
     """
-    from scipy.special import ndtri, stdtrit  # a fifth of what a report imports; few need it
+    from scipy.special import ndtri, stdtrit  # a fifth of all import time; few reports need it
 
     value = ratios[0]
     low, high = np.percentile(ratios[1:], [2.5, 97.5])

@@ -21,14 +21,14 @@ from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentenc
 
 
 def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
-    """Return a package's ``page.html``; what this package's templates have is there for all.
+    """Return a package's ``page.html``, which can extend this package's templates.
 
-    A value that a template uses and is not given is an error.
+    It is an error if a value that a template uses is missing.
 
     Args:
         package: its name.
         figures: in the order in which they appear.
-        values: that the template uses besides, and the versions where they are more.
+        values: further values for the template; ``versions`` replaces the default text.
     """
     places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
     environment = jinja2.Environment(
@@ -74,7 +74,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     )
 
 
-# Scripts and JSON are not HTML: they are made safe here, each in its own way.
+# Scripts and JSON are not HTML: each is escaped here in its own way.
 
 
 def _library() -> Markup:
@@ -103,7 +103,7 @@ def payload(figures: Sequence[Figure]) -> Markup:
 
 
 def _two_lines(text: str) -> Markup:
-    """Break a text where the longer of two lines is shortest: a column is no wider than it must."""
+    """Break a text into the two lines that need the least width, for narrow columns."""
     words = text.split()
     lines = min(
         ((" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words) + 1)),
@@ -113,5 +113,5 @@ def _two_lines(text: str) -> Markup:
 
 
 def _columns(rows: Rows) -> dict[str, list[Any]]:
-    """Return rows as columns, in which each name stands once."""
+    """Return rows as columns, to write each name only once."""
     return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}

@@ -16,7 +16,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import q_pump
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, pointed, short
 
-# No pump that waters a roof is believed to have more [assumed]; sheets in l/s, m3/h or mm have.
+# Pumps of roofs are below these limits [assumed]; data sheets in l/s, m3/h or mm exceed them.
 _LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
 _HEADER = "flow [m3/s]", "head [m]"
 
@@ -43,7 +43,7 @@ def read_pump_data(path: Path) -> list[tuple[float, float]]:
 def pump_curve(
     site: Site, number: int, of: str, points: list[tuple[float, float]] | None
 ) -> Figure:
-    """Return head over flow of pumps and pipe (paper: Fig. 2, Eqs. 3b-3d)."""
+    """Return the figure of head over flow of pumps and pipe (paper: Fig. 2, Eqs. 3b-3d)."""
     levels = site.suction_level, site.z_o
     names = [
         "pump curve of the site", *(f"head loss, cistern at {level:g} m" for level in levels)
@@ -78,7 +78,7 @@ def pump_curve(
         {"line": name, "flow": short(flow * 1000), "head": short(head)}
         for name, line in zip(names, lines, strict=True)
         for flow, head in zip(flows, line, strict=True)
-        if head >= -1e-9  # the curve's end is 0 but for a rounding
+        if head >= -1e-9  # rounding can make the end of the curve negative
     ]
     data = f"pump-curve-{number}"
     x = alt.X("flow:Q", title="flow (L/s)")
@@ -106,7 +106,7 @@ def pump_curve(
 
 
 def pump_smoothing(site: Site, number: int, of: str) -> Figure:
-    """Return q_pump of the exact and of the smooth model (paper: Fig. 3, Eqs. 3a and 8)."""
+    """Return the figure of q_pump, exact and smooth (paper: Fig. 3, Eqs. 3a and 8)."""
     command, names = 0.5, ["exact (Eq. 3a)", "smooth (Eq. 8)"]
     switch, full = site.suction_level * site.a1, 4 / 3 * site.a1 * site.z_o
     near = 8 * site.epsilon
@@ -118,7 +118,7 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
     panels, data = [], {}
     for index, (name, low, high, title) in enumerate(sweeps, start=1):
         edge = switch if name == "x1" else site.x2_star
-        # Both sides of the switch, so that the exact model's jump is drawn upright.
+        # Both sides of the switch, to draw the exact model's jump as a vertical line.
         grid = np.union1d(np.linspace(low, high, 241), [np.nextafter(edge, 0), edge])
         rows: Rows = []
         for value in grid[(grid >= low) & (grid <= high)].tolist():
@@ -127,7 +127,7 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
             for line, flow in zip(
                 names, (pump_flow(site, x1, x2, command), smooth), strict=True
             ):
-                # Not rounded: the two sides of the jump differ in the last digit only.
+                # x is not rounded: the two sides of the jump differ only in the last digit.
                 rows.append({"model": line, "x": value, "q": short(flow * 1000)})
         dataset = f"pump-smoothing-{number}-{index}"
         data[dataset] = rows

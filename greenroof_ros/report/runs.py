@@ -38,7 +38,7 @@ _NEEDED = (
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
     "cistern_m3", "roof_m3", "status", "error", "total_deviation_m3",
 )
-# Those of a study's table that are numbers; all else is text.
+# The numeric columns of a study's table; the others are text.
 _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
@@ -50,12 +50,12 @@ _STATUS = ("done", "failed", "not run")
 
 @dataclass
 class Sources:
-    """All that a report is made from.
+    """The runs and files that a report is made from.
 
     Attributes:
-        runs: those that left something to show.
-        failed: the others, each with ``run``, ``what`` it was and its ``error``.
-        configuration: name and text of each further file that decided the numbers.
+        runs: those with results.
+        failed: the others, each with ``run``, a description ``what`` and its ``error``.
+        configuration: name and text of each further file that affects the results.
     """
 
     runs: list[Run] = field(default_factory=list)
@@ -64,14 +64,14 @@ class Sources:
 
 
 def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
-    """Find the runs under some paths; what happened in them is read later, one by one.
+    """Find the runs under some paths. Trajectories are read later, one by one.
 
     Args:
         paths: study directories, run directories and bags.
-        site_file: the site of all bags, instead of the one that lies beside each.
+        site_file: the site of all bags, instead of the site file beside each.
 
     Raises:
-        ConfigurationError: a path is none of these, or what it holds is wrong.
+        ConfigurationError: a path is none of these, or its content is wrong.
     """
     sources = Sources()
     for path in paths:
@@ -103,7 +103,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
 
 
 def _name(place: Path, places: list[Path]) -> str:
-    """Return as much of the end of a path as distinguishes it from the others."""
+    """Return the shortest end of a path that distinguishes it from the others."""
     others = [other.parts for other in places if other != place]
     return next(
         "/".join(place.parts[-count:]) for count in range(1, len(place.parts) + 1)
@@ -112,9 +112,9 @@ def _name(place: Path, places: list[Path]) -> str:
 
 
 def _told_apart(runs: Sequence[Run]) -> list[Run]:
-    """Give different things of one name different names: the source is added to each.
+    """Add the source to a name that means different things in different sources.
 
-    Equal ones keep an equal name, their first source's, so that their runs are compared.
+    Things that are equal share a name, with their first source, so their runs are compared.
     """
     told = list(runs)
     for key, columns in (
@@ -126,7 +126,7 @@ def _told_apart(runs: Sequence[Run]) -> list[Run]:
             sources.setdefault(run.row[key], {}).setdefault(run.meant.get(key), run.source)
         for place, run in enumerate(told):
             of = sources[run.row[key]]
-            if len({*of.values()}) > 1:  # a source tells nothing apart that is all in it
+            if len({*of.values()}) > 1:  # or else all are from one source
                 source = of[run.meant.get(key)]
                 own = {column: f"{run.row[column]} ({source})" for column in columns}
                 told[place] = replace(run, row=run.row | own)
@@ -134,9 +134,9 @@ def _told_apart(runs: Sequence[Run]) -> list[Run]:
 
 
 def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
-    """Add the runs of a study, whose names begin with a prefix."""
+    """Add the runs of a study, with a prefix before their names."""
     configuration, sites = path / "configuration", set[str]()
-    # Files that hundreds of runs share.
+    # Cached, because hundreds of runs can share a file.
     read, digest = cache(read_site), cache(file_digest)
     for row in read_results(path / "results.csv").to_dicts():
         run, given = row["run"], parameters(row_parameters(row))
@@ -146,7 +146,7 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
             continue
         site = read(configuration / row["site"])
         sites.add(row["site"])
-        # In simulations nothing is pumped in frost.
+        # Simulations pump nothing during frost.
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / "trajectory.parquet"
         forecasts = (row.get(key) for key in ("forecast", "forecast_skill", "forecast_dressed"))
@@ -165,16 +165,16 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
             },
         ))
     for further in sorted(configuration.glob("*")):
-        # Sites appear as a table of their own; weather files are long, and named with each run.
+        # Sites have their own table. Weather files are long, and are named with each run.
         if further.suffix in (".json", ".yaml") and further.name not in sites:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
 def read_results(file: Path) -> pl.DataFrame:
-    """Return a study's table as it is, a row a run; an empty cell is null.
+    """Return a study's table: a row for each run, null for an empty cell.
 
     Raises:
-        ConfigurationError: it is another table, or was cut short.
+        ConfigurationError: it is not a study's table, or it was cut short or has a wrong value.
     """
     text = read_text(file)
     try:
@@ -194,7 +194,7 @@ def read_results(file: Path) -> pl.DataFrame:
             file=file, line=text.count("\n") + 1,
         )
     rows = csv.reader(io.StringIO(text))
-    for cells in rows:  # polars takes what a short row lacks as empty
+    for cells in rows:  # polars fills short rows with empty cells
         if len(cells) != len(table.columns):
             raise ConfigurationError(
                 f"must have {len(table.columns)} cells, not {len(cells)}", file=file,
@@ -222,7 +222,7 @@ def read_results(file: Path) -> pl.DataFrame:
 
 
 def _failed(row: Row, given: dict[str, float | str]) -> Row:
-    """Return what is said of a run that failed or was not begun."""
+    """Return the entry of a run that failed or was not begun."""
     errors = row["sensor and pump errors"]
     parts = (
         row["site"], row["weather"], row["start"], row["evapotranspiration"], row["forecast"],
@@ -236,9 +236,9 @@ def _failed(row: Row, given: dict[str, float | str]) -> Row:
 
 
 def _season(row: Row) -> Row:
-    """Return the start of a run as headings name it, and of one of a week or more its season.
+    """Return the start of a run as shown in headings and, if it lasts a week or more, its season.
 
-    That is the year, when it begins in it, and the deviation of each whole week (m3).
+    A season is the year, the date and time of its start, and the deviation of each whole week (m3).
     """
     try:
         start = datetime.fromisoformat(row["start"])
@@ -251,7 +251,7 @@ def _season(row: Row) -> Row:
 
 
 def _load(path: Path) -> Recorded:
-    """Read the trajectory of a study's run."""
+    """Read the trajectory of a run in a study."""
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two samples or more, in the order of time", file=path)

@@ -16,12 +16,12 @@ from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL, Report, facts, wh
 
 _METRICS = {metric.name: metric for metric in METRICS}
 
-# Shown in the water balance, where each tank has its own; or with the band that was asked for.
+# Not in the table of results: shown per tank in the water balance, or with the chosen band.
 _ELSEWHERE = {
     TOTAL, "near_target_hours", "rain_m3", "rain_cistern_m3", "rain_roof_m3", "outflow_m3",
     "drainage_m3", "evapotranspiration_m3", "final_cistern_m3", "final_roof_m3", "final_layer_m3",
 }
-# Means of a season, with their form where it is not the metric's.
+# Means of a season, with the number format if it is not the metric's.
 _MEANS = {
     "mean_deviation_mm": ".2f", "stress_hours": ".1f", "evapotranspiration_ratio": "",
     "rain_kept_share": "", "rain_kept_share_hour": "", "rain_kept_share_day": "",
@@ -31,7 +31,7 @@ _MEANS = {
 
 
 class Cell(NamedTuple):
-    """A cell of a table: what is shown, and what the table is sorted by."""
+    """A cell of a table: the text that is shown, and the key that the table is sorted by."""
 
     text: str
     key: float | str
@@ -41,14 +41,14 @@ class Cell(NamedTuple):
 class Table(NamedTuple):
     """A table that a reader can sort; the first column names the row.
 
-    Without a header each row is a quantity of the only run.
+    A table without a header has one quantity of the only run in each row.
     """
 
     name: str
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     folded: bool = False
-    """whether another one says in short what it says"""
+    """whether the page folds it away, because another table summarises it"""
 
 
 class Column(NamedTuple):
@@ -56,15 +56,15 @@ class Column(NamedTuple):
 
     header: str
     name: str
-    """of what it shows of a row"""
+    """key of its values in a row"""
     form: str = ".4g"
-    """of its numbers"""
+    """format of its numbers"""
     most: float = math.inf
-    """what is above it is shown as a warning"""
+    """larger values are shown as a warning"""
 
 
 def cell(value: float | str | Cell | None, form: str = ".4g", most: float = math.inf) -> Cell:
-    """Return the cell of a value; ``none`` of a quantity that a run has not, such as a storm's."""
+    """Return the cell of a value; ``none`` if a run lacks the quantity, such as a storm's."""
     if isinstance(value, Cell):
         return value
     if isinstance(value, str):
@@ -77,12 +77,12 @@ def cell(value: float | str | Cell | None, form: str = ".4g", most: float = math
 
 
 def share(value: float | None) -> Cell:
-    """Return a cell of a ratio; the unknown ones come last."""
+    """Return the cell of a ratio; unknown ratios are sorted last."""
     return Cell("unknown", sys.float_info.max) if value is None else cell(value, ".4f")
 
 
 def make_tables(report: Report) -> list[Table]:
-    """Return the tables that a report has something for."""
+    """Return the tables for which a report has data."""
     tables = [*_seasons(report), *_seeds(report)]
     single, best = report.single, report.best()
     several = len(single) > len(best)
@@ -98,7 +98,7 @@ def make_tables(report: Report) -> list[Table]:
 
 
 def _table(name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: bool) -> Table:
-    """Return a table of rows, which are runs or cases, by the columns' names."""
+    """Return a table of rows, which are runs or cases."""
     return Table(
         name, [column.header for column in columns], [_cells(row, columns) for row in rows],
         **folded,
@@ -106,7 +106,7 @@ def _table(name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: 
 
 
 def _cells(row: Row, columns: Sequence[Column]) -> list[Cell]:
-    """Return what columns show of a run or a case: of names also what they are sorted by."""
+    """Return the cells of a run or a case, with sort keys for settings and lengths."""
     near, ended = row["near_share"], row["ended"]
     shown = {
         **row,
@@ -124,7 +124,7 @@ def _cells(row: Row, columns: Sequence[Column]) -> list[Cell]:
 
 _SETTING = (Column("controller", "controller"), Column("setting", "setting"))
 _FROM = Column("from", "from")
-# The directory's name stands behind the first results: it may be long, and says little.
+# Placed after the first results: a directory's name can be long and says little.
 _RUN = Column("run", "run")
 _NEAR = Column("near target (%)", "near_percent", ".1f")
 
@@ -134,7 +134,7 @@ def _facts(names: Iterable[str]) -> list[Column]:
 
 
 def _metric(name: str, form: str = "", title: str = "") -> Column:
-    """Return the column of a metric; the numbers of percentages have their unit."""
+    """Return the column of a metric; its header has the unit unless the numbers have a %."""
     metric = _METRICS[name]
     header = title or metric.label
     if not metric.form.endswith("%"):
@@ -143,25 +143,25 @@ def _metric(name: str, form: str = "", title: str = "") -> Column:
 
 
 def unit(metric: Metric) -> str:
-    """Return a metric's unit as print has it."""
+    """Return a metric's unit, with m³ for m3."""
     return metric.unit.replace("m3", "m³")
 
 
 def shown_metrics(report: Report) -> list[Metric]:
-    """Return the metrics that any single run has."""
+    """Return the metrics that at least one single run has."""
     return [
         metric for metric in METRICS if any(row[metric.name] is not None for row in report.single)
     ]
 
 
 def _ended(report: Report) -> list[Column]:
-    """Return the column that says how runs ended, where one is not done or had incidents."""
+    """Return the column on how runs ended, if a run is unfinished or had incidents."""
     done = all(row["ended"] == summary.DONE for row in report.single)
     return [] if done else _facts(["ended"])
 
 
 def _ratio(rows: Sequence[Row]) -> list[Column]:
-    """Return the column of deviations over the least possible, where any is known."""
+    """Return the column of deviations over the least possible, if any is known."""
     known = any(row["ratio"] is not None for row in rows)
     return [Column("over the least possible (1)", "ratio")] * known
 
@@ -170,9 +170,9 @@ def _ratio(rows: Sequence[Row]) -> list[Column]:
 
 
 def _results(report: Report) -> list[Column]:
-    """Return the columns of results; facts of windows stand behind the first number.
+    """Return the columns of results.
 
-    A narrow screen would not show it otherwise.
+    The facts of windows follow the first numbers, so that a narrow screen shows a result.
     """
     money = report.assumptions.currency
     names = [metric.name for metric in shown_metrics(report) if metric.name not in _ELSEWHERE]
@@ -192,7 +192,7 @@ def _results(report: Report) -> list[Column]:
 
 
 def _balance(report: Report) -> list[Column]:
-    """Return the columns of both tanks' water balance."""
+    """Return the columns of both tanks' water balances."""
     layer = [_metric("final_layer_m3", title="drainage layer: at the end")]
     return [
         _metric("rain_cistern_m3", title="cistern: rain"),
@@ -214,7 +214,7 @@ def _balance(report: Report) -> list[Column]:
 
 
 def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bool) -> Table:
-    """Return a table with a line a run; of a single one a line a quantity."""
+    """Return a table with a row for each run, or for each quantity if there is a single run."""
     columns = [*_SETTING, _FROM, *_ended(report), *columns]
     table = _table(f"{name} of each run", columns, report.single, folded=folded)
     if len(report.single) > 1:
@@ -224,7 +224,7 @@ def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bo
 
 
 def _best(report: Report, best: Sequence[Row]) -> Table:
-    """Return the best run of each controller."""
+    """Return the table of each controller's best run."""
     window = [Column("window", "heading")] if len(report.windows()) > 1 else []
     return _table("Least total deviation of each controller", [
         Column("controller", "controller"), Column("best setting", "setting"), _FROM,
@@ -234,7 +234,7 @@ def _best(report: Report, best: Sequence[Row]) -> Table:
 
 
 def _methods(report: Report) -> list[Table]:
-    """Return total deviations under both kinds of evapotranspiration, where there are both."""
+    """Return the table of total deviations under both kinds of evapotranspiration, if any."""
     where = [name for name in report.apart() if name != "evapotranspiration"]
 
     def key(row: Row) -> tuple[object, ...]:
@@ -258,7 +258,7 @@ def _methods(report: Report) -> list[Table]:
 
 
 def incident_tables(report: Report) -> list[Table]:
-    """Return what was lost in the runs while they went on, where there was anything."""
+    """Return the table of incidents of single runs, if there were any."""
     unknown = Cell("unknown", sys.float_info.max, warning=True)
     rows = [
         {
@@ -279,7 +279,7 @@ def incident_tables(report: Report) -> list[Table]:
 
 
 def _moment(report: Report, row: Row, wall_time: str | None, tick: int | None) -> Cell:
-    """Return when something was lost or came back: since the start, or the time of a live site."""
+    """Return when an incident began or ended: time since the start, or local time if live."""
     if wall_time is None:
         return Cell("not over", "~", warning=True)
     if tick is not None:
@@ -293,7 +293,7 @@ def _moment(report: Report, row: Row, wall_time: str | None, tick: int | None) -
 
 
 def _seeds(report: Report) -> list[Table]:
-    """Return the results of runs under forecast errors over their seeds, where there are many."""
+    """Return the table of runs under forecast errors, over their seeds, if there are any."""
     cases = report.of(SEEDS)
     amounts = {"mean": TOTAL, "worst tenth": "worst_tenth_m3", "worst": "worst_m3"}
     known = amounts if any(row["bound_m3"] for row in cases) else {}
@@ -309,7 +309,7 @@ def _seeds(report: Report) -> list[Table]:
 
 
 def _seasons(report: Report) -> list[Table]:
-    """Return means and comparisons, or of several cisterns or roofs sizes; none without seasons."""
+    """Return the seasons' means and, unless they compare sizes, comparisons of controllers."""
     cases = report.of(SEASONS)
     if not cases:
         return []
@@ -328,7 +328,7 @@ def _named(report: Report) -> list[Column]:
 
 
 def _means(report: Report, cases: Sequence[Row]) -> Table:
-    """Return the table of means; of sites of several sizes with their sizes."""
+    """Return the table of means, with sizes if the sites differ in size."""
     sizes = [
         Column("green roof (m²)", "roof_m2", "g"), Column("cistern (m³)", "cistern_size_m3", "g")
     ]
@@ -347,7 +347,7 @@ def _means(report: Report, cases: Sequence[Row]) -> Table:
 
 
 def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> Table:
-    """Return what each has over another."""
+    """Return the table of comparisons with one other controller."""
     rows, ends = [], {"value": "", "low": "95 % from", "high": "to"}
     for row in compared:
         has, than = row["has"], row["than"]

@@ -1,4 +1,4 @@
-"""What happened in single runs, as it is drawn: commands and volumes, and the weather."""
+"""Figures of single runs over time: commands and volumes, and the weather."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from greenroof_ros.report.groups import SKY, Report, unique
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
-# Longer runs have days on their axis.
+# Runs longer than this (h) have days on their axis.
 _MOST_HOURS = 72.0
 
 
 def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return command and volumes over time, controller beside controller (paper: Figs. 6-9).
+    """Return the figure of command and volumes over time (paper: Figs. 6-9).
 
     Args:
         report: all results.
@@ -46,7 +46,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
         domain, references = _axis(site, quantity, values)
         scale, ticks = alt.Scale(domain=domain, nice=False), alt.Axis()
         if quantity == "command":
-            # Of 1e-3 and of 1 both must be seen.
+            # Commands of 1e-3 and of 1 must both be visible.
             scale = alt.Scale(type="symlog", constant=1e-3, domain=domain, nice=False)
             ticks = alt.Axis(
                 values=[0.0, *(10.0**power for power in range(-3, 10))], format="~g"
@@ -87,10 +87,10 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
 def _axis(
     site: Site, quantity: str, values: Sequence[float]
 ) -> tuple[list[float], dict[str, float]]:
-    """Return a quantity's axis range, the same in all panels, and levels by what they mean."""
+    """Return a quantity's axis range, the same in all panels, and its reference levels by name."""
     low, high = min(values), max(values)
     if quantity == "command":
-        # On a logarithmic axis that leaves room for the words above the line.
+        # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)
         return [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
     span = max(high - low, 1e-3 * high, 1e-9)
@@ -101,10 +101,10 @@ def _axis(
     references = {"target": site.x2_star}
     if quantity == "cistern":
         references = {"outlet": site.a1 * site.z_o, "suction limit": site.a1 * site.suction_level}
-        # Else two words would be in one place.
+        # Only if nearby: at the edge its label would overlap another.
         if site.low_outlet_level is not None and near(site.a1 * site.low_outlet_level):
             references["low outlet"] = site.a1 * site.low_outlet_level
-    # One nearby is worth the room; one far away would make all lines flat.
+    # Include references nearby; a reference far away would make all lines flat.
     inside = list(filter(near, references.values()))
     low, high = min([low, *inside]), max([high, *inside])
     margin = 0.12 * max(high - low, span)
@@ -114,7 +114,7 @@ def _axis(
 def _reference_layers(
     domain: Sequence[float], references: Mapping[str, float], scale: alt.Scale
 ) -> list[alt.Chart]:
-    """Return the reference lines, each with its name; those outside as a word at the edge."""
+    """Return the reference lines with their names; outside the range only a name at the edge."""
     layers = []
     low, high = domain
     for text, value in references.items():
@@ -142,23 +142,23 @@ def _reference_layers(
 
 
 def _clock(hours: float) -> str:
-    """Return how the axis of a run of so many hours names times: six of them must differ."""
+    """Return the time format of an axis of this many hours: its six labels must differ."""
     return "%H:%M:%S" if hours < 0.2 else "%H:%M" if hours <= 36 else "%d %b"
 
 
 def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return rain and evapotranspiration over time (paper: Fig. 4).
+    """Return the figure of rain and evapotranspiration over time (paper: Fig. 4).
 
     Args:
         report: all results.
-        rows: runs of one site under the same sky, one for each method of evapotranspiration.
+        rows: runs of one site with the same weather, one for each method of evapotranspiration.
         number: of the figure.
     """
     runs = {row["evapotranspiration"]: report.drawn[row["run"]] for row in rows}
     start, curves, frozen = next(iter(runs.values()))
     offset = start.utcoffset()
     assert offset is not None
-    # The axis is in UTC; shifted by the offset it shows local time in every reader's browser.
+    # The axis is in UTC; times shifted by the offset show local time in every browser.
     origin = (start.timestamp() + offset.total_seconds()) * 1000
     area = report.runs[rows[0]["run"]].site.a2
     rain: Rows = [

@@ -1,4 +1,4 @@
-"""What a report says in sentences: how it begins, and what to mind before its numbers."""
+"""The sentences of a report: its summary, and cautions about its numbers."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ LEADING = (
     "sizing", "season-comparisons", "seasons", "forecast-errors", "total-deviation-1",
     "trajectories-1-1",
 )
-"""the figure that a report begins with is the first of these that it has"""
+"""a report begins with the first of these figures that it has"""
 
-# So many results are named one by one.
+# Up to this many results are named one by one.
 _MOST_NAMED = 3
 _FORMS = {metric.name: metric.form for metric in METRICS}
-# By kind of cases: what there may be too few of, the least number, and why. Two-sided, a sign test
-# of five years that all say the same has 6 %, of six 3 %; a tenth of nine seeds is no whole run.
+# By kind of cases: what can be too few, the least number, and why. A two-sided sign test of five
+# years that all agree has 6 %, of six years 3 %; a tenth of nine seeds is less than one run.
 _FEWEST = {
     SEASONS: ("years", 6, "a lead in all may be chance"),
     SEEDS: ("seeds", 10, "the worst tenth is a single run"),
 }
 
 
-# --- how it begins --------------------------------------------------------------------------------
+# --- summary --------------------------------------------------------------------------------------
 
 
 def sentences(report: Report) -> list[str]:
-    """Return three sentences: what was run, what came out, and what else is worth knowing."""
+    """Return two or three sentences: what was run, the results, and what else is notable."""
     if report.of(SEASONS):
         return _of_seasons(report)
     if report.of(SEEDS):
@@ -53,7 +53,7 @@ def sentences(report: Report) -> list[str]:
 
 
 def windows(report: Report) -> list[str]:
-    """Name all sets of conditions in which something ran."""
+    """Name all sets of conditions of the runs."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
         named = {**row, "forecast": f"{row['forecast']} skill {row['skill']}"}
@@ -96,7 +96,7 @@ def _over_least(row: Row) -> str:
 
 
 def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
-    """Say how many runs there are of whom, where."""
+    """Say how many runs there are, with their controllers and conditions."""
     counts = {name: len(report.settings[name].labels) for name in report.controllers}
     of = _and(
         controller_name(name) + (f" ({count} settings)" if count > 1 else "")
@@ -139,7 +139,7 @@ def _of_several(report: Report) -> list[str]:
 
 
 def _winners(what: str, places: Sequence[Sequence[Row]], deviation: str) -> str:
-    """Say in how many places which controller was the best; where several are, none is."""
+    """Say in how many places each controller was best; a tie is counted as shared."""
     wins: Counter[str] = Counter()
     for rows in places:
         names = {controller_name(row["controller"]) for row in _best(rows)}
@@ -149,13 +149,13 @@ def _winners(what: str, places: Sequence[Sequence[Row]], deviation: str) -> str:
 
 
 def _best(rows: Sequence[Row]) -> list[Row]:
-    """Return the row with the least total deviation, or all that have it."""
+    """Return the row with the least total deviation, or several that are equal."""
     least = min(row[TOTAL] for row in rows)
     return [row for row in rows if row[TOTAL] == least]
 
 
 def _least(report: Report) -> str:
-    """Say which run had the least total deviation, or of many places which controller how often."""
+    """Say which run had the least total deviation; for many places, which controller how often."""
     cases = [sorted(rows, key=lambda row: row[TOTAL]) for rows in by_place(report.best())]
     if len(cases) > _MOST_NAMED:
         return _winners("windows and initial states", cases, "total deviation")
@@ -204,7 +204,7 @@ def _of_seeds(report: Report) -> list[str]:
 
 
 def _of_seasons(report: Report) -> list[str]:
-    first = _runs(report, _seasons(report))  # which name the initial states
+    first = _runs(report, _seasons(report))  # these name the initial states
     cases = report.of(SEASONS)
     if report.sizing:
         return [first, *_of_sizes(cases)]
@@ -251,11 +251,11 @@ def _of_sizes(cases: Sequence[Row]) -> list[str]:
     ]
 
 
-# --- what to mind ---------------------------------------------------------------------------------
+# --- cautions and warnings ------------------------------------------------------------------------
 
 
 class RunWarning(NamedTuple):
-    """A sentence, what it lists, and the names of the runs that it is about."""
+    """A sentence, the items that it lists, and the names of the runs that it is about."""
 
     text: str
     listed: str
@@ -263,12 +263,12 @@ class RunWarning(NamedTuple):
 
 
 def counted(number: int, what: str) -> str:
-    """Return how many there are of something: ``1 run``, ``2 runs``."""
+    """Return a number with its noun: ``1 run``, ``2 runs``."""
     return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 def cautions(report: Report) -> list[str]:
-    """Return what changes how the numbers are to be read, each in a few words."""
+    """Return reasons to read the numbers with caution, each in a few words."""
     runs, total = report.runs.values(), len(report.runs)
     broken = [run.ending for run in runs if run.ending]
     hurt = [run.incident_count for run in runs if run.incidents]
@@ -284,7 +284,7 @@ def cautions(report: Report) -> list[str]:
 
 
 def _too_few(report: Report) -> dict[str, str]:
-    """Say where there are too few years or seeds, by kind of cases."""
+    """Say if there are too few years or seeds, by kind of cases."""
     fewest = {
         kind: min((row[what] for row in report.of(kind)), default=least)
         for kind, (what, least, _) in _FEWEST.items()
@@ -304,7 +304,7 @@ _TOGETHER = {
 
 
 def make_warnings(report: Report) -> list[RunWarning]:
-    """Return what a reader should know, each with the runs that it is about."""
+    """Return notes and warnings, each with the runs that it is about."""
     runs_of: dict[tuple[str, str], list[str]] = {}
     too_few = _too_few(report)
     for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
@@ -318,7 +318,7 @@ def make_warnings(report: Report) -> list[RunWarning]:
 
 
 def _of_results(row: Row, run: Run) -> list[str]:
-    """Return what a run's results warn of, and its incidents."""
+    """Return the warnings from a run's ending, results and incidents."""
     pumped = (row["frost_pumped_m3"] or 0) > 0
     above_1 = (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0
     return [text for there, text in (

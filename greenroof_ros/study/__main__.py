@@ -25,10 +25,10 @@ from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
 from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
 
-# A graph is five processes; two cores are busy with one.
+# A graph is five processes, which keep two cores busy.
 _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
-# What runs of one table on the terminal have in common, and what is said of a column there.
+# Runs with the same values in these columns share a table on the terminal.
 _WINDOW = ("site", "weather", "start", "hours", "evapotranspiration")
 _NOTES = {
     "filled_hours": "had missing hours of weather filled in",
@@ -55,7 +55,7 @@ examples:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="greenroof study",
         description=_DESCRIPTION,
@@ -109,9 +109,9 @@ def _interrupt(signum: int, frame: object) -> None:
 
 @command
 def main() -> int:
-    """Run a study, or the rest of it."""
+    """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
-    # As after Ctrl-C: the workers end, and the table has what is finished.
+    # Acts like Ctrl-C: the workers end, and the table has the finished runs.
     signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
@@ -166,9 +166,9 @@ def _run(
     store: Store, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
     console: Console,
 ) -> None:
-    """Run cases, and bound the problems of others, keeping each outcome as it comes."""
+    """Run some cases and compute bounds for others; store each result when it arrives."""
     names = Names(store.cases)
-    # The longest first, so that no core is idle at the end while another has a long one left.
+    # The longest first, or at the end one core may have a long run while the others are idle.
     ordered = sorted(
         cases,
         key=lambda case: (
@@ -197,9 +197,9 @@ def _run(
                     result = future.result()
                 except CancelledError:
                     raise
-                except Exception as error:  # of a run, or the end of its process
+                except Exception as error:  # raised by the run, or because its process died
                     what, reason = "no bound", str(error) or type(error).__name__
-                    if is_run:  # which needs no bound
+                    if is_run:  # a missing bound is no failure
                         what, store.failures[case.identity] = "failed", reason
                     progress.print(f"{what}: {names.name(case)}: {reason}", markup=False)
                 else:
@@ -209,10 +209,10 @@ def _run(
 
 
 class Names:
-    """The names of a study's cases: the controller, and whatever differs between them."""
+    """Names of a study's cases: the controller, and the facts that differ between cases."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
-        """Look at what differs between all cases, and among those of each controller."""
+        """Find what differs between all cases, and between the cases of each controller."""
         self._facts = differing([_facts(case) for case in cases])
         self._values = {
             name: differing([_values(case) for case in cases if case.controller.name == name])
@@ -220,7 +220,7 @@ class Names:
         }
 
     def name(self, case: Case) -> str:
-        """Return the whole name of a case, for a sentence."""
+        """Return the full name of a case."""
         facts = _facts(case)
         return ", ".join([self.setting(case), *(facts[key] for key in self._facts)])
 
@@ -237,7 +237,7 @@ def _values(case: Case) -> dict[str, float | str]:
 
 
 def _facts(case: Case) -> dict[str, str]:
-    """Return what tells cases of a controller apart, in words."""
+    """Return the facts that can distinguish cases of one controller, in words."""
     return {
         "initial": case.initial, "start": f"from {case.start}",
         "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
@@ -255,7 +255,7 @@ def _forecast(case: Case) -> str:
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:
-    """Put values after a name."""
+    """Return a name followed by values."""
     texts = (
         f"{key} {value if isinstance(value, str) else shortest(value)}"
         for key, value in values.items()
@@ -264,7 +264,7 @@ def _named(name: str, values: Mapping[str, float | str]) -> str:
 
 
 def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print the total deviations, setting and forecast a line and an initial state a column.
+    """Print total deviations: a row for each setting and forecast, initial states as columns.
 
     Args:
         cases: of the study.

@@ -1,4 +1,4 @@
-"""One run of a study, on whichever machine and by whichever engine: the graph, or in process."""
+"""One run of a study, on any machine, by either engine: the node graph or in process."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from greenroof_ros.study.grid import Case, in_directory
 from greenroof_ros.weather.reading import read_weather
 
 ENGINES = ("inprocess", "ros")
-# The domains to try, one after the other, until one is free (bringup refuses one that is not).
-# Those below are left to graphs that somebody starts beside a study.
+# ROS domains to try in turn until one is free (bringup refuses an occupied one). Lower numbers are
+# left for graphs that somebody starts while a study runs.
 _DOMAINS = range(51, 102)
 
 
@@ -44,9 +44,9 @@ class Outcome:
     """The results of a run.
 
     Attributes:
-        results: columns of the table; the same for both engines and every repetition.
-        timings: wall-clock figures (s), which are not.
-        files: what is kept of the run, by name.
+        results: columns of the table; the same for both engines and in every repetition.
+        timings: wall-clock times (s), which differ.
+        files: content of the files that are kept, by name.
     """
 
     results: dict[str, Any]
@@ -58,14 +58,14 @@ def run_case(case: Case, engine: str, trajectory_every: float | None) -> Outcome
     """Run a case.
 
     Args:
-        case: which.
+        case: to run.
         engine: one of :data:`ENGINES`.
-        trajectory_every: time between the samples of the trajectory that is kept (s), in whole
-            ticks, at least one; None where only the results are.
+        trajectory_every: time between the samples of the trajectory (s), rounded to whole ticks, at
+            least one; None to keep only the results.
 
     Raises:
-        ConfigurationError: the run is wrong, or the engine is not there.
-        RuntimeError: the graph failed; the message has its last words.
+        ConfigurationError: the case is wrong, or the engine is not installed.
+        RuntimeError: the graph failed; the message is what it printed.
     """
     with _laid_out(case) as directory:
         if engine == "ros":
@@ -74,10 +74,9 @@ def run_case(case: Case, engine: str, trajectory_every: float | None) -> Outcome
 
 
 def bound_case(case: Case) -> float:
-    """Return the least total deviation (m3) that any controller could reach in a case.
+    """Return the least total deviation (m3) that a controller with commands up to 1 could reach.
 
-    That is, one whose commands are at most 1; see
-    :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
+    See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
     with _laid_out(case) as directory:
         run = _build(case, directory)
@@ -87,7 +86,7 @@ def bound_case(case: Case) -> float:
 
 @contextmanager
 def _laid_out(case: Case) -> Iterator[Path]:
-    """Give the case's files a directory, while it runs."""
+    """Write the case's files to a temporary directory."""
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
         directory = Path(name)
         for file in case.files:
@@ -109,7 +108,7 @@ def _build(case: Case, directory: Path) -> Run:
 
 
 def _every(site: Site, trajectory_every: float) -> int:
-    """Return of how many ticks one is kept."""
+    """Return the number of ticks between samples that are kept."""
     return max(1, round(trajectory_every / site.tau))
 
 
@@ -134,7 +133,7 @@ def _run_in_process(run: Run, trajectory_every: float | None) -> Outcome:
 
 
 def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> Outcome:
-    """Run bringup in a domain of its own; keep its bag and summary where there is a trajectory."""
+    """Run bringup in its own ROS domain; keep bag and summary if a trajectory is kept."""
     parameters = directory / "parameters.yaml"
     parameters.write_text(
         yaml.safe_dump({f"/**/{case.controller.name}": {"ros__parameters": case.parameters}}),
@@ -158,7 +157,7 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
     for name, value in forecast.options().items():
         command += [f"--forecast-{name}", str(value)]
     if case.sensor_pump_errors is not None:
-        # In one word, as -1e-05 alone would be taken for an option.
+        # As one word: -1e-05 by itself would be read as an option.
         command += [
             f"--{name.replace('_', '-')}={value!r}"
             for name, value in case.sensor_pump_errors.values().items()
@@ -194,9 +193,9 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
 
 
 def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
-    """Return the volume on the roof (m3), shape (N+1,), where a bag has what a sensor read.
+    """Return the true volume on the roof (m3), shape (N+1,), if a bag has only sensor readings.
 
-    The plant is run once more with the commands of the bag, in which frost has commanded 0.
+    The plant is run again with the bag's commands; during frost and quiet hours nothing is pumped.
     """
     series, hours, until = run.series, run.site.quiet, 0
     plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.sensor_pump_errors, run.site.tau)
@@ -212,7 +211,7 @@ def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
 
 
 def _domains(case: Case) -> Iterator[int]:
-    """Yield every domain once, from one that is the case's own on."""
+    """Yield every domain once, beginning with one that the case's identity selects."""
     first = int(case.identity, 16) % len(_DOMAINS)
     yield from _DOMAINS[first:]
     yield from _DOMAINS[:first]

@@ -1,4 +1,4 @@
-"""The grid of a study: a YAML file in which every combination of what is listed is a run."""
+"""The grid of a study: a YAML file with lists of values; every combination is a run."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
-# What multiplies in a window.
+# The keys of a window with lists that multiply the runs.
 _TIMES = ("year", "start", "hours", "evapotranspiration")
-# What each block must be.
+# Error messages that say what each block must be.
 _SITE = (
     "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, or a list of such"
 )
@@ -65,15 +65,15 @@ _STATE = (
     "{name: dry, cistern: 60.0, roof: 1.0} in m3"
 )
 _SETTINGS = "must hold parameters, a list of such, or nothing"
-# The digests of a case's files of forecasts, in what its identity is made from.
+# Keys for the digests of a case's forecast files in the data of its identity.
 _DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
-# What the directory of a study has beside them.
+# Names that the directory of a study uses itself.
 _OWN_FILES = ("grid.yaml", "study.json")
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file that runs are made from, carried along to whichever machine they run on."""
+    """An input file of runs, which is sent to the machine that makes them."""
 
     name: str
     """unique in the study"""
@@ -81,32 +81,32 @@ class InputFile:
 
     @property
     def digest(self) -> str:
-        """Identity of the content."""
+        """Digest of the content."""
         return hashlib.sha256(self.content).hexdigest()
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run of a study, with everything that decides its numbers.
+    """One run of a study, with everything that affects its numbers.
 
     Attributes:
         site: site file.
-        weather: weather files, joined, in the order of time.
-        weather_name: one name for them, which no other weather of the study has.
+        weather: weather files, in the order of time, to be joined.
+        weather_name: one name for them, unique in the study.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
-        gaps: what is done about gaps in the weather files.
-        forecast: which forecasts; their files by name.
-        forecast_files: these, by the attribute of the choice that names each.
-        controller: which.
-        parameters: all of the controller's.
+        gaps: how gaps in the weather files are treated.
+        forecast: choice of forecasts, with the names of their files.
+        forecast_files: these files, by the attribute of the choice that names them.
+        controller: choice of the controller.
+        parameters: all parameters of the controller.
         initial: name of the initial state.
         cistern: initial volume (m3).
         roof: initial volume (m3).
-        sensor_pump_errors: of level sensor and pumps; None where the grid does not speak of them.
-        bound_block: s that share a variable of the least possible deviation; None for what is
-            usual, 0 where it is not asked for.
+        sensor_pump_errors: errors of level sensor and pumps; None if the grid has none.
+        bound_block: time (s) that shares a variable when the least possible deviation is computed;
+            None for the default, 0 to compute no bound.
     """
 
     site: InputFile
@@ -128,12 +128,12 @@ class Case:
 
     @property
     def files(self) -> tuple[InputFile, ...]:
-        """What it reads."""
+        """All input files."""
         return self.site, *self.weather, *self.forecast_files.values()
 
     @property
     def identity(self) -> str:
-        """Twelve hexadecimal digits, the same wherever and whenever the numbers are the same."""
+        """Twelve hexadecimal digits, the same for equal cases on any machine at any time."""
         content = {
             **self.columns(),
             "site": self.site.digest,
@@ -147,7 +147,7 @@ class Case:
 
     @property
     def problem(self) -> str:
-        """Identity of what every controller is given alike, and of how it is bounded."""
+        """Identity of the inputs that do not depend on the controller, and of the bound's block."""
         alike = replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
             forecast_files={}, sensor_pump_errors=None,
@@ -155,7 +155,7 @@ class Case:
         return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
 
     def columns(self) -> dict[str, Any]:
-        """Return what the table says of the case itself, without its parameters."""
+        """Return the columns of the table that describe the case, without its parameters."""
         return {
             "site": self.site.name,
             "weather": self.weather_name,
@@ -180,7 +180,7 @@ class Case:
 def in_directory(
     choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
 ) -> ForecastChoice:
-    """Return a choice of forecasts whose files are those of a case, in a directory."""
+    """Return a choice of forecasts with a case's files in a directory."""
     places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
     if "skill" in places:
         places["skill"] = str(places["skill"])
@@ -188,30 +188,30 @@ def in_directory(
 
 
 class _Setting(NamedTuple):
-    """A controller as it is to run."""
+    """A controller with its parameters, and the forecasts and sites that it runs with."""
 
     controller: ControllerChoice
     parameters: dict[str, float]
-    """all of them on a site; of the grid those that are given"""
+    """those in the grid; completed with defaults once the site is known"""
     forecasts: list[ForecastChoice] | None
-    """instead of the grid's, for a controller that looks at none or at one kind; None for those"""
+    """its own instead of the grid's, for instance if it uses none; None for the grid's"""
     sites: list[str]
-    """files of those that it runs on; empty for all"""
+    """names of the site files that it runs on; empty for all"""
 
 
 def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
-    """Read a grid such as ``config/studies/paper.yaml`` and check every run of it.
+    """Read a grid such as ``config/studies/paper.yaml`` and check every run in it.
 
     Args:
         path: of the grid.
-        weather: directory of weather files that are not beside it, such as a record of years.
+        weather: directory of weather files that are not beside the grid.
 
     Returns:
         The runs, in the order of the file: sites, windows, methods, forecasts, initial states,
         sensor_pump_errors, controllers with their parameters.
 
     Raises:
-        ConfigurationError: the grid, or a file that it names, is wrong; nothing has run yet.
+        ConfigurationError: the grid, or a file that it names, is wrong. Nothing has run yet.
     """
     grid = _Grid(path, weather)
     cases = list(grid.cases())
@@ -231,13 +231,13 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 class _Grid:
     """A grid file while it is read.
 
-    Each block of it is a mapping or a list of such, in which every list stands for as many runs.
+    Each block is a mapping or a list of mappings; every list in a mapping multiplies the runs.
     """
 
     def __init__(self, path: Path, weather: Path | None) -> None:
         self._path = path
         self._places = [path.parent, *([] if weather is None else [weather])]
-        # Holds edited sites until they are carried along.
+        # Holds edited sites until their content is read.
         self._scratch = tempfile.TemporaryDirectory(prefix="greenroof_ros-")
         self._mapping = read_yaml(path)
         self._keys(self._mapping, _KEYS, _OPTIONAL_KEYS)
@@ -250,7 +250,7 @@ class _Grid:
         controllers = list(self._controllers())
         for name, path in self._sites():
             site = read_site(path)
-            # Those parameters that are not given are as they are on a site.
+            # Defaults of the other parameters can depend on the site.
             settings = [
                 setting._replace(
                     parameters={**setting.controller.defaults(site), **setting.parameters}
@@ -263,7 +263,7 @@ class _Grid:
                     yield from self._runs(path, site, window, settings)
 
     def _sites(self) -> Iterator[tuple[str, Path]]:
-        """Yield the name and path of each site file, those with other values with these."""
+        """Yield the name and path of each site file, or of a copy with the grid's values."""
         symbols = [parameter.name for parameter in site_parameters()]
         for place, block in enumerate(self._blocks(self._mapping, "site", _SITE)):
             key = "site" if "site" in block else "file"
@@ -307,8 +307,8 @@ class _Grid:
         inputs = tuple(map(self._input, weather.files))
         name = name_files([Path(file.name) for file in inputs])
         self._weathers.setdefault(inputs, unique_name(Path(name), self._weathers.values()))
-        # What one controller can run with, the others with the same forecasts can; and forecasts
-        # with errors need the records that perfect ones do.
+        # One check serves all controllers with equal forecasts and horizon. Forecasts with errors
+        # need the same records as perfect ones.
         checked: dict[tuple[object, ...], Run] = {}
         usual = list(self._forecasts(window if "forecast" in window else self._mapping))
         forecasts = [
@@ -316,7 +316,7 @@ class _Grid:
         ]
         own = itertools.chain(*forecasts)
         for choice, (initial, volumes) in itertools.product(
-            # One that `usual` has twice is run twice, and so refused.
+            # Duplicates in `usual` are kept, so that read_grid() refuses the second run.
             [*usual, *(choice for choice in dict.fromkeys(own) if choice not in usual)],
             list(self._initial_states(site_file, site)),
         ):
@@ -358,7 +358,7 @@ class _Grid:
                 )
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
-        """Yield each kind of forecast under ``forecast:`` with each combination of its options."""
+        """Yield each forecast under ``forecast:`` with each combination of its options."""
         if "forecast" not in mapping:
             yield ForecastChoice()
             return
@@ -385,14 +385,14 @@ class _Grid:
     def _weather(
         self, files: tuple[Path, ...], site: Site, method: str | None, gaps: str
     ) -> Weather:
-        """Return the weather of some files, read once for all sites of a place."""
+        """Return the weather of some files, which is read once for all sites at one place."""
         key = (files, *(getattr(site, name) for name in PLACE), method, gaps)
         if key not in self._read:
             self._read[key] = read_weather(files, site, method, gaps)
         return self._read[key]
 
     def _skill(self, options: YamlMapping) -> str:
-        """Return the skill under ``skill:``, a file of one by its path."""
+        """Return the skill under ``skill:``, or the path of its file."""
         text = self._text(options, "skill")
         try:
             check_skill(text)
@@ -405,7 +405,7 @@ class _Grid:
         return text
 
     def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
-        """Yield each combination of what is under ``sensor_pump_errors:``; None without it."""
+        """Yield each combination under ``sensor_pump_errors:``; None if there is no such key."""
         key = "sensor_pump_errors"
         if key not in self._mapping:
             yield None
@@ -416,15 +416,15 @@ class _Grid:
                 yield SensorPumpErrors(**read_numbers(self._path, values, PARAMETERS))
 
     def _file(self, mapping: YamlMapping, key: str) -> Path:
-        """Return the path of the file that a name under a key stands for."""
+        """Return the path of the file that is named under a key."""
         name = self._text(mapping, key)
         return self._place(mapping, key, name) / name
 
     def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
-        """Return the directory from which a name, or a pattern, names a file.
+        """Return the first directory that has a file of this name or pattern.
 
-        It is the grid's own, or else the weather's, or else the package's ``config/``: a
-        copy of a grid of the package runs as it is.
+        The order is the grid's own, the weather's, and the package's ``config/``, so that a copy of
+        the package's grids runs unchanged.
 
         Raises:
             ConfigurationError: there is no such file in any of them.
@@ -445,9 +445,9 @@ class _Grid:
     def _input(
         self, path: Path, content: Callable[[Path], bytes] = Path.read_bytes, suffix: str = ""
     ) -> InputFile:
-        """Return a file's content under a name that no other file of the study has.
+        """Return a file's content under a name that is unique in the study.
 
-        It is the file's own, with its folder's before it where another file has it already.
+        It is the file's own name, with the folder's name in front if another file has that name.
         """
         path = path.resolve()
         if path not in self._files:
@@ -461,10 +461,10 @@ class _Grid:
     def _carried(
         self, choice: ForecastChoice, site: Site
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a choice of forecasts as the study carries it along, and its files.
+        """Return a choice of forecasts with the names of its files in the study, and the files.
 
-        A directory is one file there, in the project's own form, and so is NetCDF, whose name has
-        to say its issue alone.
+        A directory becomes one file in the project's own format, and so does NetCDF, because the
+        issue of a NetCDF file is in its name, which the study may change.
         """
         named = {"skill": choice.skill_file, "dressed": choice.dressed}
         files = {key: self._input(file) for key, file in named.items() if file is not None}
@@ -482,7 +482,7 @@ class _Grid:
     def _initial_states(
         self, site_file: Path, site: Site
     ) -> Iterator[tuple[str, tuple[float, float]]]:
-        """Yield the name and volumes (m3) of each state."""
+        """Yield the name and volumes (m3) of each initial state."""
         named = {name: initial_state(site, name) for name in INITIAL_STATES}
         own, names = own_state(site), set()
         if own is not None:
@@ -506,7 +506,7 @@ class _Grid:
             yield name, volumes
 
     def _volumes(self, state: YamlMapping, areas: dict[str, float]) -> tuple[float, float]:
-        """Return the volumes (m3) of a state that gives volumes, or levels over these areas."""
+        """Return the volumes (m3) of a state that gives volumes, or levels over the given areas."""
         self._keys(state, ("name",), (*areas, *(f"{key}_level" for key in areas)))
         volumes = []
         for key, area in areas.items():
@@ -522,7 +522,7 @@ class _Grid:
         return volumes[0], volumes[1]
 
     def _bound_block(self, site: Site) -> float | None:
-        """Return what is under ``bound_block:``, whole ticks of a site or 0; None without it."""
+        """Return ``bound_block:`` (s), whole ticks of a site or 0; None if there is no such key."""
         if "bound_block" not in self._mapping:
             return None
         seconds = number(self._path, self._mapping, "bound_block")
@@ -559,7 +559,7 @@ class _Grid:
                 yield from self._settings(controller, given)
 
     def _settings(self, controller: ControllerChoice, given: YamlMapping) -> Iterator[_Setting]:
-        """Yield a controller with each combination of the parameters that are given."""
+        """Yield a controller with each combination of the given parameters."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
         sites = []
         if "site" in given:
@@ -577,7 +577,7 @@ class _Grid:
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str, prefix: str = "") -> Iterator[None]:
-        """Say in which line of the grid a mistake is that shows elsewhere."""
+        """Add the line of the grid to an error that is found elsewhere."""
         try:
             yield
         except ConfigurationError as error:
@@ -586,7 +586,7 @@ class _Grid:
             raise ConfigurationError(what, file=self._path, line=line) from error
 
     def _blocks(self, mapping: YamlMapping, key: str, expected: str) -> list[YamlMapping]:
-        """Return what is under a key as a list of mappings; a text is one that has it there."""
+        """Return the value of a key as a list of mappings; a text becomes ``{key: text}``."""
         blocks = []
         for block in self._listed(mapping, key):
             if isinstance(block, str):
@@ -606,7 +606,7 @@ class _Grid:
             yield chosen
 
     def _listed(self, mapping: YamlMapping, key: str) -> list[Any]:
-        """Return a value as a list; one value is a list of one.
+        """Return a value as a list; a single value becomes a list of one.
 
         Whole numbers may be given as ``{from: 1, to: 50}``.
         """
@@ -628,7 +628,7 @@ class _Grid:
     def _keys(
         self, mapping: YamlMapping, needed: Collection[str], further: Collection[str]
     ) -> None:
-        """Refuse a mapping that lacks a key, or has another."""
+        """Refuse a mapping that lacks a needed key or has an unknown one."""
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
             if key not in known:

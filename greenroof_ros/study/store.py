@@ -1,4 +1,4 @@
-"""The directory of a study: what it was made from, what is finished, and the table."""
+"""The directory of a study: its inputs, its finished runs, and the table."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _LOCK = ".lock"
 
 
 class Store:
-    """Keeps each run's outcome as it comes, whole or not at all.
+    """Stores each run's outcome when it arrives, whole or not at all.
 
     Attributes:
         directory: of the study.
         cases: its runs.
-        engine: which makes them.
-        trajectory_every: time between the samples of what happened in each run (s), 0 for each
-            tick; None to keep the results only.
-        outcomes: of the runs that are finished, without their files, by identity.
-        failures: why others are not; those in neither were not run.
+        engine: that makes the runs.
+        trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
+            None to keep only the results.
+        outcomes: of finished runs, without their files, by identity.
+        failures: reasons of failed runs, by identity; runs in neither were not run.
         bounds: least possible total deviations (m3) that are known, by problem.
     """
 
@@ -49,23 +49,22 @@ class Store:
         *,
         trajectory_every: float | None,
     ) -> None:
-        """Begin a study, or go on with one.
+        """Begin a study, or continue one.
 
-        An outcome that is damaged, as after a power cut, is none: its run is made again and then
-        replaced.
+        A damaged outcome, for instance after a power cut, does not count: the run is made again and
+        replaces it.
 
         Args:
-            directory: of the study, new, empty or its own.
+            directory: of the study: new, empty, or from an earlier start of the same study.
             grid: its file.
             cases: its runs.
-            engine: which makes them.
-            trajectory_every: as the attribute.
+            engine: that makes the runs.
+            trajectory_every: see the attribute.
 
         Raises:
-            ConfigurationError: the directory holds something else, another study, or this one as
-                another engine made it, or other code that makes the numbers; or it cannot be
-                written, or another process works in it; or an outcome cannot be read, as on a
-                network drive that is away. It is left as it is, since it may be whole.
+            ConfigurationError: the directory holds something else, or a study with another grid,
+                engine, trajectories or code; it cannot be written; another process uses it; or an
+                outcome cannot be read now, for instance on a network drive. That outcome is kept.
         """
         self.directory = directory
         self.cases, self.engine, self.trajectory_every = cases, engine, trajectory_every
@@ -97,7 +96,7 @@ class Store:
         file = configuration / "study.json"
         self.directory.mkdir(parents=True, exist_ok=True)
         there = {path.name for path in self.directory.iterdir()}
-        # One that was killed while it began has left its lock, and perhaps a part of the other.
+        # A study that was killed at its start leaves its lock, and perhaps a partial configuration.
         killed = _LOCK in there and there <= {_LOCK, configuration.name}
         if there and not killed and not file.is_file():
             raise ConfigurationError(
@@ -119,7 +118,7 @@ class Store:
             shutil.rmtree(cut_short)
 
     def _lock(self) -> None:
-        """Keep other processes out for as long as this one lives."""
+        """Keep other processes out while this one lives."""
         self._held: TextIO = (self.directory / _LOCK).open("w")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -129,7 +128,7 @@ class Store:
             ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
-        """Refuse to mix what was begun with something else."""
+        """Refuse to continue a study that was begun with something else."""
         try:
             begun = json.loads(file.read_text(encoding="utf-8"))
         except ValueError as error:
@@ -147,7 +146,7 @@ class Store:
                 )
 
     def keep(self, case: Case, outcome: Outcome) -> None:
-        """Write an outcome; a process that is killed meanwhile leaves nothing of it.
+        """Write an outcome; if the process is killed meanwhile, the outcome does not exist.
 
         Raises:
             OSError: for instance on a full disk.
@@ -158,7 +157,7 @@ class Store:
             for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
                 (part / name).parent.mkdir(parents=True, exist_ok=True)
                 (part / name).write_bytes(content)
-        except OSError as error:  # of a write it does not know where
+        except OSError as error:  # an error of a write lacks the path
             raise OSError(error.errno, error.strerror, str(part)) from error
         if whole.exists():  # a damaged one
             shutil.rmtree(whole)
@@ -166,12 +165,12 @@ class Store:
         self.outcomes[case.identity] = replace(outcome, files={})
 
     def keep_bound(self, case: Case, bound: float) -> None:
-        """Write down the least possible total deviation (m3) of a case's problem."""
+        """Store the least possible total deviation (m3) of a case's problem."""
         self.bounds[case.problem] = bound
         _write(self._bounds, json.dumps(self.bounds, indent=2) + "\n")
 
     def write_tables(self) -> list[dict[str, Any]]:
-        """Write ``results.csv``, and ``timings.csv``, as times differ from run to run.
+        """Write ``results.csv``, and separately ``timings.csv``, because times never repeat.
 
         Returns:
             The rows of ``results.csv``.
@@ -201,24 +200,26 @@ class Store:
 
 
 class _WithoutTexts(ast.NodeTransformer):
-    """Drops expressions that are only a constant: docstrings."""
+    """Drops expressions that are only a constant, such as docstrings."""
 
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         return None if isinstance(node.value, ast.Constant) else node
 
 
 def _numbers(engine: str) -> dict[str, str]:
-    """Return the versions of what makes the numbers of a run: whether a stored one still counts.
+    """Return the versions of everything that affects a run's numbers; stored runs must match.
 
-    Of this package it is the code in the folders that do, without its comments and docstrings, and
-    the constants of the forecast skills that have a name. With the engine ``ros`` graph and nodes
-    make them, too.
+    For this package they are a digest of the relevant code, without comments and
+    docstrings, and the constants of the named forecast skills. With the engine ``ros``, graph and
+    nodes are relevant, too.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    folders = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
-    for folder in [*folders, "graph", "nodes"] if engine == "ros" else folders:
-        for file in sorted((package / folder).rglob("*.py")):
+    parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
+    parts += ["study/case_run.py", "recording/results_table.py"]
+    for part in [*parts, "graph", "nodes"] if engine == "ros" else parts:
+        path = package / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
             digest.update(file.relative_to(package).as_posix().encode() + code.encode())
     digest.update(repr(read_skill(REAL)).encode())
@@ -230,10 +231,10 @@ def _numbers(engine: str) -> dict[str, str]:
 
 
 def _read(file: Path) -> Any:
-    """Return what a JSON file holds; None where it is not there, or damaged.
+    """Return the content of a JSON file; None if it is missing or damaged.
 
     Raises:
-        ConfigurationError: it cannot be read now.
+        ConfigurationError: it exists but cannot be read now.
     """
     try:
         return json.loads(file.read_bytes())
@@ -246,7 +247,7 @@ def _read(file: Path) -> Any:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file so that it is whole or as it was before."""
+    """Replace a file as a whole: after a crash it is complete or as before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
     part.write_text(text, encoding="utf-8")
@@ -254,7 +255,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows with the columns of all of them; floats with all their digits."""
+    """Write rows, with every column that any of them has; floats keep all their digits."""
     text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))
     writer = csv.DictWriter(text, columns, lineterminator="\n")

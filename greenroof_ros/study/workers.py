@@ -1,4 +1,4 @@
-"""Where runs are made: in processes of this machine, or on a Dask cluster."""
+"""Workers that make runs: processes of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.processes import end_with
 from greenroof_ros.common.versions import versions
 
-# What each worker would otherwise import.
+# Imported once by the fork server, not by each worker.
 _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
 ]
-# How long a worker may take to be ready.
+# Longest time for a worker to become ready.
 _START_S = 60
 _CONNECT_S = 10
-# A worker that its nanny starts again is back sooner.
+# A worker that its nanny restarts is back sooner.
 _NO_WORKER_S = 15.0
-# How often a scheduler is asked for its workers.
+# Time between two requests to a scheduler for its workers.
 _ASK_S = 2.0
 
 
 class WorkersGoneError(Exception):
-    """Nothing is left that could make the runs; the message says what is gone."""
+    """No worker is left; the message says what is gone."""
 
 
 class Workers(NamedTuple):
-    """Those who make the runs."""
+    """The means to hand out runs."""
 
     submit: Callable[..., Future[Any]]
-    """hands a function and its arguments over, and returns the result to come"""
+    """schedules a function with its arguments, and returns the future"""
     check: Callable[[], None]
-    """raises :class:`WorkersGoneError` where there is no worker any more"""
+    """raises :class:`WorkersGoneError` if no worker is left"""
 
 
 @contextmanager
 def processes(jobs: int) -> Iterator[Workers]:
-    """Work in parallel processes; one that is killed fails its own task alone.
+    """Work in parallel processes; if one is killed, only its own task fails.
 
     Args:
-        jobs: how many at a time.
+        jobs: number of processes.
 
     Raises:
         ConfigurationError: pebble is not installed.
@@ -61,14 +61,14 @@ def processes(jobs: int) -> Iterator[Workers]:
         from pebble import ProcessPool
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
-    # A terminal's Ctrl-C goes to the fork server, too, which would say where in its imports it was.
-    # It, and with it the workers, ignores it from the start and leaves it to this process.
+    # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So the server
+    # and its workers ignore it from the start, and only this process handles it.
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         forkserver.ensure_running()
     finally:
         signal.signal(signal.SIGINT, before)
-    # A worker that is stopped does not clear up after itself.
+    # A worker that is stopped does not delete its temporary files.
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as scratch:
         started = context.Semaphore(0)
         pool = ProcessPool(
@@ -82,8 +82,8 @@ def processes(jobs: int) -> Iterator[Workers]:
                 started.acquire(timeout=_START_S)
 
         try:
-            # In a thread, as that is not interrupted: a worker that is ended before it is ready
-            # fails with a traceback, or is unknown to the pool, which cannot end it.
+            # In a thread, which Ctrl-C does not interrupt: a worker that is ended before it is
+            # ready prints a traceback, or the pool does not know it and cannot end it.
             with ThreadPoolExecutor(1) as starter:
                 starter.submit(start).result()
             yield Workers(
@@ -96,14 +96,14 @@ def processes(jobs: int) -> Iterator[Workers]:
 
 
 def _prepare(scratch: str, study: int, started: Semaphore) -> None:
-    """Have a worker make its temporary files where they are cleared away, and be quiet.
+    """Prepare a worker: its directory for temporary files, no warnings, and its end.
 
-    What a single run warns of would tear the bar of hundreds. It ends with the study: the fork
-    server, its parent, stays for as long as one of its children does.
+    Warnings of single runs would break the progress bar. The worker ends with the study itself,
+    because its parent, the fork server, stays while any of its children runs.
 
     Args:
-        scratch: directory of its temporary files.
-        study: the process that hands out the runs.
+        scratch: directory for temporary files, which the study deletes.
+        study: process number of the study.
         started: counts the workers that are ready.
     """
     end_with(study)
@@ -120,14 +120,14 @@ def cluster(address: str) -> Iterator[Workers]:
         address: such as ``tcp://10.0.0.1:8786``.
 
     Raises:
-        ConfigurationError: distributed is not installed, there is no answer, no worker, or a
-            worker has other versions than this process.
-        WorkersGoneError: the scheduler or all its workers went while there was work.
+        ConfigurationError: distributed is not installed, the scheduler does not answer or has no
+            worker, or the versions on a worker differ from those of this process.
+        WorkersGoneError: the scheduler or all its workers disappeared during work.
     """
     try:
         import dask
 
-        # It would say in a hundred lines what a sentence here says.
+        # Its log would repeat an error message in a hundred lines.
         quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
         dask.config.set({"logging": quiet})
         from distributed import Client
@@ -146,7 +146,7 @@ def cluster(address: str) -> Iterator[Workers]:
         try:
             client.wait_for_workers(1, timeout=_CONNECT_S)
             _check_versions(client.run(versions))
-        except asyncio.TimeoutError as error:  # of Python 3.10, another than the built-in one
+        except asyncio.TimeoutError as error:  # in Python 3.10 not the built-in one
             raise ConfigurationError(
                 "has no worker", key="--scheduler", value=address
             ) from error
@@ -159,8 +159,8 @@ def cluster(address: str) -> Iterator[Workers]:
         def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
             future: Future[Any] = executor.submit(function, *arguments)
             pending.add(future)
-            # One that were kept would keep its result on its worker, to be made again when that is
-            # killed.
+            # A future that is kept keeps its result on a worker, and is computed again if that
+            # worker is killed.
             future.add_done_callback(pending.discard)
             return future
 
@@ -172,7 +172,7 @@ def cluster(address: str) -> Iterator[Workers]:
             asked = now
             try:
                 there = client.nthreads()
-            except (OSError, RuntimeError) as error:  # its connection, or the client itself
+            except (OSError, RuntimeError) as error:  # the connection or the client failed
                 raise gone from error
             if there:
                 seen = now
@@ -183,17 +183,17 @@ def cluster(address: str) -> Iterator[Workers]:
 
         try:
             yield Workers(submit, check)
-        except CancelledError as error:  # nobody here cancels what is waited for
+        except CancelledError as error:  # not by this process: the scheduler is gone
             raise gone from error
         finally:
-            # Interrupted, no one waits for the results of what is under way.
+            # After an interrupt nobody waits for the results of running tasks.
             for future in list(pending):
                 future.cancel()
             executor.shutdown(wait=False)
 
 
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
-    """Refuse workers whose numbers may be others."""
+    """Refuse workers with other versions, which could compute other numbers."""
     here = versions()
     for address, theirs in workers.items():
         for package in here.keys() | theirs.keys():

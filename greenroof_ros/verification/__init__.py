@@ -1,1 +1,1 @@
-"""Forecasts compared with records: how much they are worth, by how far ahead they look."""
+"""Forecasts compared with records: how good they are at each lead time."""

@@ -1,4 +1,4 @@
-"""What is most likely wrong with an archive: leads that lack water, rain of another place."""
+"""What is most likely wrong with an archive: leads that lack water, or rain of another place."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from greenroof_ros.verification.scores import Scores, Tally
 
 _FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 
-# In a quarter of a year few storms make such differences, in a year none (h).
+# Least record (h). In three months a few storms can make such differences, in a year they do not.
 _LEAST_HOURS = 8760
-# Of the median of the other leads, or its inverse. In any 365 days of Open-Meteo's previous runs of
-# GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times the others' water, and GFS's
-# fifth day, whose half is missing there, 0.36 to 0.52.
+# Least ratio to the median of the other leads; its inverse is the largest. In any 365 days of
+# Open-Meteo's previous runs of GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times
+# the others' water. GFS's fifth day, half missing there, had 0.36 to 0.52.
 _LEAST_SHARE = 0.55
-# The least of the services five days ahead is 0.32 (sums over 12 h; the package's table of skill).
-# Of so many pairs that know nothing of one another hardly one in a thousand has so much.
+# The lowest r of the services five days ahead is 0.32 (sums over 12 h; the package's table of
+# skill). With this many unrelated pairs r reaches the limit in hardly one case in a thousand.
 _LEAST_R, _LEAST_PAIRS = 0.1, 1000
 
 
@@ -28,15 +28,15 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     """Return what is most likely wrong with forecasts.
 
     Args:
-        tallies: what adds up in each class.
-        previous_runs: whether these are previous runs, whose leads may lack water.
+        tallies: the tally of each class.
+        previous_runs: whether these are previous runs, whose leads can lack water.
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     findings = [
         _FINDINGS.make("odd-lead", "water", "forecasts", lead=lead, ratio=ratio)
         for lead, ratio in (_odd_leads(scores) if previous_runs else {}).items()
     ]
-    # Classes of few pairs tell nothing, nor do those in which forecast or rain is always the same.
+    # Classes of few pairs tell nothing, nor do classes whose forecast or rain never varies.
     known = [
         score.r for score in scores.values()
         if score.n >= _LEAST_PAIRS and not math.isnan(score.r)
@@ -47,15 +47,15 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
 
 
 def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
-    """Return the leads, in words, whose water differs from the others', and the ratio (1).
+    """Return leads, in words, whose water differs from the others', with the ratio (1).
 
-    The water of a lead is its bias, so that its missing hours do not count. Less than 0.55 of the
-    median of the other leads, or more than 1 / 0.55 of it, is odd. A forecast
-    of the far future may be worse, but a model's climate stays what it is. Leads with less than a
-    year, and less than two other leads, tell nothing.
+    The water of a lead is its bias, which leaves out the hours that the lead lacks. A lead is odd
+    if it has less than 0.55 of the median of the other leads, or more than 1 / 0.55 of it, because
+    a model's climate does not change with the lead, even if its forecasts get worse. Leads with
+    less than a year of hours are left out; if fewer than three leads remain, none is odd.
 
     Args:
-        scores: of previous runs, where each pair of a lead is of other hours.
+        scores: of previous runs, where each pair of a lead covers different hours.
     """
     water: dict[str, float] = {}
     for key, of_class in scores.items():

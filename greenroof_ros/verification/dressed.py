@@ -1,4 +1,4 @@
-"""What dressing is worth: sums of rain from an issue on, as issued, dressed and by climatology."""
+"""What dressing is worth: sums of rain after an issue, as issued, dressed and by climatology."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
 
-# Sums from the issue on (h): the next half day, a storm, and what a roof has room for.
+# Lengths of the sums (h): the next half day, a storm, and what a roof has room for.
 _SUMS = (12, 48, 120)
 
 
 class Worth(NamedTuple):
-    """Scores of the sums over some hours from an issue on."""
+    """Scores of the sums over the first hours of the issues."""
 
     hours: int
     n: int
-    """issues with that many hours in forecast and record"""
+    """number of issues with that many hours in forecast and record"""
     fell: float
     """mean of the observed sums (mm)"""
     bias: list[float]
-    """water as issued, dressed and by climatology, each over what fell"""
+    """bias as issued, dressed and by climatology: mean sum over the observed mean sum (1)"""
     crps: list[float]
-    """mean fair CRPS of these (mm)"""
+    """mean fair CRPS of these three (mm)"""
 
 
 def worth(
@@ -39,18 +39,18 @@ def worth(
 ) -> list[Worth]:
     """Score an archive's issues by a record: as issued, dressed, and by climatology.
 
-    Climatology is all that fell after every issue that may be an analog. Sums are over 12, 48 and
-    120 h, and none is longer than the forecasts; a sum with an hour that the record lacks is left
-    out.
+    Climatology is the rain observed after every issue that may be an analog. Sums are over 12, 48
+    and 120 h, cut to the length of the forecasts. A sum is left out if the record lacks one of its
+    hours.
 
     Args:
-        archive: of forecasts, as issued.
-        dressing: by which they are dressed.
+        archive: forecasts as issued.
+        dressing: what the forecasts are dressed with.
         weather: the record.
-        done: is called with how many more issues were scored.
+        done: called with the number of issues just scored.
 
     Returns:
-        Of each sum for which there is an issue.
+        The scores of each length of sum for which there is an issue.
 
     Raises:
         ConfigurationError: an issue has too few analogs.

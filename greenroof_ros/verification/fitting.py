@@ -1,4 +1,4 @@
-"""The fit of a skill to verified forecasts: of a climate to records, of errors to scores."""
+"""Fits a skill to verified forecasts: a climate to records, and errors to scores."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from greenroof_ros.verification.scores import Tally
 
 Array = NDArray[np.float64]
 
-# Sets of errors that are tried at most.
+# Most sets of errors that are tried.
 MOST_TRIALS = 300
-# Hours apart at which wet and dry hours are compared.
+# Lags at which wet and dry hours are compared (h).
 _LAGS = (1, 2, 3, 4, 6, 9, 12, 18, 24)
-# Between which their correlations are sought.
+# Range in which their correlations are sought.
 _LEAST_RHO, _MOST_RHO = -0.5, 0.999
-# Records shorter than that say nothing of a climate (h).
+# Records shorter than this do not show a climate (h).
 _LEAST_HOURS = 1000
-# Draws of noise; each figure is their mean.
+# Draws of noise; each score is the mean over them.
 _DRAWS = 8
-# Fitted errors, and the first steps of the search. More wetness and a smaller amount have nearly
-# the same figures, so the amount is not fitted; the others show in no figure that is given.
+# Fitted errors, and the first steps of the search. More wetness and a smaller amount give nearly
+# the same scores, so the amount is not fitted; the other errors do not show in r, POD and FAR.
 _STEPS = {"reach": 300.0, "fading": 0.4, "timing": 0.3, "timing_growth": 0.1, "wetness": 0.15}
-# What an invalid value costs, and how much more than the distance from the services' mean that
-# from the nearest of them counts.
+# Loss of an invalid value, and weight of the distance beyond the range of the services; the
+# distance from their mean has weight 1.
 _INVALID, _BEYOND = 100.0, 30.0
 
 
@@ -45,18 +45,18 @@ def fit_skill(
 ) -> Skill:
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
-    The constants that no score shows, ``amount``, ``persistence`` and ``evapotranspiration``, are
-    as in skill ``real``.
+    ``amount``, ``persistence`` and ``evapotranspiration`` cannot be fitted to the scores, and are
+    taken from skill ``real``.
 
     Args:
-        tallies: what adds up in each class.
-        older: by how much (h) values are older in the mean than the middle of their class.
-        observed: records (mm/h), shape (hours,); NaN where missing.
-        done: is called with how many more of :data:`MOST_TRIALS` were made; there may be fewer.
+        tallies: the tally of each class.
+        older: by how much (h) values are on average older than the middle of their class.
+        observed: records (mm/h), shape (hours,); NaN if missing.
+        done: called with the number of trials just made; :data:`MOST_TRIALS` in all, or fewer.
 
     Raises:
-        ConfigurationError: there are too few records, or forecasts of less than two classes of
-            leads have scores, or wet hours never follow one another.
+        ConfigurationError: there are too few records, fewer than two classes of leads have scores,
+            or wet hours never follow one another.
     """
     step = max(key.high - key.low for key in tallies)
     spells = _spells(observed, step)
@@ -85,7 +85,7 @@ def fit_skill(
 
 
 def _spells(observed: Array, step: int) -> list[Array]:
-    """Return the records between missing hours, each of whole steps (h)."""
+    """Return the records between missing hours, each a whole number of steps long (h)."""
     return [
         observed[low : low + (high - low) // step * step]
         for low, high in gaps(~np.isnan(observed)) if high - low >= step
@@ -95,18 +95,18 @@ def _spells(observed: Array, step: int) -> list[Array]:
 def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
     """Fit a climate to records of rain (mm).
 
-    The share of wet hours is theirs; k and b are the likeliest, given that amounts are counted in
-    tips; T has the tetrachoric correlations of wet and dry hours up to a day apart (least squares).
-    All are such as a file of a skill may have. Hours so far apart that there is no correlation, as
-    where no two of them are wet, do not count.
+    The share of wet hours is counted. k and b have the largest likelihood, given that amounts are
+    counted in tips. T fits the tetrachoric correlations of wet and dry hours up to a day apart
+    (least squares). All are within the limits of a skill file. A lag is left out if it shows no
+    correlation, for example if no two hours that far apart are wet.
 
     Args:
-        spells: hours that follow one another, each of 1 h or more.
-        tip: of the gauge (mm): what is less than half of it away is the same reading.
+        spells: uninterrupted hours, each spell of 1 h or more.
+        tip: of the gauge (mm); amounts within half a tip of a reading are counted as that reading.
 
     Raises:
-        ConfigurationError: there is no correlation at all, or rain in more or fewer hours than a
-            climate may have.
+        ConfigurationError: no lag shows a correlation, or the share of wet hours is outside the
+            limits of a climate.
     """
     rain = np.concatenate(spells)
     amounts = rain[rain > 0]
@@ -161,10 +161,10 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
 
 
 class Sample:
-    """Records in a circle, and noise from which forecasts of one lead are made at a stroke."""
+    """Records in a circle, and noise, from which all forecasts of one lead are made at once."""
 
     def __init__(self, climate: Climate, spells: Sequence[Array], sums: Sequence[Sum]) -> None:
-        """Take the climate, records of rain (mm), whole sums of them, and the sums to score."""
+        """Take the climate, spells of rain (mm) that hold whole sums, and the sums to score."""
         self._climate = climate
         self._sums = sums
         self._rain = np.concatenate(spells)
@@ -179,9 +179,9 @@ class Sample:
         ]
 
     def scores(self, errors: Errors, lead: float) -> Array:
-        """Return r, POD and FAR of forecasts made so many hours before, shape (sums, 3).
+        """Return r, POD and FAR of forecasts made ``lead`` hours ahead, shape (sums, 3).
 
-        They are the means over all draws of noise.
+        They are means over all draws of noise.
         """
         skill = Skill(self._climate, errors)
         coherence = skill.coherence(np.array([lead]), rfftfreq(self._hours))[0]
@@ -210,13 +210,13 @@ def fit_errors(
 ) -> Errors:
     """Fit errors to r, POD and FAR of one or more services.
 
-    Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them. The
-    bias is what comes of it: it is each service's own.
+    Least squares, with weight 1 for the distance from the services' mean, and 30 more for the
+    distance beyond their range. The bias is not fitted, because each service has its own.
 
     Args:
         sample: of the records.
-        goals: of each lead (h), the services' scores, shape (services, sums, 3).
-        start: where the search begins; what is not fitted is kept.
+        goals: the services' scores at each lead (h), shape (services, sums, 3).
+        start: where the search begins; values that are not fitted are kept.
         done: see :func:`fit_skill`.
     """
     limits = {key.name: key.entry for key in keys(Errors)}
@@ -248,7 +248,7 @@ def fit_errors(
 
 
 def skill_text(skill: Skill, source: str) -> str:
-    """Return a skill as its file.
+    """Return the text of a skill file.
 
     Args:
         skill: what to write.

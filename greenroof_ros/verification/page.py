@@ -1,4 +1,4 @@
-"""The page of a verification: one file with all figures that needs nothing but a browser."""
+"""The page of a verification: one file with all figures that needs only a browser."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from greenroof_ros.report.page import page_of
 from greenroof_ros.verification.pairs import Class, IssuedForecasts, Sum
 from greenroof_ros.verification.scores import SHOWN, TENTHS, Tally
 
-# Name in Scores, title of its panel, and of its axis.
+# Name in Scores, title of the panel, and title of its axis.
 _BY_LEAD = (
     ("r", "Correlation", "r"),
     ("ets", "Events: equitable threat score", "ETS"),
@@ -31,7 +31,7 @@ _BY_LEAD = (
     ("bias", "Water: forecast over observed", "bias"),
     ("crps", "Error: CRPS", "CRPS (mm)"),
 )
-# Lines of leads in one panel, at most.
+# Most lines (leads) in one panel.
 _MOST_LEADS = 5
 
 
@@ -42,10 +42,10 @@ def render(
     """Return the page.
 
     Args:
-        forecasts: which.
-        records: that they are compared with, in words.
-        tallies: what adds up in each class.
-        findings: what is most likely wrong with them.
+        forecasts: the forecasts that were verified.
+        records: name of the records that they were compared with.
+        tallies: the tally of each class.
+        findings: what is most likely wrong with the forecasts.
     """
     figures = [_by_lead(tallies)]
     if forecasts.members > 1:
@@ -146,15 +146,15 @@ def _by_sum(
     name: str, title: str, caption: str, tallies: Mapping[Class, Tally],
     rows: Callable[[Tally], Rows], panel: Callable[[alt.Chart, Sum, list[str]], Panel],
 ) -> Figure:
-    """Return a figure with a panel for each sum, and in it a line for each lead, five at most.
+    """Return a figure with a panel for each length of sum, and in it lines for at most five leads.
 
     Args:
         name: of the figure.
         title: of the figure.
         caption: of the figure.
-        tallies: what adds up in each class.
-        rows: of a line, without its lead.
-        panel: of a sum, by its data and the leads that are drawn, which are spread evenly.
+        tallies: the tally of each class.
+        rows: returns the rows of a line, without its lead.
+        panel: returns a panel from its data, its sum, and the evenly spread leads that it shows.
     """
     data: dict[str, Rows] = {}
     panels = []

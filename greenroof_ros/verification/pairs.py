@@ -1,4 +1,4 @@
-"""Forecasts of an archive or a model, and records: pairs of sums of rain, by lead."""
+"""Pairs of sums of rain, forecast (by an archive or a model) and recorded, by lead."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from greenroof_ros.weather.series import Weather, refuse_between_hours
 
 Array = NDArray[np.float64]
 
-# Values of day N of previous runs are 24 N to 24 N + 5 h old; the middle of the leads that they
-# stand for, 24 (N - 1) to 24 N, is 24 N - 12.
+# Values of day N of previous runs are 24 N to 24 N + 5 h old. They stand for the leads 24 (N - 1)
+# to 24 N, whose middle is 24 N - 12.
 _OLDER_H = 14.5
-# How many forecasts are added up at once.
+# How many forecasts are added in one batch.
 _AT_ONCE = 200
-# To how many digits after the point sums are rounded (mm): tenths of a millimetre do not add up to
-# whole ones in binary numbers, and an event begins at one.
+# Decimals to which sums are rounded (mm). In binary numbers tenths of a millimetre do not add up to
+# whole millimetres, which are the thresholds of events.
 _DIGITS = 6
 
 
@@ -38,14 +38,13 @@ class IssuedForecasts:
 
     Attributes:
         name: what they are, in words.
-        members: of each.
-        hours: of the longest.
-        finest_lead: by how many hours of lead they can be told apart; more than 1 of previous runs.
-        span: the hours that they are of, in words.
-        count: how many forecasts there are.
-        issues: one after the other in the order of time: the hour of the records in which it
-            begins, negative before them, and rain (mm/h), shape (members, hours); NaN where
-            missing.
+        members: number of members of each.
+        hours: length of the longest.
+        finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
+        span: the period that they cover, in words.
+        count: number of forecasts.
+        issues: in order of time, each the hour of the records in which it begins (negative if
+            before them) and its rain (mm/h), shape (members, hours), NaN if missing.
     """
 
     name: str
@@ -58,26 +57,27 @@ class IssuedForecasts:
 
     @property
     def older(self) -> float:
-        """By how much (h) they are older in the mean than their leads say."""
+        """By how much (h) they are on average older than their leads say."""
         return _OLDER_H if self.finest_lead > 1 else 0.0
 
 
 def issued_forecasts(
     choice: ForecastChoice, weather: Weather, site: Site, horizon: int
 ) -> IssuedForecasts:
-    """Return the forecasts that a choice means, for comparison with records.
+    """Return the chosen forecasts, for comparison with records.
 
-    Those of an archive are compared with rain by when it fell, also where it stands later in the
-    records; none counts that ends before the records begin, or begins after their end.
+    Forecasts of an archive are compared with rain by the time it fell, even if the records count it
+    later (``rain_late``). Those that end before the records begin or begin after they end are left
+    out.
 
     Args:
         choice: an archive or a model.
         weather: the records.
         site: its place on earth.
-        horizon: how far a forecast is looked at (h); a model makes them as long.
+        horizon: hours of each forecast that are compared; a model's forecasts are this long.
 
     Raises:
-        ConfigurationError: an archive is wrong, or not of whole hours of the records.
+        ConfigurationError: an archive is wrong, or its issues are not whole hours from the records.
     """
     if choice.file is None:
         return _modelled(choice, weather, site, horizon)
@@ -102,10 +102,10 @@ def issued_forecasts(
 def _modelled(
     choice: ForecastChoice, weather: Weather, site: Site, horizon: int
 ) -> IssuedForecasts:
-    """Return those that a model makes of the records, of every hour in which one is issued.
+    """Return the forecasts that a model makes of the records, one for each time of issue.
 
-    They are known at once, since leads count from the time of issue. An hour that the records lack
-    is dry for the model. Evapotranspiration is forecast, too, and asked for by nobody here.
+    They are known at once, because leads count from the time of issue. Hours that the records lack
+    are dry for the model. The model also needs evapotranspiration, which is 0 and not used.
     """
     rain = np.nan_to_num(weather.precipitation)
     starts = range(-hours_since_1970(weather.first) % ISSUE_HOURS, len(rain), ISSUE_HOURS)
@@ -122,15 +122,15 @@ def _modelled(
 
 
 class Sum(NamedTuple):
-    """A length of sums, and what counts as an event among them."""
+    """A length of sums, and the sum that makes an event."""
 
     hours: int
     event: float
-    """mm, from which on there is one"""
+    """least sum of an event (mm)"""
 
 
 class Class(NamedTuple):
-    """What is scored together: leads from one (h) to before another, and sums."""
+    """Pairs that are scored together: leads from ``low`` to before ``high`` (h), and a sum."""
 
     low: int
     high: int
@@ -148,22 +148,22 @@ def tally(
     forecasts: IssuedForecasts, observed: Array, lead: int, sums: Sequence[Sum],
     done: Callable[[int], None],
 ) -> dict[Class, Tally]:
-    """Add up all pairs of some forecasts and the records.
+    """Add up all pairs of forecasts and records.
 
-    A pair is a sum over hours of an issue that follow one another, and that over the same hours of
-    the records. An issue is parted from its start on: with sums of 12 h into its first 12 hours,
-    the next 12, and so on, each in the class of leads in which it lies whole. A sum with an hour
-    that the issue or the records lack is left out.
+    A pair is a sum over consecutive hours of an issue, and the sum over the same hours of the
+    records. An issue is divided from its start: with sums of 12 h into its first 12 hours, the next
+    12, and so on. Each sum belongs to the class of leads that contains it. A sum is left out if the
+    issue or the records lack one of its hours.
 
     Args:
         forecasts: any number.
-        observed: records (mm/h), shape (hours,); NaN where missing.
-        lead: how many hours make a class of leads; a multiple of each of the sums.
+        observed: records (mm/h), shape (hours,); NaN if missing.
+        lead: width of a class of leads (h); a multiple of the length of each sum.
         sums: their lengths and events.
-        done: is called with how many more forecasts were added.
+        done: called with the number of forecasts just added.
 
     Returns:
-        What adds up in each class, in the order of leads and sums.
+        The tally of each class, in the order of leads and sums.
     """
     classes = math.ceil(forecasts.hours / lead)
     reach = classes * lead

@@ -1,8 +1,8 @@
 """Scores of forecasts of rain.
 
-They are written out here, a line or a few each. Of the libraries that have them, ``scores`` fits
-but for the reliability diagram, and brings xarray, pandas and bottleneck; ``scoringrules`` needs
-Python 3.11, and ``properscoring`` had its only release in 2015. The tests hold them to worked
+They are written out here, in a few lines each. Of the libraries that have them, ``scores`` lacks
+only the reliability diagram, but needs xarray, pandas and bottleneck; ``scoringrules`` needs Python
+3.11, and ``properscoring`` had its only release in 2015. The tests compare them with worked
 examples, closed forms and other ways of computing them.
 """
 
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Forecast probabilities are told apart in tenths, in a reliability diagram.
+# A reliability diagram groups forecast probabilities by tenths.
 TENTHS = 10
 
 
 def event_scores(
     hits: int, false_alarms: int, misses: int, correct_negatives: int
 ) -> tuple[float, float, float]:
-    """Return POD, FAR and ETS of an event that was forecast and observed so often.
+    """Return POD, FAR and ETS of an event from its contingency table.
 
-    The probability of detection is hits over observed events, the false alarm ratio false alarms
+    The probability of detection is hits over observed events, the false alarm ratio is false alarms
     over forecast events (Wilks 2011, Sect. 8.2.2). The equitable threat score (Sect. 8.2.3, Gilbert
-    skill score) is hits over all that was forecast or observed, both without the hits that chance
-    would have:
+    skill score) is hits over all events that were forecast or observed, both without the hits that
+    are expected by chance:
 
         (hits - a) / (hits + misses + false alarms - a),
         a = (hits + misses) (hits + false alarms) / n
 
-    It is 1 for a perfect forecast, and 0 for one without skill.
+    ETS is 1 for a perfect forecast, and 0 for one without skill.
 
     Args:
         hits: pairs with the event both forecast and observed.
-        false_alarms: forecast, not observed.
-        misses: not forecast, observed.
-        correct_negatives: neither.
+        false_alarms: pairs with the event forecast, not observed.
+        misses: pairs with the event observed, not forecast.
+        correct_negatives: pairs without the event.
     """
     observed, forecast = hits + misses, hits + false_alarms
     chance = _ratio(observed * forecast, observed + false_alarms + correct_negatives)
@@ -50,14 +50,14 @@ def event_scores(
 
 
 class Scores(NamedTuple):
-    """Of pairs of forecast and observed sums; NaN where there is nothing that it could be.
+    """Scores of pairs of forecast and observed sums; NaN if undefined.
 
-    Bias, r and the scores of events are of member 0, which controllers that use a single forecast
-    are given; Brier score and CRPS of all members.
+    Bias, r, POD, FAR and ETS are scores of member 0, the forecast of controllers that use a single
+    one; Brier score and CRPS are scores of all members.
     """
 
     n: int
-    """how many pairs"""
+    """number of pairs"""
     bias: float
     """total of the forecasts over the total of the observations"""
     r: float
@@ -66,12 +66,12 @@ class Scores(NamedTuple):
     far: float
     ets: float
     brier: float
-    """mean squared difference of the event's probability and its outcome, 1 or 0"""
+    """mean squared difference between the event's probability and its outcome, 1 or 0"""
     crps: float
-    """mean of the fair continuous ranked probability score (mm); of one member the mean error"""
+    """mean fair continuous ranked probability score (mm); of one member the mean absolute error"""
 
     def shown(self, name: str) -> str:
-        """Return a score as people read it; a dash where there is none."""
+        """Return a score as it is displayed; a dash if it is undefined."""
         value = getattr(self, name)
         return "-" if math.isnan(value) else format(value, SHOWN[name][1])
 
@@ -85,22 +85,22 @@ SHOWN = {
 
 
 class Tally:
-    """What adds up of pairs, so that any number of them takes no memory.
+    """Sums from which all scores follow, so that memory does not grow with the number of pairs.
 
     Attributes:
-        table: how many pairs are hits, false alarms, misses and correct negatives, shape (4,).
-        ranks: how often the observation had each rank among the members, shape (members + 1,);
-            where it equals some of them, its rank is shared out among those that it could have.
-        reliability: of forecasts of each tenth of a probability, 0 to 10 of them: their number, the
-            sum of their probabilities and the number of events, shape (11, 3).
+        table: numbers of hits, false alarms, misses and correct negatives, shape (4,).
+        ranks: how often the observation had each rank among the members, shape (members + 1,); a
+            tie with some of the members is shared equally among the ranks that it can have.
+        reliability: for forecast probabilities of 0 to 10 tenths, the number of forecasts, the sum
+            of their probabilities and the number of events, shape (11, 3).
     """
 
     def __init__(self, event: float, members: int) -> None:
-        """Begin.
+        """Start without pairs.
 
         Args:
-            event: from which sum on there is an event (mm).
-            members: of each forecast.
+            event: least sum of an event (mm).
+            members: number of members of each forecast.
         """
         self._event = event
         self._moments = np.zeros(5)
@@ -142,7 +142,7 @@ class Tally:
             return Scores(0, *[math.nan] * 7)
         forecast, observed, forecast_2, observed_2, product = self._moments / n
         variances = (forecast_2 - forecast**2) * (observed_2 - observed**2)
-        # What is left of a series that does not vary is rounding.
+        # The variance of a constant series is only rounding error.
         varies = variances > 1e-12 * (forecast_2 * observed_2)
         r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
         brier, error = (self._errors / n).tolist()
@@ -155,16 +155,16 @@ class Tally:
 def crps(forecast: Array, observed: Array) -> Array:
     """Return the fair continuous ranked probability score of each pair (mm).
 
-    The score is the integral over x of the squared difference of the members' distribution and the
-    observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y the fair one
-    is
+    The score is the integral over x of the squared difference between the members' distribution and
+    the observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y the fair
+    score is
 
         sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M (M - 1))
 
-    (Ferro 2014, doi:10.1002/qj.2270), in the mean the CRPS of infinitely many members, so that
-    ensembles of unlike size can be compared, single forecasts among them: of one member it is the
-    mean error. The second sum comes from the members in their order, x_(1) to x_(M): it is
-    2 sum_i (2 i - M - 1) x_(i).
+    (Ferro 2014, doi:10.1002/qj.2270). Its mean is the CRPS of infinitely many members, so ensembles
+    of different sizes can be compared. With one member it is the absolute error, so single
+    forecasts can be compared too. The second sum is computed from the sorted members x_(1) to x_(M)
+    as 2 sum_i (2 i - M - 1) x_(i).
 
     Args:
         forecast: mm, shape (members, pairs).
@@ -180,10 +180,10 @@ def crps(forecast: Array, observed: Array) -> Array:
 def rank_counts(forecast: Array, observed: Array) -> Array:
     """Return how often the observation had each rank among the members, shape (members + 1,).
 
-    Members and observation that could be one another make all ranks alike (Hamill 2001,
-    doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2). Where it equals k members, as it does
-    whenever it is dry, it counts as 1 / (k + 1) in each of the ranks that it could have: what comes
-    of drawing one of them by lot, as there, without the lot.
+    If members and observation are interchangeable, all ranks are equally frequent (Hamill 2001,
+    doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2). If the observation equals k members, as it
+    often does in dry hours, it counts as 1 / (k + 1) in each rank that it can have. That is the
+    expected result of drawing one of these ranks at random, as Hamill does.
 
     Args:
         forecast: mm, shape (members, pairs).
@@ -199,5 +199,5 @@ def rank_counts(forecast: Array, observed: Array) -> Array:
 
 
 def _ratio(part: float, whole: float) -> float:
-    """Return a ratio; NaN where the whole is nothing."""
+    """Return a ratio; NaN if the whole is 0."""
     return float(part / whole) if whole else math.nan

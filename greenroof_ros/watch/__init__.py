@@ -1,1 +1,1 @@
-"""What a running graph does, for people who look at it: on a page and in a terminal."""
+"""Shows people what a running graph does, on a page and in a terminal."""

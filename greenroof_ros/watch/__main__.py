@@ -17,7 +17,7 @@ from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
 from greenroof_ros.watch.store import Store
 
-# A watcher holds nobody up: it has a tenth of a core where the others want all (nice).
+# Niceness: a watcher must not slow down others; on a busy core it gets a tenth of the time.
 _GIVE_WAY = 10
 
 _DESCRIPTION = """\
@@ -45,7 +45,7 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return what reads the command line."""
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="greenroof watch",
         usage="%(prog)s [options]",
@@ -93,7 +93,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Refuse what cannot be shown.
+    """Refuse wrong options.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
@@ -112,7 +112,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
 
 
 def _say_address(url: str, host: str, port: int | None, *, release: bool) -> None:
-    """Print where the page is, and what is to know about that."""
+    """Print the page's address, and what other people may do with it."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is taken, by another watcher perhaps", file=sys.stderr)
     if not is_loopback(host):
@@ -150,7 +150,7 @@ def main() -> int:
             f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal needs it not"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
-    # Behind a proxy each request comes from this machine.
+    # Releasing always needs a token: behind a proxy each request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
     token = secrets.token_urlsafe(24) if needed else None
     signals = Signals()

@@ -1,4 +1,4 @@
-"""The water account so far: what came to the roof and left it, from values as they are heard."""
+"""The water account so far: water that came to the roof and left it, from values as they come."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.watch.history import Stamps, Values
 
-# How long a value of a live site holds at most; as for a report, more is a gap.
+# How long a value of a live site holds at most (ns); after that there is a gap, as in a report.
 HOLDS_NS = 600_000_000_000
 
 _ROOF, _CISTERN, _RAIN = "/roof/level", "/cistern/level", "/weather/precipitation"
 _EVAPORATED, _FLOW = "/weather/evapotranspiration", "/pump/flow"
-# The plant alone says these: who hears them, hears a simulation.
+# Only the plant publishes these: if they are heard, it is a simulation.
 _OUTFLOW, _DRAINAGE = "/cistern/outflow", "/roof/drainage"
 _OF_PLANT = (_OUTFLOW, _DRAINAGE)
 TOPICS = (_ROOF, _CISTERN, _RAIN, _EVAPORATED, _FLOW, *_OF_PLANT)
 
-# So many values are counted although nobody asks.
+# When this many values wait, they are counted even if nobody asks for totals.
 _MOST_WAITING = 200_000
 
 _OF_RAIN = _RAIN, _FLOW, _DRAINAGE
@@ -35,11 +35,11 @@ class Entry(NamedTuple):
 
     Attributes:
         label: in words.
-        metric: that gives it; empty where it follows from others.
-        needs: topics that must be known for that.
+        metric: the metric that gives it; empty if it follows from other rows.
+        needs: topics that must be known for it.
         unit: as it is shown.
-        decimals: of the number that is shown.
-        factor: from the metric's unit to the one that is shown.
+        decimals: of the shown number.
+        factor: from the metric's unit to the shown unit.
     """
 
     label: str
@@ -83,13 +83,13 @@ _BY_NAME = {metric.name: metric for metric in METRICS}
 
 
 class _Pending:
-    """What was heard of a topic and is not yet counted, with the newest value that is."""
+    """The newest counted value of a topic, and all values that are not counted yet."""
 
     def __init__(self) -> None:
         self._times: list[Stamps] = []
         self._values: list[Values] = []
         self.first = self.last = 0
-        self.adds = 0  # of any topic, when this one was added to last
+        self.adds = 0  # the account's count of additions at the last one here
 
     def add(self, times: Stamps, values: Values) -> None:
         if not self._times:
@@ -99,14 +99,14 @@ class _Pending:
         self._values.append(values)
 
     def all(self) -> tuple[Stamps, Values]:
-        """Return all that is here, in one piece."""
+        """Return all times and values, each in one piece."""
         if len(self._times) != 1:
             self._times = [np.concatenate(self._times)]
             self._values = [np.concatenate(self._values)]
         return self._times[0], self._values[0]
 
     def drop_before(self, time: int) -> None:
-        """Let go of what does not count after a time (ns): all but the newest value then."""
+        """Drop the values before a time (ns) except the newest, which holds at that time."""
         times, values = self.all()
         place = max(0, int(np.searchsorted(times, time, side="right")) - 1)
         # Copies: a view would keep the whole batch.
@@ -114,38 +114,37 @@ class _Pending:
 
 
 class Account:
-    """The sums of one run, or of a live site since it is watched.
+    """The sums of one run, or of a live site since the watcher began.
 
-    A value holds from its time to the next of its topic. In a simulation that is a tick, and the
-    sums are those of the run's summary; a tick that was not heard is a gap. On a live site a value
-    holds for 10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
+    A value holds until the next value of its topic. In a simulation that is one tick, and the sums
+    equal the run's summary; a tick that was not heard is a gap. On a live site a value holds for
+    10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
 
-    What nobody measures on a live site is computed from the levels: the overflow by Eq. (2), and
-    the drainage by Eq. (4), which begins at the soil's capacity, or of a measured roof by
-    :mod:`greenroof_ros.model.soil`. Its drainage layer holds the site's ``initial_layer`` when the
-    account begins.
+    Flows that nobody measures on a live site are computed from the levels: the overflow by Eq. (2),
+    and the drainage by Eq. (4), which begins at the soil's capacity, or for a measured roof by
+    :mod:`greenroof_ros.model.soil`. The drainage layer of a measured roof holds the site's
+    ``initial_layer`` when the account begins.
 
     Attributes:
-        live: whether it is known that nobody says drainage and overflow, and they are not waited
-            for.
-        since: begin of the account (ns); None before it has one.
+        live: whether it is a live site: drainage and overflow are not waited for.
+        since: begin of the account (ns); None if it has not begun.
         until: its end (ns).
-        gap_s: for how long something was unknown in it (s).
+        gap_s: total time in which something was unknown (s).
     """
 
     def __init__(self, site: Site) -> None:
-        """Begin without anything.
+        """Start an empty account.
 
         Args:
-            site: with the areas, the outlets, the soil and the pump.
+            site: gives the areas, the outlets, the soil and the pump.
         """
         self._site, self._soil = site, soil_of(site)
         self._topics: dict[str, _Pending] = {}
-        self._combined: dict[str, Any] = {}  # as metrics.Metric.combine has it
+        self._combined: dict[str, Any] = {}  # results of metrics.Metric.combine
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
         self._layer = site.initial_layer  # in the drainage layer of a measured roof (m3)
         self._adds = 0
-        self._waiting = 0  # values, since they were counted last
+        self._waiting = 0  # values added since `add` last counted
         self._ended = False
         self.live = False
         self.since: int | None = None
@@ -154,16 +153,16 @@ class Account:
 
     @property
     def measured(self) -> bool:
-        """Whether drainage and overflow are heard; on a live site they are computed."""
+        """Whether drainage or overflow is heard; on a live site both are computed."""
         return any(topic in self._topics for topic in _OF_PLANT)
 
     def add(self, topic: str, times: Stamps, values: Values) -> None:
-        """Take values of a topic in the order of time, newer than those before.
+        """Take values of a topic, in the order of time and newer than those before.
 
         Args:
             topic: one of :data:`TOPICS`.
             times: since 1970 (ns), shape (n,).
-            values: shape (n,), NaN where one is not plausible.
+            values: shape (n,), NaN for a value that is not plausible.
         """
         self._adds += 1
         self._ended = False
@@ -176,14 +175,14 @@ class Account:
             self._count()
 
     def end(self) -> None:
-        """Say that nothing more comes for now, so that no topic is waited for."""
+        """Note that nothing more comes for now: no topic is waited for."""
         self._ended = True
 
     def totals(self) -> Mapping[str, float]:
-        """Return the metrics so far, in their units: those that are known at all.
+        """Return the known metrics so far, in their units.
 
-        Their keys are those of the document's account; ``stored`` is the change of the roof, and
-        ``unexplained`` what the flows do not explain of it.
+        The keys are as in the document's account. ``stored`` is the change of the water on the
+        roof, and ``unexplained`` the part of it that the flows do not explain.
         """
         self._count()
         totals = {}
@@ -204,11 +203,11 @@ class Account:
         return totals
 
     def _complete(self) -> int | None:
-        """Return the time (ns) to which everything that is waited for has come."""
+        """Return the time (ns) up to which all awaited topics have come."""
         if not self._topics:
             return None
         newest = max(pending.last for pending in self._topics.values())
-        # What is not heard is missed from the first of what is on.
+        # A topic that was never heard counts as silent since the first value of any topic.
         oldest = min(pending.first for pending in self._topics.values())
         if self._ended:
             return newest
@@ -218,8 +217,8 @@ class Account:
             pending = self._topics.get(topic)
             last = -math.inf if pending is None else pending.last
             heard_after = self._adds - (0 if pending is None else pending.adds)
-            # What is behind comes in a moment: batches come topic by topic. What is not heard for
-            # so long, while the others were, does not count any more.
+            # Batches come topic by topic: a topic that is behind will catch up. But a topic that is
+            # silent for HOLDS_NS, while others are heard, is not waited for.
             silent = newest - max(last, oldest) > HOLDS_NS and heard_after > 2 * len(TOPICS)
             if not silent:
                 if pending is None:
@@ -228,7 +227,7 @@ class Account:
         return complete
 
     def _count(self) -> None:
-        """Add up what is complete."""
+        """Add up everything up to the time that is complete."""
         end = self._complete()
         if end is None:
             return
@@ -248,7 +247,7 @@ class Account:
             self._roofs = (volume if self._roofs is None else self._roofs[0], volume)
 
     def _at(self, topic: str, times: Stamps, holds: float) -> Values:
-        """Return the value of a topic at each time; NaN where it is unknown."""
+        """Return the value of a topic at each time; NaN if it is unknown."""
         if topic not in self._topics:
             return np.full(len(times), np.nan)
         stamps, values = self._topics[topic].all()
@@ -256,7 +255,7 @@ class Account:
         known = (place >= 0) & (times - stamps[np.maximum(place, 0)] < holds)
         last = values[np.maximum(place, 0)]
         if self.measured and topic in (_RAIN, _EVAPORATED, _FLOW):
-            # As for the plant: what it refused acted as 0.
+            # As in the plant: a refused value acts as 0.
             last = np.nan_to_num(last)
         return np.where(known, last, np.nan)
 
@@ -275,15 +274,15 @@ class Account:
                 self._roofs = (site.roof_volume(float(first[0])),) * 2
         roof, cistern = known[_ROOF] * site.a2, known[_CISTERN] * site.a1
         if not self.measured:
-            known[_DRAINAGE] = roof  # where it is known, the drainage can be computed
+            known[_DRAINAGE] = roof  # if it is known, the drainage can be computed
             known[_OUTFLOW] = _outflow(site, cistern)
         unknown = np.any([np.isnan(values) for values in known.values()], axis=0)
         self.gap_s += float(duration[unknown].sum())
         rain, outflow = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_OUTFLOW])
-        # As plant.Plant.flows: a tank gives no more than it holds. Drainage and outflow are those
-        # after that limit, so that the rest of what is there is left for the others.
+        # As in plant.Plant.flows: a tank gives no more than it holds. The measured drainage and
+        # outflow are within that limit already; the other flows get the rest.
         flow = np.nan_to_num(known[_FLOW])
-        if self.measured:  # what a driver says that it pumps may be more than the plant gave it
+        if self.measured:  # a driver may report a greater flow than the plant gave it
             left = cistern / duration + rain * site.effective_catchment - outflow
             left = left + mains_flows(site, cistern)
             flow = np.fmin(flow, np.maximum(left, 0.0))
@@ -318,7 +317,7 @@ class Account:
                 self._combined[key] = metric.combine(self._combined.get(key, 0.0), values)
 
     def _edges(self, begin: int, end: int, holds: int) -> Stamps:
-        """Return the times between which no value changes, or ceases to hold (ns)."""
+        """Return the times (ns) between which no value changes or stops holding."""
         edges: list[Stamps] = [np.array([begin, end])]
         for pending in self._topics.values():
             times, _ = pending.all()
@@ -330,9 +329,9 @@ class Account:
 
 
 def _outflow(site: Site, x1: Values) -> Values:
-    """Return what the outlets take at each of these volumes (m3), in m3/s; NaN at NaN.
+    """Return the flow through the outlets (m3/s) at each of these volumes (m3); NaN at NaN.
 
-    Mostly it is nothing, which takes no time here.
+    Only volumes above the lowest outlet, which are rare, are computed one by one.
     """
     flows = np.where(np.isnan(x1), np.nan, 0.0)
     for place in np.flatnonzero(x1 >= site.cistern_volume(site.lowest_outlet)):

@@ -1,9 +1,9 @@
 """Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
-An alarm is a status that is not OK, a node that failed, or one that is not heard. It is known by
-the name of its status, so that a number that changes in its sentence makes no new one; a second
-fault under that name does. What it means and what to do stands with its code, in the table of
-conditions: no sentence is read.
+An alarm is a status that is not OK, a node that failed, or a node that is not heard. It is
+identified by the name of its status: a number that changes in its sentence makes no new alarm, but
+a second fault under that name does. Its meaning and the advice come from the table of conditions,
+by its code; sentences are not parsed.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain
 
-# An alarm that comes back within this time (s) was not over for an operator.
+# An alarm that comes back within this time (s) is the same one to an operator.
 _AGAIN_S = 10.0
 _TEXT, _ROWS, _OVER, _EVENTS = 500, 100, 20, 50
 _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
-# Where the code is not known, and of other devices: nothing is known of them here.
+# Advice for unknown codes, and for other devices, about which nothing is known here.
 OTHER = "Nothing is known about this here; read the log of the node that says so."
 FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
 
-# A state of the pump with such a code asks for a hand at the pump, whatever caused it.
+# With such a code the pump's state needs somebody at the pump, whatever caused it.
 _NEEDS_A_HAND = {
     *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
     "operator_stop", "page_stop", "record_unknown", "stands_unknown", "stop_not_followed",
 }
-# Of each reason why the pump stands, the parts of its node that say more of it.
+# For each reason why the pump stands: the parts of its node that say more about it.
 _PARTS_OF_REASON = {
     **dict.fromkeys(("cistern_level_unknown", "roof_level_unknown"), ("levels",)),
     **dict.fromkeys(("frost", "frost_unknown"), ("frost",)),
@@ -50,12 +50,12 @@ _PARTS_OF_REASON = {
         ("drive timeout", "drive"),
     ),
 }
-# Of other parts, those of the same node that say more.
+# For other parts: the parts of the same node that say more.
 _SAYS_MORE = {
     "delivery": ("levels",), "frost": ("forecast",),
     "refused": ("command", "levels", "frost", "inputs"),
 }
-# What each part of a node takes in, and from which roles: it says that nothing good comes.
+# The roles from which each part of a node gets data; the part reports if no good data come.
 _SENSORS = ("cistern_sensor", "roof_sensor", "plant")
 _TAKES_IN = {
     "levels": _SENSORS, "command": ("controller",), "frost": ("weather",),
@@ -69,11 +69,11 @@ _ABSENT = {
 
 
 def advise(code: str, role: str, node: str) -> tuple[str, bool]:
-    """Return what an alarm means and what to do about it, and whether anything is known of it.
+    """Return what to do about an alarm, and whether its code is known.
 
     Args:
         code: of the condition.
-        role: of the node, as the interface calls it; empty for another device.
+        role: role of the node in the interface; empty for another device.
         node: its fully qualified name, for the services that the advice names.
     """
     if not role:
@@ -84,16 +84,16 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
 
 @dataclass
 class Alarm:
-    """A trouble with its history; an incident of a recording is one, too.
+    """A trouble with its history; an incident of a recording is an alarm, too.
 
     Attributes:
-        trouble: what is wrong, as it was said last.
-        since: when it began (s since 1970, of the graph).
-        at_least: whether it may have begun before.
-        over: when it ended; None where it did not.
-        wall: when it began, by a clock that is never set (s).
-        over_wall: when it ended, by that clock.
-        acknowledged: the gist of what somebody has seen.
+        trouble: what is wrong, as last reported.
+        since: when it began (the graph's time, s since 1970).
+        at_least: whether it may have begun earlier.
+        over: when it ended; None if it has not.
+        wall: when it began (steady clock, s).
+        over_wall: when it ended (steady clock, s).
+        acknowledged: its gist when somebody acknowledged it.
     """
 
     trouble: Trouble
@@ -106,32 +106,32 @@ class Alarm:
 
     @property
     def gist(self) -> str:
-        """What is wrong, without the numbers that change."""
+        """Level and code, and the trouble's gist, or else its sentence without the numbers."""
         trouble = self.trouble
         what = trouble.gist or re.sub(r"[0-9.]+", "", trouble.what)
         return f"{trouble.level} {trouble.code} {what}"
 
     @property
     def is_serious(self) -> bool:
-        """Whether it counts as an alarm, and not as a warning: other devices warn at most."""
+        """Whether it counts as an alarm, not a warning; other devices cause only warnings."""
         return bool(self.trouble.role) and self.trouble.level in (ERROR, STALE)
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether somebody has seen it as it is now, but for its numbers."""
+        """Whether somebody has seen it in its present form; numbers do not count."""
         return self.gist == self.acknowledged
 
     def row(
         self, name: str, follows: str | None = None, *, recorded: bool = False
     ) -> dict[str, Any]:
-        """Return it as the document has it, but for its times in words.
+        """Return it as a row of the document, without its times in words.
 
-        ``plain`` is whether ``do`` is about that alarm, so that an operator reads it instead of the
-        node's own words in ``what``.
+        ``plain`` says whether ``do`` is written for this code: an operator then reads ``do``
+        instead of the node's own words in ``what``.
 
         Args:
             name: of its status.
-            follows: the name of the alarm that it only follows from; None for none.
+            follows: the name of the alarm that causes it; None if there is none.
             recorded: whether it is an incident of a recording.
         """
         trouble, node = self.trouble, name.partition(": ")[0]
@@ -147,19 +147,18 @@ class Alarm:
 class Alarms:
     """The alarms and events of one graph; see the module.
 
-    Times called ``wall`` are of a clock that is never set (s); ``now`` is the graph's time, epoch
-    seconds.
+    Times called ``wall`` are of the steady clock (s); ``now`` is the graph's time (s since 1970).
 
     Attributes:
-        registry: of who says what.
-        shown: whether what it says is shown; otherwise it makes no alarms and no events.
+        registry: what each node says.
+        shown: whether that is shown; otherwise it makes no alarms and no events.
     """
 
     def __init__(self, namespace: str = "") -> None:
-        """Begin without any.
+        """Start without alarms.
 
         Args:
-            namespace: of the graph; the statuses of other ones are those of other devices.
+            namespace: of the graph; nodes in other namespaces count as other devices.
         """
         self.registry = Registry(namespace, self._note)
         self.shown = True
@@ -167,18 +166,18 @@ class Alarms:
         self.start_over()
 
     def start_over(self) -> None:
-        """Forget all alarms and events; who is there is known."""
+        """Forget all alarms and events, but not the nodes."""
         self._alarms: dict[str, Alarm] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
     def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
-        """Take what came, from one message or several; ``more`` goes to the registry."""
+        """Take the statuses of one or more messages; ``more`` goes to the registry."""
         self._now = now
         self.registry.hear(wall, statuses, **more)
         self.look(wall, now)
 
     def look(self, wall: float, now: float) -> None:
-        """Bring the alarms up to date: called with each message, and about twice a second."""
+        """Update the alarms: called with each message, and about twice a second."""
         troubles = self.registry.troubles(wall) if self.shown else {}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
@@ -200,17 +199,17 @@ class Alarms:
     # --- telling --------------------------------------------------------------------------------
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the alarms: causes, then what follows from them, and what is over last.
+        """Return the alarms: causes, what follows from them, other devices, and last what is over.
 
-        Of both kinds the pump's state comes first, then the worst. The newest of a severity comes
-        first: what has stood for long is known. So is what was acknowledged, which comes later.
+        Within each group the order is: the pump's state, alarms that are not acknowledged, the
+        worst, the newest. Older and acknowledged alarms are already known.
         """
         present, causes = self._present(), self._causes()
 
         def order(name: str) -> tuple[bool, bool, int, bool, int, float]:
             alarm = present[name]
             trouble = alarm.trouble
-            # Whether it runs is not known; how it is.
+            # First the pump node (without it nobody knows whether the pump runs), then its state.
             rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((trouble.role, trouble.part), 2)
             return (
                 not trouble.role, name in causes, rank, alarm.is_acknowledged,
@@ -221,7 +220,7 @@ class Alarms:
         return [self._alarms[name].row(name, causes.get(name)) for name in names[:_ROWS]]
 
     def _present(self) -> dict[str, Alarm]:
-        """Return the alarms of now, by their names."""
+        """Return the present alarms, by name."""
         return {name: alarm for name, alarm in self._alarms.items() if alarm.over is None}
 
     def _past(self) -> list[str]:
@@ -230,7 +229,7 @@ class Alarms:
         return sorted(over, key=lambda name: -self._alarms[name].over_wall)
 
     def _causes(self) -> dict[str, str]:
-        """Return of the alarms of now that follow from another one which that is."""
+        """Return the cause of each present alarm that follows from another one, by name."""
         own = [item for item in self._present().items() if item[1].trouble.role]
         own.sort(key=lambda item: item[1].wall)
         return find_causes({name: alarm.trouble for name, alarm in own})
@@ -248,37 +247,37 @@ class Alarms:
         self._events.append((now, plain(text, _TEXT)))
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Note that somebody saw an alarm, until it is another one; False if there is none such."""
+        """Note that somebody saw an alarm, until it changes; False if there is no such alarm."""
         alarm = self._alarms.get(alarm_id)
         if alarm is not None:
             alarm.acknowledged = alarm.gist
         return alarm is not None
 
     def counts(self) -> tuple[int, int, int]:
-        """Return how many causes are alarms and how many warnings, and how many follow from these.
+        """Return how many causes are alarms, how many are warnings, and how many alarms follow.
 
-        A cause counts by the worst of itself and of what follows from it.
+        A cause counts by the worst of itself and what follows from it.
         """
         causes, present = self._causes(), self._present()
         serious = {causes.get(name, name) for name in present if present[name].is_serious}
         return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> Any:
-        """Return what to do now: about the cause of what is first and was not acknowledged."""
+        """Return what to do now: about the cause of the first alarm that is not acknowledged."""
         present = {row["id"]: row for row in self.rows() if row["over"] is None}
         rows = sorted(present.values(), key=lambda row: row["acknowledged"])
         return present.get(rows[0]["follows"], rows[0])["do"] if rows else "Nothing to do."
 
 
-# --- what follows from what -----------------------------------------------------------------------
+# --- causes ---------------------------------------------------------------------------------------
 
 
 def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
-    """Return of each alarm that follows from another one the name of the first of all.
+    """Return the name of the root cause of each alarm that follows from another one.
 
-    The pump's state follows from the part that says more of its reason, and what a node lacks from
-    what is wrong with who publishes that. No error follows from a warning. Nor does a state of the
-    pump that asks for a hand at it: what is to be done about its cause would hide that.
+    The pump's state follows from the part that says more about its reason. Missing input of a node
+    follows from trouble with the publisher. An error does not follow from a warning, and a state of
+    the pump that needs somebody at it follows from nothing: advice on its cause would hide that.
 
     Args:
         troubles: of the graph's own nodes, the older ones first.
@@ -300,12 +299,12 @@ def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
 def _candidates(
     name: str, trouble: Trouble, troubles: Mapping[str, Trouble]
 ) -> Iterator[str]:
-    """Yield the alarms from which this one may follow, the likeliest first."""
+    """Yield the alarms that may cause this one, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
     state = (trouble.role, part) == (PUMP, PUMP)
     if code in _NEEDS_A_HAND and part == PUMP:
         return
-    if part and node in troubles:  # of a node that is not heard, what it said last
+    if part and node in troubles:  # the node as a whole, such as a silent node
         yield node
     if part == "supervisor" or not part:
         yield from _other_nodes(node, trouble, troubles)
@@ -314,7 +313,7 @@ def _candidates(
     more = _PARTS_OF_REASON.get(code, ()) if state else _SAYS_MORE.get(part, ())
     yield from (name for name in (f"{node}: {part}" for part in more) if name in troubles)
     if part == "inputs":
-        # What the pump has against that input, which stops it, says more.
+        # A part of the pump node that stops the pump because of that input says more.
         yield from (
             name for name, other in troubles.items()
             if other.role == PUMP and other.part in ("levels", "command", "frost")
@@ -323,7 +322,7 @@ def _candidates(
 
 
 def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Yield the other nodes that are wrong as a whole: those that are waited for."""
+    """Yield nodes wrong as a whole: those waited for, or for the supervisor any but the pump."""
     for name, other in troubles.items():
         waited_for = {name.rpartition("/")[2], other.role} & set(trouble.names)
         if name != node and ": " not in name and (
@@ -333,12 +332,12 @@ def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -
 
 
 def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Yield the alarms of those who publish what an alarm lacks."""
+    """Yield the alarms of the nodes that publish the input that is missing."""
     interface, roles = read_topics(), {*_TAKES_IN[trouble.part]}
     for name in interface.keys() & set(trouble.names):
         roles.update(interface[name].publishers, interface[name].live_publishers)
     roles.discard(trouble.role)
-    for whole in (True, False):  # a node that is not there, before what it says
+    for whole in (True, False):  # first nodes as a whole, then their parts
         for name, other in troubles.items():
             if (
                 other.role in roles and (not other.part) == whole

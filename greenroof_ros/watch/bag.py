@@ -1,13 +1,12 @@
-"""Follows a bag: what stands in it by now, and from then on what is added to it, in batches.
+"""Follows a bag: reads what it holds now, and then what is added to it, in batches.
 
-The files of this package's recorders grow by whole chunks. Where the last whole one ends is
-remembered, so that each byte is read once. A file may be cut short, damaged, removed as the oldest
-of its bag, or be another one under the same name: none of these raises anything here; it is in
-the note.
+The files of this package's recorders grow by whole chunks. The end of the last whole record is
+remembered, so each byte is read once. A file may be truncated, damaged, removed as the oldest of
+its bag, or replaced by another one of the same name: nothing is raised, the batch tells.
 
-A process of its own reads, which gives way to all others of the machine. A thread could not: one
-that waits for the processor while it holds Python's lock stops the page as well, on a busy machine
-for tens of seconds.
+A process of its own reads, with the lowest priority on the machine. A thread could not: a thread
+that waits for the processor while it holds Python's lock also stops the page, on a busy machine for
+tens of seconds.
 """
 
 from __future__ import annotations
@@ -37,21 +36,21 @@ from greenroof_ros.common.processes import asked_to_end_with_this, end_with_pare
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
 from greenroof_ros.watch.history import Stamps, Values
 
-# How far back the past of a bag in many files is read, from the newest (s).
+# How far back a bag of many files is read, from its newest file (s).
 _PAST_S = 7 * 86_400
-# How much of a file is read for one batch (bytes); unpacked it is ten times as much.
+# How much of a file is read for one batch (bytes); unpacked, that is ten times as much.
 _BATCH = 1 << 20
-# A record or a chunk's content that says it is longer is not believed (bytes).
+# A record or a chunk's content that claims to be longer (bytes) is damaged.
 _LONGEST = 1 << 28
-# What is left to read beyond this is worth a note (bytes).
+# Progress is reported if this much or more is left to read (bytes).
 _MUCH = 1 << 23
-# How often a bag is looked at again that was read to its end (s).
+# How often a bag that was read to its end is checked again (s).
 _LOOK_S = 0.5
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-# A number with the record around it, and the CDR header before it.
+# A record with a number: the head of the record, the CDR header, and the value.
 _NUMBER = np.dtype([
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8"),
     ("published", "<u8"), ("header", "u1", 4), ("value", "<f8"),
@@ -64,17 +63,17 @@ _TYPES = (_FLOAT, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String")
 
 @dataclass
 class Batch:
-    """What was read at a time, and how far that is; names are those of the interface.
+    """The content read in one go, and how far the bag was read; names are as in the interface.
 
     Attributes:
-        numbers: topics of numbers with times (ns since 1970) and values, in the order of the bag.
-        messages: of other topics, by topic and time (ns since 1970), as they were recorded; of
-            forecasts the newest alone, by their topic and 0.
-        newest_ns: the newest time of any number so far (ns since 1970); 0 before there was one.
-        problem: why not all of the bag can be read; empty where it can.
-        progress: how far it has been read, where that takes long; otherwise empty.
-        more: whether there is more to be read at once.
-        replaced: whether it is another bag than the one that was read; it has to be begun again.
+        numbers: topics of numbers, with times (ns since 1970) and values, in the order of the bag.
+        messages: messages of other topics, as recorded, by topic and time (ns since 1970). Only the
+            newest forecast is kept, under its topic and 0.
+        newest_ns: the newest time of any number so far (ns since 1970); 0 before the first.
+        problem: why part of the bag cannot be read; empty if all of it can.
+        progress: how far the bag was read, if that takes long; otherwise empty.
+        more: whether there is more to read at once.
+        replaced: whether another bag has taken its place; it must be read from the start.
     """
 
     numbers: list[tuple[str, Stamps, Values]] = field(default_factory=list)
@@ -88,18 +87,18 @@ class Batch:
 
 @dataclass
 class _File:
-    """A file of the bag, as far as it was read."""
+    """A file of the bag, and how far it was read."""
 
     path: Path
     inode: int
     size: int = 0
-    offset: int = 0  # behind its last whole record
+    offset: int = 0  # the end of its last whole record
     channels: dict[int, str] = field(default_factory=dict)  # topics on the wire
-    over: bool = False  # it has its end, or nothing more of it can be read
+    over: bool = False  # read to its end, or nothing more can be read
     problem: str = ""
 
     def note(self, damage: Exception) -> None:
-        """Note that a part of it is damaged."""
+        """Note that a part of the file is damaged."""
         why = str(damage) or type(damage).__name__
         self.problem = f"A part of the recording {self.path} is damaged, and left out ({why})."
 
@@ -108,11 +107,11 @@ class Recorded:
     """A bag that is being read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
-        """Begin before its first message.
+        """Start before the first message.
 
         Args:
             bag: a directory with ``.mcap`` files, which need not exist yet.
-            namespace: of its topics, such as ``/site1``; None for the first level's.
+            namespace: of its topics, such as ``/site1``; None: take it from the first roof level.
         """
         self._bag = bag
         self._namespace = namespace
@@ -124,7 +123,7 @@ class Recorded:
         self._newest_ns = 0
 
     def read(self) -> Batch:
-        """Read on for some megabytes at most."""
+        """Read on, some megabytes at most."""
         batch = Batch()
         try:
             batch.problem = self._look()
@@ -143,7 +142,7 @@ class Recorded:
         return batch
 
     def _look(self) -> str:
-        """See which files there are, and how long each is by now; return what is wrong there."""
+        """Find the files and their present sizes; return what is wrong with the bag."""
         paths = bag_files(self._bag)
         if not paths:
             return f"There is no recording at {self._bag}."
@@ -151,7 +150,7 @@ class Recorded:
             paths = _recent(paths)
             self._begun = True
         for path in self._files.keys() - set(paths):
-            del self._files[path]  # the oldest go when a bag is full
+            del self._files[path]  # a full bag loses its oldest files
         first = next(iter(self._files), paths[0])
         for path in paths[paths.index(first) :]:
             try:
@@ -164,7 +163,7 @@ class Recorded:
         return ""
 
     def _read_files(self, batch: Batch) -> None:
-        """Read on in the first file that was not read to its end."""
+        """Read on in the first file that is not read to its end."""
         files = [file for file in self._files.values() if not file.over]
         for file in files:
             try:
@@ -177,10 +176,10 @@ class Recorded:
             if batch.more:
                 return
             if file is not files[-1]:
-                file.over = True  # its writer was killed: another file was begun behind it
+                file.over = True  # its writer was killed: there is a later file
 
     def _read_on(self, file: _File, batch: Batch) -> bool:
-        """Read the next whole records of a file; False where there is none."""
+        """Read the next whole records of a file; False if there is none."""
         start = len(_MAGIC) if file.offset == 0 else 0
         with file.path.open("rb") as stream:
             stream.seek(file.offset)
@@ -194,7 +193,7 @@ class Recorded:
                 raise ValueError(f"a record says that it has {length} bytes")
             needed = start + _HEAD.size + int(length)
             if file.offset + needed > file.size:
-                return False  # its writer is not that far
+                return False  # it is not fully written yet
             data += stream.read(max(0, needed - len(data)))
         numbers: list[NDArray[np.void]] = []
         try:
@@ -208,7 +207,7 @@ class Recorded:
     def _take(
         self, file: _File, data: bytes, at: int, batch: Batch, numbers: list[NDArray[np.void]]
     ) -> int:
-        """Take the whole records of some bytes of a file, and return where the last one ends."""
+        """Take the whole records in some bytes of a file; return where the last one ends."""
         small: list[int] = []
         head, size, last = _HEAD.unpack_from, _HEAD.size, len(data) - _HEAD.size
         try:
@@ -254,14 +253,14 @@ class Recorded:
             raise ValueError("a chunk ends in a record")
 
     def _name(self, file: _File, channel: int) -> str:
-        """Return the name of a channel's topic in the interface; empty for one of another graph."""
+        """Return the interface's name of a channel's topic; empty for a topic of another graph."""
         name, namespace = file.channels.get(channel, ""), self._namespace or ""
         return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
 
     def _group(self, file: _File, records: NDArray[np.void], batch: Batch) -> None:
-        """Part records of numbers, or as long as such, by their topics."""
+        """Sort records of numbers, or of other messages of the same length, by topic."""
         values = records["value"].copy()
-        other = records["header"][:, 1] == 0  # of a machine with the other byte order
+        other = records["header"][:, 1] == 0  # from a machine with the other byte order
         values[other] = values[other].byteswap()
         times = records["time"].astype(np.int64)
         for channel in np.unique(records["channel"]).tolist():
@@ -277,7 +276,7 @@ class Recorded:
     def _keep(
         self, file: _File, channel: int, time_ns: int, message: bytes, batch: Batch
     ) -> None:
-        """Keep a message of a topic that is no number's, if it is shown at all."""
+        """Keep a message that is not a number, if its topic is shown at all."""
         name = self._name(file, channel)
         if self._types.get(name, _FLOAT) != _FLOAT:
             newest_alone = name.startswith("/forecast/")
@@ -298,8 +297,8 @@ class FollowedBag:
 
     Attributes:
         bag: its directory.
-        read: how far that is: the last batch, without what was handed on.
-        grew: when that last had a newer time (steady clock, s).
+        read: the last batch, without its numbers and messages.
+        grew: when a batch last had a newer time (steady clock, s).
     """
 
     def __init__(
@@ -309,7 +308,7 @@ class FollowedBag:
 
         Args:
             bag: its directory.
-            namespace: of its topics; None for the first level's.
+            namespace: of its topics; None: take it from the first roof level.
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag
@@ -325,7 +324,7 @@ class FollowedBag:
         threading.Thread(target=self._receive, name="bag", daemon=True).start()
 
     def close(self) -> None:
-        """End the process; nothing is handed on afterwards."""
+        """End the process; a batch that has already come may still be handed on."""
         self._closed = True
         self._process.kill()
 
@@ -336,7 +335,7 @@ class FollowedBag:
                 try:
                     batch = pickle.load(stream)  # noqa: S301 - from main below alone
                     self._on_batch(self, batch)
-                except Exception as error:  # whatever ended it, it is shown
+                except Exception as error:  # whatever the error, it is shown
                     self.read = replace(self.read, more=False, problem=(
                         "The recording is not read any more, and what it has of later is missing "
                         f"({type(error).__name__}{f': {error}' if str(error) else ''})."
@@ -350,7 +349,7 @@ class FollowedBag:
 
 
 def main() -> None:
-    """Read a bag, and write what is in it to the standard output."""
+    """Read a bag, and write its batches to standard output."""
     end_with_parent()
     with suppress(AttributeError, OSError):  # not Linux, or a container that forbids it
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

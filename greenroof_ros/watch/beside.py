@@ -1,4 +1,4 @@
-"""A watcher beside a run: a process of its own, which no run waits for or fails by."""
+"""A watcher beside a run: a separate process; a run neither waits for it nor fails with it."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from pathlib import Path
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.common.standard_error import say
 
-# How long the watcher may take to end (s); then the kernel ends it.
+# How long the watcher may take to end (s); then it is killed.
 _ENDING_S = 3.0
 
 
 @contextlib.contextmanager
 def watcher(namespace: str, site_file: Path) -> Iterator[None]:
-    """Have a page while something runs; what the watcher prints, its address first, is said.
+    """Serve a page during a run; print the watcher's output, which begins with the page's address.
 
-    It ends with the run, however that ends. That it could not start, or ended early, is said in a
-    line, and nothing else comes of it.
+    The watcher ends with the run, however that ends. If it cannot start or ends early, a line says
+    so, and the run goes on.
 
     Args:
         namespace: of the graph.
-        site_file: what levels are judged by.
+        site_file: the site file by which levels are judged.
     """
     options = ["--site", str(site_file), *(["--namespace", namespace] if namespace else [])]
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.watch", *options],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         errors="replace",
-        start_new_session=True,  # Ctrl-C is for the run, which ends it
+        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
         env=asked_to_end_with_this(),
     )
     ending = threading.Event()
@@ -52,7 +52,7 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
 
 
 def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
-    """Say what a watcher prints, and that it ended where it was not asked to."""
+    """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():

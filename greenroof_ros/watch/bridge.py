@@ -30,37 +30,37 @@ from greenroof_ros.watch.home_assistant import (
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.words import UNKNOWN, display_of
 
-# How often it looks, and how often it repeats what has not changed: three times before it expires
-# in Home Assistant (s).
+# How often the state is checked, and how often it is sent even if unchanged (s): three times before
+# it expires in Home Assistant.
 _LOOK_S, _AT_LEAST_S = 1.0, 10.0
-# Home Assistant takes so many characters as a state, and records 16 kB of attributes.
+# Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MOST_TEXT, _MOST_ALARMS = 255, 10
 # How long the last message may take (s).
 _LAST_S = 1.0
-# For so long a stop is tried again (s): a pump node that died is back by then.
+# How long a stop is tried again (s): a pump node that died is back by then.
 _STOP_S = 60.0
 
 
 class Bridge:
-    """Publishes a site, and stops its pump when asked; nothing else can be asked.
+    """Publishes a site, and stops its pump on request; no other request is accepted.
 
-    The topics are ``state``, ``alarms``, ``availability`` and, to be written to, ``stop``, all
-    under ``greenroof/SITE/``. State and alarms are not retained: a later reader would take an old
-    value for a present one. They come with each change, and at least every 10 s. A retained stop is
-    ignored, since it would stop the pump at each connection; none is queued for this client.
+    It publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all under
+    ``greenroof/SITE/``. State and alarms are not retained: a later reader would mistake an old
+    value for a present one. They are sent on each change, and at least every 10 s. A retained stop
+    is ignored, since it would stop the pump at each connection; no stop is queued for this client.
     """
 
     def __init__(self, store: Store, feed: Feed, broker: Broker, prefix: str) -> None:
-        """Be connected to nothing yet.
+        """Start without a connection.
 
         Args:
-            store: what is published.
+            store: state of the graph, to publish.
             feed: stops the pump.
-            broker: where to.
+            broker: where to publish.
             prefix: of Home Assistant's topics.
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: the MQTT library is missing, or the login or certificate file wrong.
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
@@ -70,7 +70,7 @@ class Bridge:
         self._why, self._ending = "", False  # why there is no connection
         self._sent: dict[str, str] = {}
         self._sent_at = 0.0
-        self._stop_until = -math.inf  # a stop is tried (steady clock, s)
+        self._stop_until = -math.inf  # until when a stop is tried (steady clock, s)
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
             will=(f"{self._base}/availability", OFFLINE),
@@ -80,10 +80,10 @@ class Bridge:
         """Publish the site until a signal comes.
 
         Args:
-            signals: that end it.
+            signals: the signals that end it.
 
         Raises:
-            InterruptedRun: one came.
+            InterruptedRun: a signal came.
         """
         self._client.loop_start()
         try:
@@ -136,7 +136,7 @@ class Bridge:
         self._introduce()
 
     def _introduce(self) -> None:
-        """Publish all of it: the broker is there again, or Home Assistant has started."""
+        """Publish everything: the broker is there again, or Home Assistant has started."""
         for topic, text in self._discovery.items():
             self._client.publish(topic, text, retain=True)
         self._client.publish(f"{self._base}/availability", ONLINE, retain=True)
@@ -160,10 +160,10 @@ class Bridge:
 
 
 def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state's fields, in the page's units; None is *unknown*.
+    """Return the fields of the state, in the page's units; None means *unknown*.
 
     Args:
-        store: what is known, whose lock the caller has.
+        store: state of the graph; the caller holds its lock.
         shown: the document of that store.
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]
@@ -188,7 +188,7 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
         "pump": pump["value"] if here else UNKNOWN,
         "plan": tiles["controller"]["sentence"][:_MOST_TEXT] if here else UNKNOWN,
         "planned_volume": None if volume is None else round(volume * 1e3),
-        "planned_start": None if begin is None or begin == now  # it pumps
+        "planned_start": None if begin is None or begin == now  # it pumps now
         else datetime.fromtimestamp(begin, timezone.utc).isoformat(timespec="seconds"),
         "frost": None if frost is None or not here else ON if frost else OFF,
         "condition": (present[0]["code"] or UNKNOWN) if present else "none" if here else UNKNOWN,
@@ -203,7 +203,7 @@ def _number(topic: str, value: float | None) -> float | None:
 
 
 def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how things are, what to do, and the alarms of now, as the document has them."""
+    """Return the summary, what to do, and the present alarms, as in the document."""
     summary = shown["tiles"]["summary"]
     return {
         "summary": f"{summary['word']} {summary['sentence']}",

@@ -1,6 +1,6 @@
-"""What page and terminal show, as JSON has it: the document, and the series of the charts.
+"""What page and terminal show, as data for JSON: the document, and the series of the charts.
 
-Each is made by one function of a store.
+One function makes each of them from a store.
 
 The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles``
 (with the ``summary``), ``advice``, ``alarms``, ``alarms_known``, ``events``, ``account`` and
@@ -37,9 +37,9 @@ LINES = {
 }
 """Lines of the charts, each with its topic."""
 
-# The past that a series may have (h), and how many points a line has, about.
+# How much of the past a series may show (h), and about how many points a line has.
 LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, 400
-# Characters of all alarms, and of all events, so that the document stays below 100 kB.
+# The most characters of all alarms, and of all events: the document must stay below 100 kB.
 _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
 _HEADINGS = {
@@ -49,10 +49,10 @@ _HEADINGS = {
 
 
 def document(store: Store, wall: float) -> dict[str, Any]:
-    """Return all that page and terminal show, below 100 kB, in plain texts.
+    """Return everything that page and terminal show, below 100 kB, as plain texts.
 
     Args:
-        store: what is known.
+        store: state of the graph.
         wall: now (steady clock, s).
     """
     with store.lock:
@@ -149,7 +149,7 @@ def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]
 
 
 def _word(alarms: int, warnings: int, following: int, over: int, known: bool) -> str:
-    """Return how much is wrong, as the alarms below say in full."""
+    """Return how many alarms, warnings and incidents there are."""
     counts = [
         f"{count} {name}" if count == 1 else f"{count} {name}s"
         for count, name in ((alarms, "alarm"), (warnings, "warning"), (over, "incident")) if count
@@ -164,7 +164,7 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
 def _level(
     store: Store, shown: dict[str, Tile], waits: str, *, over: bool, known: bool
 ) -> str:
-    """Return how it is where no alarm stands: ``ok``, ``warn``, or ``stale`` if that is unknown."""
+    """Return the level without alarms: ``ok``, ``warn``, or ``stale`` if alarms are not known."""
     roof, pump = shown["roof"]["state"], shown["pump"]["state"]
     attention = (
         over or roof in ("unknown", "alarm") or pump in ("unknown", "alarm", "fault", "held")
@@ -174,7 +174,7 @@ def _level(
 
 
 def _sentence(store: Store, shown: dict[str, Tile], waits: str) -> str:
-    """Return how roof and pump are, and what is to come of that."""
+    """Return how roof and pump are, and what is expected."""
     if store.mode == "none":
         return "no run and no site is found."
     roof, verb = shown["roof"], "was" if store.ended else "is"
@@ -207,7 +207,7 @@ def _pump_clause(pump: Tile, verb: str) -> str:
 
 
 def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
-    """Return what to do where there is no alarm: what goes on, where something is not as wanted."""
+    """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
     roof, pump = shown["roof"]["state"], shown["pump"]
     runs = pump["state"] in ("starting", "running")
     if store.mode == "none":
@@ -249,12 +249,12 @@ _THEN = (
 
 
 def _stop(store: Store) -> dict[str, Any]:
-    """Return whether the pump can be stopped from here, is so, and what is wrong with that.
+    """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It is where an operator stopped it and it stands: the stop alone says that it should. ``call``
-    and ``release`` are what somebody types to stop and release it; empty where that would do
-    nothing. What ends in ``_here`` may be done here, and what in ``_then`` says what happens then.
-    Who asks for a dose sends ``asked_at`` back: a request that is held up on the way is old.
+    It is stopped if an operator stopped it and it stands; the stop alone only says that it should
+    stand. ``call`` and ``release`` are the commands to stop and release it; empty if that would do
+    nothing. Entries in ``_here`` say whether an action is allowed here, entries in ``_then`` what
+    happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -286,11 +286,11 @@ def _stop(store: Store) -> dict[str, Any]:
 
 
 def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
-    """Return what may be done here beside a stop, and what happens then.
+    """Return what may be done here besides a stop, and what happens then.
 
     Args:
-        node: the pump's, where it is heard and that was allowed; otherwise None.
-        stands: whether the pump does.
+        node: the pump node, if it is heard and releasing is allowed; otherwise None.
+        stands: whether the pump stands.
     """
     values: Mapping[str, Any] = {} if node is None else node.values
     by, greatest = values.get("stopped_by"), values.get("greatest_dose")
@@ -323,7 +323,7 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
 def _account(store: Store) -> dict[str, Any]:
     account = store.account
     totals = account.totals()
-    # Without rain, or such storms, there is nothing to say of what was kept of it.
+    # Without rain, or such storms, there is no share of it that was kept.
     labels = {
         key: entry.label for key, entry in ENTRIES.items()
         if key in totals or not key.startswith("kept")
@@ -355,7 +355,7 @@ def _account(store: Store) -> dict[str, Any]:
 
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
-    """Return the first rows that together have at most so many characters as JSON."""
+    """Return the first rows that together have at most this many characters as JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
     return [row for row, length in zip(rows, lengths, strict=True) if length <= most]
 
@@ -366,11 +366,11 @@ def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
 def series(store: Store, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
-    Nothing is known between two rows of a line that are further apart than its entry of ``gaps``
-    (s), and no value holds for longer. Nor from a row of None on to the next.
+    A line has a gap between two rows that are further apart than its entry in ``gaps`` (s); no
+    value holds for longer. It also has a gap from a row of None to the next row.
 
     Args:
-        store: what is known.
+        store: state of the graph.
         hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
     """
     with store.lock:
@@ -401,7 +401,7 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             "gaps": gaps,
             "forecast": [] if forecast is None else forecast.rows(),
             "plan": [] if plan is None or now is None else plan.rows(now),
-            "marks": {  # m; None where there is none
+            "marks": {  # m; None if there is none
                 "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
                 "low_outlet": site.low_outlet_level, "outlet": site.z_o,
             },
@@ -410,10 +410,10 @@ def series(store: Store, hours: float) -> dict[str, Any]:
 
 
 def _gap(rows: list[list[Any]], stretch_ns: int) -> float:
-    """Return beyond which time between its rows a line has a gap (s).
+    """Return the time between two rows of a line beyond which there is a gap (s).
 
-    It is the account's, or two stretches that a row covers where those are longer. What
-    usually comes less often has a gap where so many of its values are missing that it is stale:
+    It is the account's time, or twice the stretch that a row covers if that is longer. If rows
+    usually come less often, there is a gap after as many missing rows as make the value stale:
     samples of a run at full speed may be an hour apart.
     """
     gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9

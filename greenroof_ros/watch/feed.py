@@ -1,11 +1,11 @@
-"""Feeds what is shown: from the graph that is there and from the bag that it writes.
+"""Feeds the store: from the graph that runs and from the bag that it writes.
 
-A watcher must hold nobody up: see :mod:`greenroof_ros.graph.looker`. What it subscribes to costs
-its publishers time in each tick all the same, so that it hears the numbers of a run only up to some
-speed. Above it /diagnostics is all that it hears.
+A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.looker`. But each of its
+subscriptions costs the publisher time in every tick, so it hears the numbers of a run only up to a
+certain speed. Above that it hears only /diagnostics.
 
-What is heard is of now. The past comes from the bag, where there is one that grows: in order, and
-with nothing missing. What is heard becomes the past where there is none.
+Heard messages are the present. The past comes from a bag that grows, if there is one: in order and
+with nothing missing. If there is none, heard messages become the past.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from greenroof_ros.watch.bag import Batch, FollowedBag
 from greenroof_ros.watch.incidents import read_beside
 from greenroof_ros.watch.store import PLAN, Store, papers_site
 
-# Up to how many times real time the numbers of a run are heard: 60 and its jitter.
+# The fastest run, in times real time, whose numbers are heard: 60 and some jitter.
 FASTEST = 66.0
-# How often the watcher looks at what came (s), and how often it says how the graph is.
+# How often the watcher takes new messages, and how often it updates the state of the graph (s).
 _LOOK_S, _SAY_S = 0.05, 0.25
-# For how long what is heard waits for a bag that does not grow (s), and for the recorder to say
-# where its bag is; the recorder of a live site writes every 10 s.
+# How long heard values wait for a bag that does not grow (the recorder of a live site writes every
+# 10 s), and for the recorder to say where its bag is (s).
 _WAIT_S, _FOUND_S = 30.0, 3.0
-# How many messages wait at most.
+# The most messages that wait.
 _MOST_WAITING = 200_000
-# A pause of this process after which those that were not heard meanwhile may have spoken (s).
+# If this process pauses for longer than this (s), the silence of other nodes means nothing.
 _OWN_PAUSE_S = 0.5
-# For how long an error of the watcher's own is shown (s), and how long it rests after it.
+# How long an error of the watcher itself is shown, and how long it rests after one (s).
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
-# A tick with a message further away is of a publisher that was started again: the plant runs
-# 32 ticks ahead of the recorder at most, and what is heard at one time is of fewer.
+# A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
+# is at most 32 ticks ahead of the recorder, and messages heard together are closer.
 _FAR = 64
 
 _CLOCK = "/clock"
@@ -57,50 +57,50 @@ _CLOCK = "/clock"
 class Ticks:
     """The simulated time of each message of a run, by the number that its publisher gave it.
 
-    In lockstep the j-th message of a topic belongs to tick j - 1. When messages come says less: the
-    plant's next clock may come before what moved in the tick before.
+    In lockstep the j-th message of a topic belongs to tick j - 1. The order of arrival says less:
+    the plant's next clock may arrive before the messages of the tick before it.
 
     Attributes:
         newest_ns: the newest time of the clock (ns since 1970); 0 before it was heard.
     """
 
     def __init__(self) -> None:
-        """Begin before the first clock."""
+        """Start before the first clock."""
         self.newest_ns = 0
-        self._clock = 0  # the number of that message
+        self._clock = 0  # number of the newest clock message
         self._period = 0  # ns
 
     def clock(self, number: int | None, time_ns: int) -> None:
-        """Hear the clock."""
+        """Take a clock message."""
         number = self._clock + 1 if number is None else number
         if self._clock and number > self._clock:
             self._period = (time_ns - self.newest_ns) // (number - self._clock)
         self._clock, self.newest_ns = number, time_ns
 
     def time(self, number: int | None) -> int | None:
-        """Return the time of a message (ns since 1970); None where it cannot be known.
+        """Return the time of a message (ns since 1970); None if it cannot be known.
 
         Args:
-            number: of the message; None where that is not of the run's ticks.
+            number: of the message; None if it does not count ticks: it gets the newest time.
         """
         if not self._period:
-            return None  # less than two clocks were heard
+            return None  # fewer than two clocks were heard
         ahead = 0 if number is None else number - self._clock
         return None if abs(ahead) > _FAR else self.newest_ns + ahead * self._period
 
 
 class Feed:
-    """Feeds a :class:`~greenroof_ros.watch.store.Store` for as long as it is entered."""
+    """Feeds a :class:`~greenroof_ros.watch.store.Store` while its context is entered."""
 
     def __init__(
         self, store: Store, *, bag: Path | None = None, site_file: Path | None = None
     ) -> None:
-        """Begin with nothing.
+        """Start with nothing.
 
         Args:
-            store: what is fed.
-            bag: to read; None for the one that the graph writes.
-            site_file: by which levels are judged; None for the graph's own.
+            store: the store to feed.
+            bag: the bag to read; None for the bag that the graph writes.
+            site_file: the site file by which levels are judged; None for the graph's own.
 
         Raises:
             ConfigurationError: the site file is wrong.
@@ -111,12 +111,12 @@ class Feed:
         self._site_file = site_file
         self._topics = read_topics()
         self._run = 0
-        self._lock = threading.Lock()  # of the bag that is read
+        self._lock = threading.Lock()  # of _recorded
         self._recorded: FollowedBag | None = None
         self._begin_hearing()
         self._listens_since = 0.0
         self._mode = "none"
-        self._live: bool | None = None  # the graph that is shown, or was shown last
+        self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
         self._said = 0.0
@@ -131,9 +131,9 @@ class Feed:
         self._judge_by(site_file or self._site_of_graph())
 
     def _begin_hearing(self) -> None:
-        """Forget what was heard and is not yet of the past."""
+        """Forget heard messages that are not part of the past yet."""
         self._ticks = Ticks()
-        # Numbers and plans, each with its time (ns since 1970) and topic, as they came.
+        # Numbers and plans in the order of arrival, each with its time (ns since 1970) and topic.
         self._heard: deque[tuple[int, str, float | bytes]] = deque()
         self._waits_since = time.monotonic()
 
@@ -163,17 +163,17 @@ class Feed:
         self._thread.join(2.0)
 
     def ask(self, action: str, **request: float) -> str:
-        """Have the pump held off or released, its fault cleared or a dose given, from any thread.
+        """Hold the pump off, release it, clear its fault or give a dose; callable from any thread.
 
         Args:
             action: ``stop``, ``release``, ``clear`` or ``dose``.
-            request: of a dose, as :meth:`greenroof_ros.graph.looker.Looker.give_dose` takes it.
+            request: for a dose, as :meth:`greenroof_ros.graph.looker.Looker.give_dose` takes it.
 
         Returns:
-            What the pump node says.
+            The pump node's answer.
 
         Raises:
-            StopFailedError: it did not say that it did so.
+            StopFailedError: the pump node did not confirm it.
         """
         asked: Future[str] = Future()
         with self._asking:
@@ -191,7 +191,7 @@ class Feed:
             raise StopFailedError(f"The watcher is busy: {what}.") from None
 
     def _drop_before_stop(self) -> None:
-        """Undo what was asked before a stop: that must not be done after it."""
+        """Cancel requests from before a stop: they must not be carried out after it."""
         for action, _, before in self._asked:
             if action != "stop" and before.set_running_or_notify_cancel():
                 before.set_exception(StopFailedError(
@@ -209,20 +209,20 @@ class Feed:
             self._looker.close()
 
     def _look(self) -> None:
-        """Take all that came, and show it; what fails of it keeps nothing else from being done."""
+        """Take new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
             self._hear, self._see_graph, self._answer, self._hand_on, self._say,
         ) if self._fails(act)]
-        # An error may come again at once; a stop waits for none.
+        # An error may come again at once; but a request such as a stop must not wait for that.
         until = time.monotonic() + (_REST_S if failed else 0.0)
         while time.monotonic() < until and not self._asked and not self._closing.is_set():
             self._closing.wait(_LOOK_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
-        """Do something; what is wrong with it is shown."""
+        """Do a step; if it fails, show the error and return True."""
         try:
             act()
-        except Exception as error:  # whatever it is, the others go on
+        except Exception as error:  # whatever the error, the others go on
             self._problem = (
                 f"Something could not be shown; all else goes on ({type(error).__name__}: {error})."
             )
@@ -238,7 +238,7 @@ class Feed:
         self._forgive_own_pause()
 
     def _see_graph(self) -> None:
-        """Take in which graph is there, and hear and read what is to be shown of it."""
+        """Find out which graph is there, and subscribe to it and follow its bag as needed."""
         now = time.monotonic()
         mode = self._graph.mode(now)
         if self._bag is not None and (mode == "none" or not self._shows_graph()):
@@ -257,10 +257,10 @@ class Feed:
                 self._waits_since = now
             self._mode = mode
             if mode == "ended" and self._recorded is not None:
-                # A bag may be followed before anything says who commands.
+                # The bag may have been followed before the controller's name was written.
                 self._read_beside(self._recorded.bag)
             self._said = 0.0
-            self._say()  # before what comes: an account has other rules on a live site
+            self._say()  # before new values: an account has other rules on a live site
         self._judge_by(self._site_file or self._site_of_graph())
         bag = self._bag or self._graph.bag()
         if bag is not None and (self._recorded is None or self._recorded.bag != bag):
@@ -269,20 +269,20 @@ class Feed:
             self._choose_topics(now)
 
     def _shows_graph(self) -> bool:
-        """Whether the graph that is there is shown: not where another one's bag was asked for."""
+        """Return whether the present graph is shown: not if another graph's bag was asked for."""
         if self._bag is None:
             return True
         return self._graph.node(RECORDER) is not None and self._graph.bag() in (None, self._bag)
 
     def _forget(self) -> None:
-        """Forget all that is shown; it is read again where it is recorded."""
+        """Forget everything that is shown; a recording is read again."""
         self._begin_hearing()
         self._follow(None)
         self._store.start_over()
 
     def _follow(self, bag: Path | None) -> None:
         """Follow another bag, or none."""
-        # What the one before has still on its way is not shown any more.
+        # Batches of the previous bag that are still on their way are not shown any more.
         with self._lock:
             before, self._recorded = self._recorded, None
         if before is not None:
@@ -294,12 +294,12 @@ class Feed:
                 self._recorded = FollowedBag(bag, namespace, self._on_batch)
 
     def _read_beside(self, bag: Path) -> None:
-        """Read who commanded in a recorded run, and what was lost in it."""
+        """Read the controller's name and the incidents of a recorded run."""
         store = self._store
         store.recorded_controller, store.recorded_incidents, self._no_incidents = read_beside(bag)
 
     def _on_batch(self, recorded: FollowedBag, batch: Batch) -> None:
-        """Take a batch; numbers last: they move now on, and its plans are there by then."""
+        """Take a batch; numbers last, since they move *now* on, and plans must be there by then."""
         with self._lock:
             if recorded is not self._recorded:
                 return
@@ -317,7 +317,7 @@ class Feed:
         return None
 
     def _judge_by(self, path: Path | None) -> None:
-        """Judge levels by a site file, or by the paper's where there is none."""
+        """Judge levels by a site file, or by the paper's if there is none."""
         file = path or papers_site()
         try:
             as_is = file, file.stat().st_mtime_ns
@@ -337,16 +337,16 @@ class Feed:
         another = site != self._store.site
         self._store.set_site(site, note)
         if another and self._recorded is not None:
-            self._forget()  # what was counted of it was judged by another site
+            self._forget()  # the account was for another site
 
     def _choose_topics(self, now: float) -> None:
-        """Subscribe to what the graph can bear."""
+        """Subscribe to as much as the graph can bear."""
         assert self._looker is not None
         listens, live = self._listens_since > 0, self._mode == "live"
         wanted = live
         if self._running:
             factor = self._factor
-            # A run that has not begun, or that stands, says nothing of its speed.
+            # The speed of a run that has not begun, or that stands still, is not known.
             wanted = listens if not factor else factor <= FASTEST
         if wanted == listens:
             return
@@ -361,7 +361,7 @@ class Feed:
 
     @property
     def _factor(self) -> float | None:
-        """Simulated time per wall time; None where unknown."""
+        """Simulated time per wall time; None if unknown."""
         return self._graph.factor(self._store.site.tau)
 
     @property
@@ -369,14 +369,14 @@ class Feed:
         """Whether a simulation runs."""
         return self._mode in ("simulated", "loop")
 
-    # --- what comes -----------------------------------------------------------------------------
+    # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Take a message that came; one that cannot be taken keeps none of the others away."""
+        """Take a message that came; if it cannot be taken, the others are taken all the same."""
         self._fails(lambda: self._take(name, message, number, arrived_ns))
 
     def _forgive_own_pause(self) -> None:
-        """Have no node taken for silent because this process stood still."""
+        """Make sure that no node counts as silent because this process stood still."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
             with self._store.lock:
@@ -399,7 +399,7 @@ class Feed:
         if self._mode != "live":
             stamp = self._ticks.newest_ns
             if topic.per_tick:
-                # A pump driver of somebody else's may have begun at any tick.
+                # A pump driver from another package may have begun at any tick.
                 own = any(self._graph.node(role) for role in topic.publishers)
                 stamp = self._ticks.time(number if own else None)
         if not stamp:
@@ -413,7 +413,7 @@ class Feed:
             self._heard.append((stamp, name, value))
 
     def _hand_on(self) -> None:
-        """Make the past of what was heard, where no bag brings that."""
+        """Make heard messages part of the past, if no bag brings the past."""
         now = time.monotonic()
         if self._shows_samples(now) and self._graph.samples is not None:
             time_ns, values = self._graph.samples
@@ -436,7 +436,7 @@ class Feed:
                 self._heard.popleft()
 
     def _past_is_read(self, now: float) -> bool:
-        """Whether a bag brings the past, or may soon."""
+        """Return whether a bag brings the past, or may soon."""
         recorded = self._recorded
         if recorded is None:
             return now - max(self._listens_since, self._waits_since) < _FOUND_S
@@ -444,13 +444,13 @@ class Feed:
         return not read.problem and (read.more or now - recorded.grew < _WAIT_S)
 
     def _shows_samples(self, now: float) -> bool:
-        """Whether the run is too fast to be heard in full, and no recording of it is here."""
+        """Return whether the run is too fast to be heard in full, and no recording is here."""
         recorded = self._recorded is not None and not self._recorded.read.problem
         too_fast = not self._listens_since and (self._factor or 0.0) > FASTEST
         waited = now - self._waits_since > _FOUND_S
         return self._running and too_fast and waited and not recorded
 
-    # --- what is said of it ---------------------------------------------------------------------
+    # --- state of the graph ---------------------------------------------------------------------
 
     def _say(self) -> None:
         now = time.monotonic()
@@ -485,7 +485,7 @@ class Feed:
         """Look for the services of the pump node, so that a call finds them at once.
 
         Raises:
-            StopFailedError: two nodes say that they are the pump's.
+            StopFailedError: two nodes claim to be the pump node.
         """
         assert self._looker is not None
         now, graph = time.monotonic(), self._store.graph
@@ -508,7 +508,7 @@ class Feed:
                 try:
                     self._prepare_stop()
                     asked.set_result(acts[action](**request, timeout_s=_STOP_S))
-                except Exception as error:  # it is the asker's
+                except Exception as error:  # it is raised in the thread that asked
                     asked.set_exception(error)
         with suppress(StopFailedError):
             self._prepare_stop()

@@ -1,4 +1,4 @@
-"""The past of a value for its chart: least, greatest and last of short stretches of time."""
+"""The past of a value for its chart: least, greatest and last value of short stretches of time."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-# A stretch (ns), and how many are kept: 12 h at 400 points and more, and a week.
+# Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
 STRETCH_NS = 20_000_000_000
 KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
-# So many times are kept at which a value was not known.
+# The most gaps that are kept.
 _MOST_UNKNOWN = 1000
 
 class History:
     """One value over the past week, in stretches of 20 s; its memory is bounded."""
 
     def __init__(self) -> None:
-        """Know nothing yet."""
-        # Twice as many as are kept: the newest half is moved to the front once in a week.
+        """Start without values."""
+        # Up to twice as many as are kept: once a week the newest half moves to the front.
         self._times: Stamps = np.empty(0, dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
         self._length = 0
 
     def add(self, times: Stamps, values: Values) -> None:
-        """Take finite values in the order of time, none older than what is there.
+        """Take finite values in the order of time, none older than those already there.
 
         Args:
             times: since 1970 (ns), shape (n,).
@@ -53,7 +53,7 @@ class History:
         self._length = place.stop
 
     def _make_room(self, more: int) -> None:
-        """Let go of what is oldest where it would become too much."""
+        """Make the arrays longer, and drop the oldest rows if there are too many."""
         if self._length + more <= len(self._times):
             return
         kept = max(0, min(self._length, KEPT - more))
@@ -64,23 +64,23 @@ class History:
         self._times, self._rows, self._length = times, rows, kept
 
     def window(self, first: int, last: int, points: int) -> list[list[float]]:
-        """Return the values of a time, from ``first`` to ``last`` (ns, both included).
+        """Return the values from ``first`` to ``last`` (both included).
 
         Args:
             first: begin (ns).
             last: end (ns).
-            points: how many rows there are at most, about.
+            points: about how many rows there are at most.
 
         Returns:
-            Rows of the time of the last value (s), least, greatest, and the last value.
+            Rows of the time of the last value (s), the least, the greatest, and the last value.
         """
         times = self._times[: self._length]
         place = slice(*np.searchsorted(times, (first, last + 1)))
         times, rows = times[place], self._rows[: self._length][place]
         if not len(times):
             return []
-        # Whole stretches, at the same times whenever it is asked: a line that is drawn again
-        # and again stands still.
+        # Whole stretches, which begin at the same times in each call: a line that is redrawn does
+        # not jitter.
         stretch = stretch_of(first, last, points)
         firsts, lasts = _groups(times // stretch)
         columns = (
@@ -91,24 +91,24 @@ class History:
 
 
 class Gaps:
-    """When a value was not known, although its topic goes on with something in its place.
+    """When a value was not known, although its topic went on with another value in its place.
 
     Attributes:
-        lasts: whether it is so now.
+        lasts: whether the value is not known now.
     """
 
     def __init__(self) -> None:
-        """Begin with what is known."""
+        """Start without gaps."""
         self.lasts = False
         self._known_at = math.inf  # when it was known last (s)
         self._times: list[tuple[float, float]] = []
 
     def say(self, now: float, *, known: bool) -> None:
-        """Say whether it is known.
+        """Note whether the value is known now.
 
         Args:
             now: s.
-            known: whether it is; where it is not any more, it was known when that was said last.
+            known: whether it is. A gap begins when the value was last noted as known.
         """
         if known:
             self._known_at = now
@@ -120,23 +120,23 @@ class Gaps:
                 self.add(min(now, self._known_at), math.inf)
 
     def add(self, begin: float, end: float) -> None:
-        """Say from when to when (s) it was not known."""
+        """Note that the value was not known from one time to another (s)."""
         self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
 
     def at(self, times: Values) -> NDArray[np.bool_]:
-        """Return whether it was not known at each of these times (s)."""
+        """Return for each of these times (s) whether the value was not known."""
         unknown = np.zeros(len(times), dtype=bool)
         for begin, end in self._times:
             unknown |= (times > begin) & (times < end)
         return unknown
 
     def cut_out(self, rows: list[list[float]]) -> list[list[Any]]:
-        """Return the rows of a window without those times: where each begins, one of None."""
+        """Return the rows of a window without the gaps; a row of None marks where a gap begins."""
         if not rows or not self._times:
             return rows
         unknown = self.at(np.array([row[0] for row in rows]))
         kept: list[list[Any]] = [row for row, cut in zip(rows, unknown, strict=True) if not cut]
-        # A time that began by the system's clock, before the run's was known, is none of it.
+        # A gap that began by the system's clock, before the run's was known, is left out.
         times = ((begin, end) for begin, end in self._times if begin < end and end > rows[0][0])
         kept += [[begin, None, None, None] for begin, _ in times]
         return sorted(kept, key=lambda row: float(row[0]))
@@ -153,5 +153,5 @@ def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def stretch_of(first: int, last: int, points: int) -> int:
-    """Return how long a stretch is that a row of such a window covers (ns)."""
+    """Return the time that a row of such a window covers (ns)."""
     return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))

@@ -1,7 +1,7 @@
 """What Home Assistant must know to show a site: a discovery message for each entity.
 
-An entity takes its value from a field of one message, ``greenroof/SITE/state``. There is a message
-for each entity, and not one for the whole device, since releases before 2024.11 know only these.
+Each entity takes its value from a field of one message, ``greenroof/SITE/state``. Each entity has
+its own discovery message: releases before 2024.11 do not know discovery of a whole device.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from greenroof_ros.watch.words import display_of
 
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
 STOP = "STOP"
-"""What a message that stops the pump says, and nothing else."""
+"""The whole payload of a message that stops the pump."""
 
 EXPIRES_S = 30
-"""A value that is older is not shown (s)."""
+"""A value that is older than this is not shown (s)."""
 
 NUMBERS = {
     "roof_level": ("/roof/level", "distance"),
@@ -27,11 +27,11 @@ NUMBERS = {
     "flow": ("/pump/flow", "volume_flow_rate"),
     "command": ("/pump/command", None),
 }
-"""Fields with a number: the topic whose label and unit it has, and Home Assistant's class of it."""
+"""Fields with a number: the topic that gives label and unit, and Home Assistant's device class."""
 
 
 def base_of(site: str) -> str:
-    """Return what the topics of a site begin with."""
+    """Return the prefix of a site's topics."""
     return f"greenroof/{site}"
 
 
@@ -40,7 +40,7 @@ def discovery(site: str, prefix: str) -> dict[str, str]:
 
     Args:
         site: its name in topics and ids: letters, digits and _.
-        prefix: of Home Assistant's topics, as its MQTT integration has it.
+        prefix: of Home Assistant's topics, as set in its MQTT integration.
     """
     base, node = base_of(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}
@@ -57,7 +57,7 @@ def discovery(site: str, prefix: str) -> dict[str, str]:
             **own,
         }
         if component == "button":
-            # Where there is no pump node, there is nothing to press.
+            # Without a pump node the button cannot be pressed.
             template = "{{ 'online' if value_json.can_stop else 'offline' }}"
             config["availability"] = [
                 bridge, {"topic": f"{base}/state", "value_template": template}
@@ -73,7 +73,7 @@ def discovery(site: str, prefix: str) -> dict[str, str]:
 
 
 def _entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return what is an entity's own, by component and field."""
+    """Return the settings that differ between entities, by component and field."""
     entities: dict[tuple[str, str], dict[str, Any]] = {}
     for key, (topic, kind) in NUMBERS.items():
         display = display_of(topic)

@@ -1,4 +1,4 @@
-"""What stands beside a recorded bag: who commanded, and what was lost in that run."""
+"""Reads the files beside a recorded bag: the controller's name, and the incidents of the run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _MOST_TEXT = 500
 
 
 def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
-    """Return who commanded in a recorded run, its incidents as they began, and what is wrong there.
+    """Return a recorded run's controller, its incidents in the order of begin, and what is wrong.
 
-    Incidents stand in a file of their own, and in the summary where that could not be written.
-    Their times are those of ticks where the site is simulated, otherwise those of the wall.
+    Incidents are in a file of their own, or in the summary if that file could not be written.
+    They are dated by ticks if the site is simulated, otherwise by wall time.
     """
     directory, controller = bag.parent, ""
     try:
@@ -42,12 +42,12 @@ def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
 
 
 def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
-    """Return an incident of a run that began at a time (s since 1970), by ticks of so long (s)."""
+    """Return an incident as an alarm, by the run's start (s since 1970) and its tick (s)."""
     def at(tick: int | None, wall: str) -> float:
         return datetime.fromisoformat(wall).timestamp() if tick is None else start + tick * tau
 
     whole, ended = incident.part == PROCESS, incident.ended
-    # A node that stays away ends the run; of another one the incident is its return.
+    # A node that stays away ends the run; an incident that has ended is a node started again.
     code = "started_again" if whole and ended else incident.code
     return Alarm(
         Trouble(

@@ -1,4 +1,4 @@
-"""Where the page is served: the socket, the names by which it is asked for, its address."""
+"""Where the page is served: the socket, the host names that requests may use, and the address."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from greenroof_ros.common.errors import ConfigurationError
 
 LOOPBACK = "127.0.0.1"
-# Which port is taken unless one is asked for: the first of these that is free.
+# The ports to try unless one is asked for: the first free one is used.
 PORTS = range(8080, 8100)
-# What the kernel may hold for a reader who is slow (bytes): it would be old when he gets it.
+# How much the kernel may hold for a slow reader (bytes): it would be old when it arrives.
 _SENDING = 65_536
-# An address for documentation (RFC 5737): the way there shows this machine's own address.
+# An address for documentation (RFC 5737): the route to it shows this machine's own address.
 _ELSEWHERE = ("192.0.2.1", 9)
 
 
@@ -24,9 +24,9 @@ class Place:
     """A socket that listens, and how it is reached.
 
     Attributes:
-        socket: listens.
+        socket: the listening socket.
         url: for a browser.
-        names: hosts that a request may ask for; None where any will do, as behind a wildcard.
+        names: hosts that a request may name; None if any is allowed, as with a wildcard address.
     """
 
     socket: socket.socket
@@ -35,7 +35,7 @@ class Place:
 
 
 def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
-    """Return the addresses of a host, in the order in which they are to be tried.
+    """Return the addresses of a host, in the order in which to try them.
 
     Raises:
         ConfigurationError: it has none.
@@ -51,7 +51,7 @@ def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine reaches a host's addresses.
+    """Return whether only this machine can reach a host's addresses.
 
     Raises:
         ConfigurationError: it has none.
@@ -67,7 +67,7 @@ def listen(host: str, port: int | None) -> Place:
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
 
     Raises:
-        ConfigurationError: the host is not this machine's, or the port is not to be had.
+        ConfigurationError: the host is not this machine, or the port cannot be used.
     """
     family, address = _addresses(host)[0]
     ports = PORTS if port is None else [port]
@@ -85,7 +85,7 @@ def listen(host: str, port: int | None) -> Place:
                 key=key, value=value,
             ) from error
         break
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # of its connections
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # connections inherit it
     anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
     shown = _own_address(address) if anywhere else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
@@ -94,7 +94,7 @@ def listen(host: str, port: int | None) -> Place:
 
 
 def _own_address(wildcard: str) -> str:
-    """Return an address by which others reach this machine, as far as it knows; sends nothing."""
+    """Return this machine's address for others, or its name if that is unknown; sends nothing."""
     if ":" in wildcard:
         return socket.gethostname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

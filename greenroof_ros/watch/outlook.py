@@ -1,4 +1,4 @@
-"""What is to come: the forecast of rain, and what the controller plans."""
+"""The hours to come: the forecast of rain, and the controller's plan."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ import numpy as np
 from greenroof_ros.watch.history import Values
 
 AHEAD_S = 12 * 3600.0
-"""How far people look ahead (s)."""
+"""How far ahead is shown (s)."""
 
-# Fewer members than these have no tenth: their range is from the least to the greatest.
+# Fewer members than this have no tenth: their range is from the least to the greatest.
 _TENTHS = 10
 ALIKE_M = 0.0005
-"""Levels that are as near to each other count as one (m)."""
-# Less is rounding of the solver (m3/s): 6 mL/min.
+"""Levels that differ by less than this count as equal (m)."""
+# A smaller flow is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
 
 class Amount(NamedTuple):
-    """Rain that is forecast (m): the mean of the members, and their range."""
+    """Forecast rain (m): the mean of the members, and their range."""
 
     mean: float
     low: float
     high: float
     reach_s: float
-    """For how long from now on it is (s)."""
+    """How far ahead of now it reaches (s)."""
     fallen_at: float
-    """When the last of the mean has fallen, but for a tenth of it (s since 1970)."""
+    """When nine tenths of the mean have fallen (s since 1970)."""
     members: int
 
 
 class Pumped(NamedTuple):
-    """What a controller means to pump."""
+    """Planned pumping."""
 
     volume: float
     """m3"""
     begin: float
     """s since 1970"""
     level: float
-    """Highest level of the roof that is expected at the end of a step with pumping (m)."""
+    """Highest roof level that is expected at the end of a step with pumping (m)."""
 
 
 @dataclass(frozen=True)
 class _Steps:
-    """What is to come, in steps.
+    """A forecast or a plan, in steps.
 
     Attributes:
         at: when the first step begins (s since 1970).
-        ends: of its steps (s since 1970), shape (steps,).
+        ends: ends of the steps (s since 1970), shape (steps,).
     """
 
     at: float
@@ -62,7 +62,7 @@ class _Steps:
         return np.append(self.at, self.ends[:-1])
 
     def lengths(self, now: float) -> Values:
-        """Return how much of each step is from now on to 12 h ahead (s), shape (steps,)."""
+        """Return how much of each step is between now and 12 h ahead (s), shape (steps,)."""
         until = now + AHEAD_S
         return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
 
@@ -73,14 +73,14 @@ class Forecast(_Steps):
 
     Attributes:
         rain: mean of each step (m/s), shape (members, steps).
-        issued: when it was issued (s since 1970); None where that is not known.
+        issued: when it was issued (s since 1970); None if unknown.
     """
 
     rain: Values
     issued: float | None
 
     def amount(self, now: float) -> Amount | None:
-        """Return the rain from now on to 12 h ahead; None where it does not reach so far as now."""
+        """Return the rain from now to 12 h ahead; None if the forecast has ended."""
         until, lengths = now + AHEAD_S, self.lengths(now)
         reach = min(float(self.ends[-1]), until) - now
         if reach <= 0:
@@ -100,7 +100,7 @@ class Forecast(_Steps):
 
 
 def _ranges(values: Values) -> tuple[Values, Values]:
-    """Return where most of the members are: 10 to 90 %, of a few the least to the greatest."""
+    """Return the range of the members: 10 to 90 %; if they are few, the least to the greatest."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)
     low, high = np.percentile(values, (10, 90), axis=0)
@@ -109,12 +109,12 @@ def _ranges(values: Values) -> tuple[Values, Values]:
 
 @dataclass(frozen=True)
 class Plan(_Steps):
-    """What the controller means to pump.
+    """The controller's plan of pumping.
 
     Attributes:
         flow: mean of each step (m3/s).
-        level: of the roof at the end of each step, as expected (m).
-        fill_to: to which the roof is filled in each step if no rain has come (m); 0 for left alone.
+        level: expected roof level at the end of each step (m).
+        fill_to: level to which each step fills the roof if no rain has come (m); 0: does not fill.
     """
 
     flow: Values
@@ -124,7 +124,7 @@ class Plan(_Steps):
     def without_rain(self, now: float) -> tuple[float, float]:
         """Return when the roof is filled highest if no rain comes, up to 12 h ahead, and how high.
 
-        As s since 1970 and m, which is 0 where the plan is over.
+        The time is in s since 1970; the level is in m, and 0 if the plan is over.
         """
         ahead = np.flatnonzero((self.ends > now) & (self.begins < now + AHEAD_S))
         if not len(ahead):
@@ -133,7 +133,7 @@ class Plan(_Steps):
         return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
     def pumped(self, now: float) -> Pumped | None:
-        """Return what is to be pumped from now on to 12 h ahead; None for nothing."""
+        """Return the pumping planned from now to 12 h ahead; None if there is none."""
         lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
         if not len(pumps):
@@ -142,16 +142,16 @@ class Plan(_Steps):
         return Pumped(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def above(self, level: float, now: float) -> tuple[float, float] | None:
-        """Return from when to 12 h ahead the roof is above a level (s since 1970), and its highest.
+        """Return when the roof is first above a level (s since 1970), and how high it rises.
 
-        None where it stays below it.
+        Looks up to 12 h ahead; None if the roof is at no end of a step above the level.
         """
         ahead = (self.ends > now) & (self.ends <= now + AHEAD_S)
         over = self.ends[ahead & (self.level > level)]
         return (float(over[0]), float(self.level[ahead].max())) if len(over) else None
 
     def rows(self, now: float) -> list[list[float]]:
-        """Return begin and end (s since 1970), flow and level at the end of each step to come."""
+        """Return begin and end (s since 1970), flow, and level at the end of each coming step."""
         columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
         rows: list[list[float]] = columns[self.ends > now].tolist()
         return rows

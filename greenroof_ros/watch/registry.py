@@ -1,7 +1,7 @@
-"""Who is in a graph, and what each said last on /diagnostics, which is read here alone.
+"""Which nodes are in a graph, and their last reports on /diagnostics, which only this file reads.
 
-A node is known by its name, and each process under a name is another one: a restart. Alarms, the
-tiles and what is subscribed to all follow from what is kept here.
+A node is identified by its name; another process under the same name is a restart. Alarms, tiles
+and subscriptions all follow from this registry.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain
 
 OK, WARN, ERROR, STALE = range(4)
-# A node reports four times a second; one that is not heard for so long (s) is not there, as for
-# bringup. Of other devices, which report once a second, the default of diagnostic_aggregator.
+# After this silence (s) a node counts as not heard, as in bringup; it reports four times a second.
+# Other devices report once a second; their limit is the default of diagnostic_aggregator.
 SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
-# A silent node may be replaced by another process; after so long (s) it is gone.
+# A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
-# A node that waits for another one for so long (s) says so as an alarm: a start takes seconds.
+# A node that waits for others for longer than this (s) is an alarm: a start takes seconds.
 _WAITS_S = 5.0
-# Over what time the speed of a simulation is measured, at least and at most (s).
+# The time over which the speed of a simulation is measured, at least and at most (s).
 _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
-# What a hostile sender can make this remember: nodes, parts of each, statuses of other devices,
-# values of a status, characters of a sentence, a name and a value. A graph has seven nodes.
+# Limits to what a hostile sender can fill: nodes, parts of each, statuses of other devices, values
+# of a status, characters of a sentence, a name and a value. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _VALUES = 32, 24, 200, 100
 _TEXT, _NAME, _VALUE = 500, 160, 100_000
-_NEWEST = 50  # changes of parameters, and warnings, that are told at a time
-# No tick of a run is beyond this, and no time (ns since 1970) fits into 64 bits beyond that.
+_NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
+# The greatest tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
 _LAST_TICK, _LAST_NS = 2**40, 2**63
-# What ROS lets a node be called; its name is part of a command that is advised.
+# A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
 _LAST_WORDS = {FINISHED: "has finished: the run is over", ENDED: "ended"}
@@ -55,12 +55,12 @@ class Trouble:
     Attributes:
         level: WARN, ERROR or STALE.
         what: a sentence.
-        code: of the table of conditions, or of what is seen from here, such as ``not_heard``.
-        role: of the node, as the interface calls it; empty for another device.
-        part: of the node; empty for the node itself.
-        names: topics that it is about, or nodes that are waited for, where that is known.
-        gist: the fault, of a drive or a latched one: with another one it is another alarm.
-        at_least: whether it may have been so before anybody listened here.
+        code: from the table of conditions, or for something seen from here, such as ``not_heard``.
+        role: role of the node in the interface; empty for another device.
+        part: part of the node; empty for the node itself.
+        names: topics that it is about, or nodes that are waited for, if known.
+        gist: a drive's fault or a latched fault; with another gist it is another alarm.
+        at_least: whether it may have begun before anybody listened here.
     """
 
     level: int
@@ -74,37 +74,37 @@ class Trouble:
 
     @property
     def hides_pump(self) -> bool:
-        """Whether what the pump does is not known while this lasts."""
+        """Whether it is unknown what the pump does while this lasts."""
         return self.part == "drive" or (self.role, self.part) == (PUMP, "")
 
 
 @dataclass
 class _Part:
-    """A part of a node, or another device, as it was last heard."""
+    """A part of a node, or another device, as last heard."""
 
     level: int
     message: str
     code: str
     heard: float  # wall time (s)
-    first: bool  # whether it was heard now for the first time, and its node too
+    first: bool  # whether the device, or the node of the part, was heard only once by then
 
 
 @dataclass
 class Node:
-    """A process of this package's, as it was last heard; times are of the steady clock (s).
+    """A process of this package, as last heard; times are of the steady clock (s).
 
     Attributes:
         name: fully qualified.
-        role: as the interface calls it.
-        process: that runs it: its machine and number.
+        role: as in the interface.
+        process: the operating-system process: its machine and number.
         state: one of :mod:`greenroof_ros.graph.supervision`.
-        values: what else it says; a number that is not finite is None.
+        values: what else it reports; a number that is not finite is None.
         began: when it was first heard.
-        heard: when it was last.
-        since: since when it has been in its state.
+        heard: when it was last heard.
+        since: when it entered its state.
         first: whether it was heard only once so far.
         refused_at: when its count of refused values last grew.
-        refused: the topics of these.
+        refused: the topics of those values.
     """
 
     name: str
@@ -122,30 +122,30 @@ class Node:
 
     @property
     def over(self) -> bool:
-        """Whether its last word was its end."""
+        """Whether it has reported its end."""
         return self.state in _LAST_WORDS
 
     @property
     def lockstep(self) -> bool:
-        """Whether it acts in lockstep; those of a live graph do not number their ticks."""
+        """Whether it acts in lockstep; nodes of a live graph do not number their ticks."""
         return "run_length" in self.values
 
     @property
     def may_turn(self) -> bool:
-        """Of a pump: whether it knows neither that the pump stands nor what it turns at."""
+        """For a pump: whether it knows neither that the pump stands nor at what speed it turns."""
         values = self.values
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
     def is_heard(self, wall: float) -> bool:
-        """Whether it is heard now."""
+        """Return whether it is heard now."""
         return not self.over and wall - self.heard <= SILENT_S
 
     def is_here(self, wall: float) -> bool:
-        """Whether it is heard, or was a moment ago."""
+        """Return whether it is heard, or was less than 10 s ago."""
         return not self.over and wall - self.heard < _GONE_S
 
     def text(self, key: str) -> str:
-        """Return a text that it says; empty where it does not."""
+        """Return a text that it reports; empty if it does not."""
         value = self.values.get(key)
         return plain(value, _TEXT) if isinstance(value, str) else ""
 
@@ -154,25 +154,25 @@ class Registry:
     """What is heard of one namespace on /diagnostics.
 
     Attributes:
-        runs: counts the runs: a plant that was started again begins another one.
-        samples: levels and command that the plant said last, with the tick's time (ns since 1970);
-            None before it said any.
+        runs: how often another run began, because the plant was started again.
+        samples: the levels and the command that the plant last reported, with the time of their
+            tick (ns since 1970); None before the first.
     """
 
     def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
-        """Begin without anybody.
+        """Start without nodes.
 
         Args:
-            namespace: such as ``/site1``; the statuses of other ones are those of other devices.
-            on_event: called with what happened, in a sentence.
+            namespace: such as ``/site1``; nodes in other namespaces count as other devices.
+            on_event: called with each event, in a sentence.
         """
         self.runs = 0
         self.samples: tuple[int, dict[str, float]] | None = None
         self._namespace = "/" + namespace.strip("/")
         self._say = on_event or (lambda _: None)
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
-        self._latest: dict[str, Node] = {}  # of each name the process that was heard last
-        self._holders: dict[str, Node] = {}  # of each role the node that has it
+        self._latest: dict[str, Node] = {}  # by name: the process heard last
+        self._holders: dict[str, Node] = {}  # by role: the node that has it
         self._foreign: dict[str, _Part] = {}
         self._ticks: deque[tuple[float, int]] = deque()
         self._start_ns = 0
@@ -180,7 +180,7 @@ class Registry:
     # --- hearing --------------------------------------------------------------------------------
 
     def is_own(self, status: Status) -> bool:
-        """Whether a status has the name of a node of this namespace, or of a part of one."""
+        """Return whether a status has the name of a node in this namespace, or of its part."""
         name = status.name.partition(": ")[0]
         return (
             len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
@@ -191,13 +191,13 @@ class Registry:
         self, wall: float, statuses: Sequence[Status], *, stamp_ns: int = 0,
         arrived: float | None = None, tau: float = 1.0,
     ) -> None:
-        """Take what came, from one message or several; nothing in it raises.
+        """Take the statuses of one or more messages; whatever they hold, nothing is raised.
 
         Args:
             wall: now (steady clock, s).
-            statuses: what is said.
-            stamp_ns: the time that the message says, in a simulation the tick's (ns since 1970).
-            arrived: when it came (s); now where that is not known.
+            statuses: the statuses.
+            stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
+            arrived: when the message came (s); None if unknown: ``wall`` is used.
             tau: duration of a tick (s).
         """
         if len(self._foreign) >= _FOREIGN:
@@ -217,7 +217,7 @@ class Registry:
                 self._hear_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
 
     def _hear_other(self, wall: float, name: str, status: Status) -> None:
-        """Take what is said of a part of a node, or of another device."""
+        """Take a status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
         node = self._latest.get(node_name) if part else None
         known, key, most = (
@@ -225,7 +225,7 @@ class Registry:
         )
         if key in known or len(known) < most:
             first = key not in known if node is None else node.first
-            # A level that there is not is an error.
+            # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 plain(status.message, _TEXT) or "says nothing",
@@ -233,7 +233,7 @@ class Registry:
             )
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
-        """Return what a node of this graph says of itself; None for any other status."""
+        """Return the values that a node of this graph reports; None for any other status."""
         if ": " in name or status.message not in STATES or not self.is_own(status):
             return None
         try:
@@ -274,7 +274,7 @@ class Registry:
         return node
 
     def _make_room(self, wall: float) -> bool:
-        """Let go of the node that is silent for longest where there are too many."""
+        """Forget the longest silent node if there are too many; return whether there is room."""
         if len(self._nodes) < _NODES:
             return True
         silent = min(self._nodes.values(), key=lambda node: node.heard)
@@ -290,7 +290,7 @@ class Registry:
                 del table[key]
 
     def _hold(self, wall: float, node: Node) -> None:
-        """Give a node its role where it is free, or was held by the process before it."""
+        """Give a node its role, unless another node that is heard, or a newer process, has it."""
         before = self._holders.get(node.role)
         if before is not None:
             again = before.name == node.name
@@ -301,13 +301,13 @@ class Registry:
             self.runs += 1
             self._start_ns, self.samples = 0, None
             self._ticks.clear()
-            # What the others said was of the run before.
+            # Reports of silent nodes are about the run before.
             for other in list(self._nodes.values()):
                 if not other.is_heard(wall):
                     self._forget(other)
 
     def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
-        """Tell as events, and note as trouble, what changed in a node's values."""
+        """Report changes in a node's values as events; note newly refused values as trouble."""
         values, name = node.values, node.name
         for change in _new(before, values, "parameter_changes", "parameter_change_count"):
             if isinstance(change, dict):
@@ -332,11 +332,11 @@ class Registry:
     def _hear_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
         tick = node.values.get("tick")
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
-            return  # until the first tick the stamp is not yet the run's
+            return  # before the first tick the stamp is not the run's
         self._ticks.append((arrived, tick))
         while arrived - self._ticks[0][0] > _SPEED_MOST_S:
             self._ticks.popleft()
-        # The tick that waits for its time is not yet on the clock, so that the later start is it.
+        # While a tick waits for its time, the clock is behind it: the latest start is right.
         self._start_ns = max(self._start_ns, stamp_ns - round(tick * tau * 1e9))
         values = {
             topic: float(value) for topic, key in _SAMPLES.items()
@@ -346,14 +346,14 @@ class Registry:
         self.samples = (time_ns, values) if time_ns < _LAST_NS else None
 
     def forgive(self, seconds: float) -> None:
-        """Count a time in which nobody could be heard (s) as no silence of anybody."""
+        """Do not count a time in which nothing could be heard (s) as silence of anybody."""
         for node in self._nodes.values():
             node.heard += seconds
         for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
             for part in parts.values():
                 part.heard += seconds
 
-    # --- what graph it is -----------------------------------------------------------------------
+    # --- kind of graph --------------------------------------------------------------------------
 
     @property
     def anybody(self) -> bool:
@@ -361,18 +361,18 @@ class Registry:
         return bool(self._nodes or self._foreign)
 
     def node(self, role: str) -> Node | None:
-        """Return the node of a role; None where none was heard."""
+        """Return the node of a role; None if none was heard."""
         return self._holders.get(role)
 
     def factor(self, tau: float) -> float | None:
-        """Return the simulated time per wall time of the last seconds; None where unknown."""
+        """Return the simulated time per wall time over the last seconds; None if unknown."""
         if len(self._ticks) < 2:
             return None
         (began, first), (ended, last) = self._ticks[0], self._ticks[-1]
         return None if ended - began < _SPEED_S else (last - first) * tau / (ended - began)
 
     def mode(self, wall: float) -> str:
-        """Return what graph it is: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
+        """Return the kind of graph: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
         plant, pump = self._holders.get(_PLANT), self.pump(wall) is not None
         nodes = self._holders.values()
         here = [node for node in nodes if node.is_here(wall)]
@@ -381,21 +381,21 @@ class Registry:
         if any(not node.lockstep for node in here):
             return "live"
         if plant is not None and pump:
-            return "loop"  # a pump may turn when its plant is gone
+            return "loop"  # a pump may turn even if its plant is gone
         if here and plant is None:
             return "none"  # they wait for their plant
-        # Who fell silent without a word may run on unheard, and so may a pump.
+        # A node that fell silent without reporting its end may still run, and so may a pump.
         if any(not node.lockstep and not node.over for node in nodes):
             return "live" if plant is None else "loop"
         return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:
-        """Return the pump node that is there; None where there is none."""
+        """Return the pump node that is there; None if there is none."""
         node = self._holders.get(PUMP)
         return node if node is not None and node.is_here(wall) else None
 
     def two_pumps(self, wall: float) -> str:
-        """Return that two present nodes say that they are the pump's; empty where no two do."""
+        """Return a warning if two present nodes claim to be the pump node; otherwise empty."""
         node = self._holders.get(PUMP)
         rival = None if node is None else self._rival(node, wall, "role")
         if node is None or rival is None:
@@ -407,10 +407,10 @@ class Registry:
         )
 
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:
-        """Return another process of the same name, or role, that is heard in turn with a node.
+        """Return another process of the same name, or role, that is heard alternately with a node.
 
-        None where none is. One that is started again in place of one that is gone makes no two: the
-        one before is not heard any more.
+        None if there is none. A process that replaced another one is no rival: the earlier process
+        was not heard after the later one began.
         """
         for rival in self._nodes.values():
             alike = rival is not node and getattr(rival, same) == getattr(node, same)
@@ -441,14 +441,14 @@ class Registry:
         except OSError:
             return None
 
-    # --- what is wrong --------------------------------------------------------------------------
+    # --- troubles -------------------------------------------------------------------------------
 
     def troubles(self, wall: float) -> dict[str, Trouble]:
         """Return all that is wrong now, each by the name of its status."""
         troubles: dict[str, Trouble] = {}
         for name, part in self._foreign.items():
             silent = wall - part.heard > _FOREIGN_SILENT_S
-            # One that was heard once perhaps never meant to report again and again.
+            # A device that was heard only once may never have meant to report regularly.
             if silent and not part.first and not self._has_ended(name, part):
                 troubles[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
             elif part.level != OK and not silent:
@@ -458,7 +458,7 @@ class Registry:
         return troubles
 
     def _has_ended(self, name: str, part: _Part) -> bool:
-        """Whether it is of another graph's node, or a part of it, whose last word was its end."""
+        """Return whether a node outside this graph, or a node with this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
         return node is not None and node.message in _LAST_WORDS and part.heard <= node.heard
 
@@ -495,7 +495,7 @@ class Registry:
                 "refused", names=node.refused,
             )
         for part, said in node.parts.items():
-            # What a silent node last said was wrong stays so, as far as anybody knows.
+            # The last troubles of a silent node stay.
             if not silent and wall - said.heard > SILENT_S:
                 yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
             elif said.level != OK:
@@ -503,26 +503,26 @@ class Registry:
 
 
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
-    """Return what a part says is wrong with it."""
+    """Return the trouble that a part of a node reports."""
     level, code, gist = said.level, said.code, ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
         latched = code in INTERLOCKS and INTERLOCKS[code].kind == LATCHED
         if node.may_turn:
-            level = ERROR  # it may flood the roof, whatever the pump was told
+            level = ERROR  # it may flood the roof, whatever is commanded
             code = code if latched else "stands_unknown"
         elif node.values.get("stop") and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
-        gist = said.message  # with the number that the drive gives it
+        gist = said.message  # it has the drive's number of the fault
     return Trouble(level, said.message, code, node.role, part, (), gist, said.first)
 
 
 def _read_value(text: str) -> Any:
-    """Return a value of a status of this package's nodes, which is a JSON text.
+    """Return a value, a JSON text, from a status of this package's nodes.
 
-    A number that is not finite, or has 20 characters or more without being a fraction, is None: no
-    quantity is such, and what is computed with it would fail.
+    A number that is not finite, or a whole number of 20 characters or more, is None: no quantity is
+    like that, and computing with it would fail.
     """
     return json.loads(
         text, parse_int=lambda digits: int(digits) if len(digits) < 20 else None,
@@ -532,14 +532,14 @@ def _read_value(text: str) -> Any:
 
 
 def _counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many values of each topic a node refused so far."""
+    """Return how many values of each topic a node has refused so far."""
     refused = values.get("refused")
     counts = refused.items() if isinstance(refused, dict) else ()
     return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
-    """Return what came to the end of a list; perhaps only the newest are kept."""
+    """Return the items appended to a list; the node may keep only the newest items in it."""
     old, all_now = before.get(key), values.get(key)
     if not isinstance(old, list) or not isinstance(all_now, list):
         return []

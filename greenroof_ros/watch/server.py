@@ -1,12 +1,12 @@
-"""The page over HTTP: its files, what is pushed to it, and the things that can be asked.
+"""The page over HTTP: its files, what is pushed to it, and the actions that it can request.
 
-Whoever reaches the address may look, and may stop the pump; where there is a token, only with that.
-What was stopped here may be released here where that was allowed, which needs a token; and with it,
-where the site file allows doses, a dose may be given.
-Each path is a route, and none leads to a file. A page of somebody else in the same browser can do
-nothing: a request has to name this host (so that no name of somebody's that leads here is one), and
-to act it needs a header that only this page can send. No connection can hold others up: there is a
-most of them and each has a time, and a browser that does not read is skipped.
+Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
+the token. A stop from here may be released here if that was allowed, which needs a token. With it,
+a dose may also be given if the site file allows doses.
+Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
+request must name this host (not another name that leads here), and an action needs a header that
+only this page can send. No connection can hold up others: their number is limited, each has a time
+limit, and a browser that does not read is skipped.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from greenroof_ros.watch.store import Store
 
 _PAGE = Path(__file__).resolve().parent / "page"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
-# Nothing but what this server sends, and no script or style within a page's own text.
+# Only what this server sends, and no inline scripts or styles.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -46,20 +46,20 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-# Connections at a time, and of these streams. A browser has up to six.
+# The most connections at a time, and the most streams among them. A browser has up to six.
 _MOST_CONNECTIONS = 128
 _MOST_STREAMS = 32
-# How long a connection may take for its first request, and for each answer and the next one (s).
+# How long a connection may wait before its first request, and between an answer and the next (s).
 _FIRST_S, _NEXT_S = 10.0, 60.0
-# How long a stream's reader may take nothing before it has to connect again (s).
+# How long a stream's reader may take nothing before it is disconnected (s).
 _UNREAD_S = 30.0
-# How often it is looked whether he has (s).
+# How often that is checked (s).
 _TAKEN_S = 0.05
 _BODY_S = 5.0
 _MOST_BODY = 10_000
 _HOURS = "12"
-# How often the document and the series are made (s); a page that hears nothing for longer than the
-# third has lost its connection.
+# How often the document and the series are made, and how often they are sent even if unchanged (s):
+# a page that hears nothing for longer than that has lost its connection.
 _STATE_S, _SERIES_S, _AT_LEAST_S = 0.5, 2.0, 5.0
 # The head of a gzip file without name and time (RFC 1952).
 GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
@@ -67,24 +67,24 @@ GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-# --- what is pushed: made once for all, and never queued for one that is slow --------------------
+# --- what is pushed: made once for all readers, and never queued for a slow one ------------------
 
 
 class Message:
-    """One server-sent event, as it is and compressed.
+    """One server-sent event, plain and compressed.
 
-    Compressed ones can follow a :data:`GZIP_HEAD` in any choice and order, so that each is
-    compressed once for all readers: none refers to an earlier one, and each ends with a full flush.
+    Each is compressed once for all readers. Any compressed events can follow a :data:`GZIP_HEAD` in
+    any order: none refers to an earlier one, and each ends with a full flush.
 
     Attributes:
-        plain: as it is.
+        plain: not compressed.
         compressed: raw deflate.
-        made: when (steady clock, s).
-        looked: when it was last made, and found to be what still holds.
+        made: when it was made (steady clock, s).
+        looked: when it was last made again, and was found unchanged.
     """
 
     def __init__(self, name: str, content: dict[str, Any]) -> None:
-        # Broken UTF-8 is escaped, and a number that JSON does not have is a mistake here.
+        # Broken UTF-8 is escaped; a number that JSON does not have is a bug of this package.
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self.plain = f"event: {name}\ndata: {text}\n\n".encode()
         press = zlib.compressobj(wbits=-zlib.MAX_WBITS)
@@ -95,32 +95,32 @@ class Message:
 class News:
     """The document and the series, made again while somebody reads them.
 
-    A reader gets what is newest when it has taken what it got before. What came in between is gone,
-    so that a thousand slow ones need no more memory than one.
+    A reader gets the newest message when it has taken the one before. Messages in between are
+    dropped: a thousand slow readers need no more memory than one.
 
     Attributes:
         readers: how many read.
     """
 
     def __init__(self, store: Store) -> None:
-        """Make nothing yet.
+        """Start without messages.
 
         Args:
-            store: what is shown.
+            store: state of the graph, to show.
         """
         self.readers = 0
         self._store = store
-        self._newest: dict[str | float, Message] = {}  # by name, of series by their hours
+        self._newest: dict[str | float, Message] = {}  # by name; series by their hours
         self._making = asyncio.Lock()
 
     async def messages(self, hours: float) -> AsyncGenerator[Message, None]:
-        """Yield news as they come, the newest only.
+        """Yield messages as they come, only the newest.
 
-        What cannot be made is printed, and ends every stream: a page says then that it is not
-        connected, rather than showing something old as if it were now.
+        An error in making one is printed, and ends every stream: a page then says that it is not
+        connected, rather than showing old values as present ones.
 
         Args:
-            hours: of the past in the series; 0 for the summary alone, of a page that nobody sees.
+            hours: of the past in the series; 0 for the summary alone, for a page that nobody sees.
         """
         wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
         sent: dict[str | float, Message] = {}
@@ -142,7 +142,7 @@ class News:
         """Return the newest message, which is made once for all readers; None if it cannot be."""
         async with self._making:
             now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
-            self._newest = {  # what was made for others who have gone is let go of
+            self._newest = {  # messages for readers who have gone are dropped
                 name: message for name, message in self._newest.items()
                 if now - message.looked < _AT_LEAST_S
             }
@@ -155,7 +155,7 @@ class News:
                 traceback.print_exc()
                 return None
             if old is not None and old.plain == new.plain and new.made - old.made < _AT_LEAST_S:
-                old.looked, new = new.made, old  # it says nothing else
+                old.looked, new = new.made, old  # nothing has changed
             self._newest[key] = new
             return new
 
@@ -166,20 +166,20 @@ class News:
         return Message(key, shown if key == "state" else shown["tiles"]["summary"])
 
 
-# --- who is served -------------------------------------------------------------------------------
+# --- connections ---------------------------------------------------------------------------------
 
 
 class _Connections:
-    """The connections of a server: where there is no room, the one idle for longest goes."""
+    """The connections of a server; if there are too many, the idle one that is due first ends."""
 
     def __init__(self, server: web.Server) -> None:
         self._server = server
-        # When each has to have its next request (steady clock, s); None while one is answered.
+        # When the next request of each is due (steady clock, s); None while one is answered.
         self._until: dict[web.RequestHandler, float | None] = {}
-        self._open: set[web.RequestHandler] = set()  # as they were seen last
+        self._open: set[web.RequestHandler] = set()  # at the last check
 
     def accept(self) -> web.RequestHandler:
-        """Make what handles another connection, for asyncio."""
+        """Make the handler of another connection, for asyncio."""
         self._forget_closed()
         if len(self._until) >= _MOST_CONNECTIONS:  # those just accepted count, too
             idle = {handler: at for handler, at in self._until.items() if at is not None}
@@ -192,7 +192,7 @@ class _Connections:
     async def answer(
         self, request: web.Request, call: Awaitable[web.StreamResponse]
     ) -> web.StreamResponse:
-        """Keep the connection of a request for as long as that is answered."""
+        """Keep the connection of a request while the request is answered."""
         self._until[request.protocol] = None
         try:
             return await call
@@ -200,7 +200,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _NEXT_S
 
     async def drop_idle(self) -> None:
-        """End for ever the connections that have had their time."""
+        """End connections with an overdue next request, again and again."""
         while True:
             await asyncio.sleep(1.0)
             self._forget_closed()
@@ -210,12 +210,12 @@ class _Connections:
                     self._drop(handler)
 
     def drop_all(self) -> None:
-        """End all of them."""
+        """End all connections."""
         for handler in list(self._until):
             self._drop(handler)
 
     def _forget_closed(self) -> None:
-        """Forget those that were closed; one that was just accepted is not yet open."""
+        """Forget connections that were closed; one that was just accepted is not open yet."""
         before, self._open = self._open, set(self._server.connections)
         for handler in before - self._open:
             self._until.pop(handler, None)
@@ -250,11 +250,11 @@ class _Site:
             self.app.router.add_post(f"/{action}", self._act)
         self.app.router.add_post("/acknowledge", self._acknowledge)
 
-    # --- who may ask ----------------------------------------------------------------------------
+    # --- access ---------------------------------------------------------------------------------
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        """Say in a sentence why a request is refused."""
+        """Answer a refused request with the reason, in a sentence."""
         assert self.connections is not None
         try:
             return await self.connections.answer(request, handler(request))
@@ -269,8 +269,8 @@ class _Site:
     ) -> web.StreamResponse:
         """Refuse a request that names another host than this one, or that another page makes.
 
-        A name of somebody's own that leads to this address would make his page one of this server's
-        in a browser that shows it (DNS rebinding).
+        If a foreign host name led to this address, a browser would count a page from that host as a
+        page of this server (DNS rebinding).
         """
         if self._names is not None and _host_of(request) not in self._names:
             raise web.HTTPForbidden(reason="this host is not known here; ask for localhost")
@@ -287,10 +287,10 @@ class _Site:
                 raise web.HTTPForbidden(reason="only the page itself may ask for this")
         return await handler(request)
 
-    # --- what is answered -----------------------------------------------------------------------
+    # --- answers --------------------------------------------------------------------------------
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Push to one browser until it goes, or does not read."""
+        """Push messages to one browser until it disconnects, or does not read."""
         hours = _hours(request.query.get("hours", _HOURS))
         if self.news.readers >= _MOST_STREAMS:
             raise web.HTTPServiceUnavailable(reason="too many pages look on; close one")
@@ -298,7 +298,7 @@ class _Site:
         answer = web.StreamResponse(headers={
             **_HEADERS,
             "Content-Type": "text/event-stream; charset=utf-8",
-            "X-Accel-Buffering": "no",  # nginx: hand on at once
+            "X-Accel-Buffering": "no",  # nginx: pass on at once
             **({"Content-Encoding": "gzip"} if compressed else {}),
         })
         transport, messages = request.transport, self.news.messages(hours)
@@ -324,9 +324,9 @@ class _Site:
         return _said(known, "" if known else "This alarm is not listed any more.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Have the pump held off or released; who asks while that goes on gets the same answer.
+        """Act on the pump; the same request, made again meanwhile, gets the same answer.
 
-        But for a dose: of two, who asked first has one.
+        Doses are an exception: of two requests only the first is carried out.
         """
         body, action, given = await _body(request), request.path[1:], dict[str, float]()
         if action != "stop" and not (self._store.allow_release and self._token):
@@ -338,7 +338,7 @@ class _Site:
                 "volume": _number(body, "volume", "m3"), "asked_at": _number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
-        # Nobody joins a stop that a release was asked for after.
+        # A request joins the one under way only if no other action was requested since.
         if task is None or task.done() or (task is not self._newest and not given):
             task = asyncio.create_task(self._ask(action, given, request.remote or ""))
             self._acting[action] = self._newest = task
@@ -349,7 +349,7 @@ class _Site:
     async def _ask(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Ask the pump node, and say how that went; whoever asked may be gone by then."""
+        """Ask the pump node, and return how that went; whoever asked may be gone by then."""
         try:
             ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **given)
         except StopFailedError as failure:
@@ -360,7 +360,7 @@ class _Site:
 
 
 def _sends(file: Path) -> _Handler:
-    """Return what sends a file of the page, as it is when the server starts."""
+    """Return a handler that sends a file of the page, as it is when the server starts."""
     content, kind = file.read_bytes(), _TYPES[file.suffix]
 
     async def send(_: web.Request) -> web.Response:
@@ -376,7 +376,7 @@ def _said(ok: bool, sentence: str, status: int = 200) -> web.Response:
 
 
 def _host_of(request: web.Request) -> str | None:
-    """Return which host a request names, without its port: a tunnel has another one."""
+    """Return the host that a request names, without its port: a tunnel has another port."""
     headers = request.headers.getall("Host", [])
     with suppress(ValueError):
         return urlsplit(f"//{headers[0]}").hostname if len(headers) == 1 else None
@@ -384,9 +384,9 @@ def _host_of(request: web.Request) -> str | None:
 
 
 def _of_another_page(request: web.Request) -> bool:
-    """Return whether a browser says that another site's page asks.
+    """Return whether the browser says that a page of another site makes the request.
 
-    Browsers do so by Sec-Fetch-Site, over plain HTTP to another machine by Origin alone.
+    Browsers say so in Sec-Fetch-Site; over plain HTTP to another machine only in Origin.
     """
     site, origin = (request.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
     if site is not None:
@@ -397,14 +397,14 @@ def _of_another_page(request: web.Request) -> bool:
 async def _sent(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
-    """Send, and wait until all is on its way: what waits here becomes old."""
+    """Send data, and wait until all of it is on its way: data that waits here becomes old."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_TAKEN_S)
 
 
 def _number(body: Mapping[str, object], name: str, unit: str) -> float:
-    """Return a number of a dose that is asked for; what it may be, the pump node knows."""
+    """Return a number from a request for a dose; the pump node checks its range."""
     value = body.get(name)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         with suppress(OverflowError):
@@ -413,7 +413,7 @@ def _number(body: Mapping[str, object], name: str, unit: str) -> float:
 
 
 def _hours(text: str) -> float:
-    """Return how much of the past is asked for (h); 0 for the summary alone."""
+    """Return how much of the past is requested (h); 0 for the summary alone."""
     with suppress(ValueError):
         hours = float(text)
         if hours == 0 or LEAST_HOURS <= hours <= MOST_HOURS:
@@ -424,7 +424,7 @@ def _hours(text: str) -> float:
 
 
 async def _body(request: web.Request) -> dict[str, Any]:
-    """Read the JSON that a request carries."""
+    """Read the JSON object in a request."""
     if (request.content_length or 0) > _MOST_BODY:
         raise web.HTTPRequestEntityTooLarge(_MOST_BODY)
     try:
@@ -442,9 +442,9 @@ async def _body(request: web.Request) -> dict[str, Any]:
 async def serving(
     store: Store, feed: Feed, place: Place, token: str | None
 ) -> AsyncIterator[None]:
-    """Serve the page at a place, in the loop that runs."""
+    """Serve the page at a place, in the running event loop."""
     site, loop = _Site(store, feed, place.names, token), asyncio.get_running_loop()
-    # A request that cannot be read is answered, and is no news for the terminal.
+    # A request that cannot be read is answered, but not reported on the terminal.
     quiet = logging.getLogger(__name__)
     quiet.addHandler(logging.NullHandler())
     quiet.propagate = False
@@ -479,16 +479,16 @@ def serve(
     """Serve the page until a signal comes.
 
     Args:
-        store: what is shown.
+        store: state of the graph, to show.
         feed: stops the pump.
         host: address or name to listen on.
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
-        token: that a page must send; None for none.
-        on_ready: is given the address for a browser, with the token, once the page can be had.
-        signals: that end it.
+        token: the token that a page must send; None for none.
+        on_ready: called with the address for a browser, with the token, once the page is served.
+        signals: the signals that end it.
 
     Raises:
-        ConfigurationError: the address or the port is not to be had.
+        ConfigurationError: the address or the port cannot be used.
     """
     async def run() -> None:
         place = listen(host, port)

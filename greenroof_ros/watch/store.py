@@ -1,8 +1,8 @@
-"""All that is known of one graph, as it comes: its newest values, its past, and who says what.
+"""Everything known about one graph, as it comes: newest values, past, and reports of the nodes.
 
-*Now* is the newest value of each topic, by whichever way it came. The *past* is what charts and
-account have; it comes in the order of time, from the recording where there is one, and may be some
-seconds behind. What people see of it is made by :mod:`.document`.
+*Now* is the newest value of each topic, whichever way it came. The *past* is what charts and
+account use; it comes in the order of time, from the recording if there is one, and may be some
+seconds behind. :mod:`.document` makes from it what people see.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ _Outlook = TypeVar("_Outlook", Forecast, Plan)
 FLOW, RAIN_FORECAST = "/pump/flow", "/forecast/precipitation"
 PLAN, PUMP_STATE = "/controller/plan", "/pump/state"
 _NUMBER = "std_msgs/msg/Float64"
-# No quantity of any site is beyond this, in any unit, although a topic may have no limit.
+# No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _LARGEST = 1e9
-# A value is stale after so many of its usual intervals, and after so long at least (s). That it
-# comes less often than the longest is never usual.
+# A value is stale after this many of its usual intervals, and at the earliest after the second (s).
+# The usual interval counts as the third (s) at most.
 INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
-# No time of a graph is beyond this (ns since 1970): the year 2116.
+# Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
-# An account waits for topics that are behind; when nothing came for so long (s), not any more.
+# An account waits for topics that are behind, until an ended run was silent for this long (s).
 _QUIET_S = 2.0
-# By so much the system's clock may be set back, or a live site's values be ahead of it (s): less is
-# caught up with in a minute.
+# How far the system's clock may be set back, or a live site's values be ahead of it (s): that much
+# is caught up within a minute.
 _SET_BACK_S = 60.0
-# A forecast is another one where its rain differs by so much (m), once in so long (s).
+# A forecast is reported as new if its rain differs by this much (m), at most once in this time (s).
 _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
-# How long before a time a level is expected that is compared with the one that came (s), and how
-# often that is kept (s).
+# How long before its time the expected level was planned that is compared with the measured one,
+# and how often an expected level is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
 _MOST_TEXT = 500
-# Steps of a forecast or a plan: of the longest look-ahead that there is.
+# The most steps of a forecast or a plan, as the longest look-ahead has.
 _MOST_STEPS = 1000
 
 
@@ -65,18 +65,18 @@ def papers_site() -> Path:
 
 
 class Newest:
-    """The newest value of a topic, and how often values come, by the looks at it.
+    """The newest value of a topic, and how often values come, judged at each look.
 
     Attributes:
-        time_ns: of it (ns since 1970).
-        value: None where it is not plausible.
-        past: of the values before it.
-        past_ns: up to here that has come.
-        stale: whether it should have been followed by another one.
+        time_ns: its time (ns since 1970).
+        value: None if it is not plausible.
+        past: the values before it.
+        past_ns: up to when the past has come (ns since 1970).
+        stale: whether the next value is overdue.
     """
 
     def __init__(self) -> None:
-        """Know none yet."""
+        """Start without a value."""
         self.time_ns = self.past_ns = 0
         self.value: float | None = None
         self.past = History()
@@ -86,13 +86,13 @@ class Newest:
         self._intervals: deque[float] = deque(maxlen=9)
 
     def take(self, time_ns: int, value: float) -> None:
-        """Take a value, NaN where it is not plausible, unless a newer one is there."""
+        """Take a value, NaN if it is not plausible, unless there is a newer one."""
         self._came = True
         if time_ns >= self.time_ns:
             self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
     def look(self, wall: float, *, ended: bool) -> None:
-        """Note whether something came since the last look, or is overdue: not of an ended run."""
+        """Note whether a value came since the last look, or is overdue: never in an ended run."""
         if self._came or self._heard is None:
             if self._heard is not None:
                 self._intervals.append(min(wall - self._heard, _LONGEST_S))
@@ -101,40 +101,40 @@ class Newest:
         self.stale = not ended and wall - self._heard > max(_STALE_S, INTERVALS * usual)
 
     def silent_s(self, wall: float) -> float:
-        """Return how long ago something came (s of wall time)."""
+        """Return how long ago a value came (s of wall time); 0 if none ever did."""
         return 0.0 if self._heard is None else max(0.0, wall - self._heard)
 
 
 class Store:
-    """What is known of one graph; any thread may call any method, and read under ``lock``.
+    """The state of one graph; any thread may call any method, and read under ``lock``.
 
     Times of the graph are its own: simulated, or the system's. ``wall`` is the steady clock's time
-    (s): a system's clock that is set makes no value old or new.
+    (s): setting the system's clock makes no value old or new.
 
     Attributes:
-        lock: held by whoever reads several attributes.
-        namespace: of the graph; empty where it has none.
-        site: by which levels are judged: the paper's, until another one is known.
-        wall: when it was looked at last (steady clock, s).
-        notes: what an operator should know of the site file, and of what is watched.
-        mode: ``none`` where nothing was heard yet, ``simulated``, ``loop`` of a simulation with the
-            drive of a real pump, ``live``, or ``ended`` of a run that is over.
-        factor: simulated time per wall time; None where there is none.
+        lock: to be held while several attributes are read.
+        namespace: of the graph; empty if it has none.
+        site: the site by which levels are judged: the paper's, until another one is known.
+        wall: when the store was last looked at (steady clock, s).
+        notes: notes to the operator about the site file, and about the graph that is watched.
+        mode: ``none`` if nothing was heard yet, ``simulated``, ``loop`` for a simulation with the
+            drive of a real pump, ``live``, or ``ended`` for a run that is over.
+        factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
-        alarms: of the nodes, and the registry of what they say.
+        alarms: alarms of the nodes, and the registry of their reports.
         newest: the newest value of each topic, with its past.
-        expected: of the roof's level, an hour before.
-        account: of the water.
-        pump_state: of a recording: when it was said (ns) and the words.
-        recorded_controller: who commanded in the run whose recording is shown; empty: unknown.
-        recorded_incidents: which that run had.
+        expected: the roof level as expected an hour before.
+        account: the water account.
+        pump_state: from a recording: when it was reported (ns since 1970), and the words.
+        recorded_controller: the controller of the recorded run that is shown; empty if unknown.
+        recorded_incidents: the incidents of that run.
     """
 
     def __init__(self, namespace: str = "") -> None:
-        """Know nothing yet.
+        """Start without knowing anything.
 
         Args:
-            namespace: of the graph; empty where it has none.
+            namespace: of the graph; empty if it has none.
         """
         self.lock = threading.RLock()
         self.namespace = namespace
@@ -149,7 +149,7 @@ class Store:
         self.wall = 0.0
         self._began = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last look (s since 1970)
-        # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
+        # The graph's time as its nodes last reported it (s since 1970); kept when a new run begins.
         self._stamp: float | None = None
         self._forget()
 
@@ -163,42 +163,42 @@ class Store:
     def _forget_values(self) -> None:
         self.newest: dict[str, Newest] = {}
         self.expected = History()
-        self._expected_at = -math.inf  # when what is expected was kept last (s since 1970)
+        self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
         self._begin_account()
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
-        # The plan of now and the newest of the past, each with when it, or that there is none, was
-        # said (s since 1970).
+        # The present plan, and the newest of the past, or None for no plan; each with when that was
+        # reported (s since 1970).
         self._plan: tuple[float, Plan | None] = -math.inf, None
         self._past_plan: tuple[float, Plan | None] = -math.inf, None
         self.pump_state: tuple[int, str] | None = None
         self._controller: tuple[str, str] | None = None  # name and process
         self._controller_at = -math.inf  # when it was last heard (s since 1970)
         self.unknown_flow = Gaps()
-        self._clock_began: float | None = None  # of a simulation, as far as known (s since 1970)
+        self._clock_began: float | None = None  # of a simulation, if known (s since 1970)
 
     def _begin_account(self) -> None:
         self.account = Account(self.site)
         self.account.live = self.mode == "live"
 
-    # --- what is watched ------------------------------------------------------------------------
+    # --- the graph that is watched --------------------------------------------------------------
 
     @property
     def graph(self) -> Registry:
-        """Who says what in the graph that is shown; nobody where another one is there."""
+        """The registry of the shown graph; an empty one if another graph is there."""
         return self.alarms.registry if self.alarms.shown else self._nobody
 
     @property
     def pump(self) -> Node | None:
-        """The pump node, as it was last heard; None where there was none."""
+        """The pump node, as last heard; None if there was none."""
         return self.graph.node(PUMP)
 
     def set_site(self, site: Site, note: str = "") -> None:
-        """Say by which site levels are judged; with another one the account starts again.
+        """Set the site by which levels are judged; with another site the account starts again.
 
         Args:
             site: its parameters.
-            note: what an operator should know of that; empty where it is plain.
+            note: what an operator should know about that; empty for nothing.
         """
         with self.lock:
             before, self.site = self.site, site
@@ -209,13 +209,13 @@ class Store:
     def set_present(
         self, *, mode: str, factor: float | None, note: str, graph_shown: bool = True
     ) -> None:
-        """Say what is watched now: ``mode`` and others as in the attributes.
+        """Set how the graph is watched now.
 
         Args:
             mode: as in the attributes.
-            factor: simulated time per wall time; None where there is none.
-            note: what an operator should know of that; empty where it is plain.
-            graph_shown: whether it is the graph that is there.
+            factor: simulated time per wall time; None if there is none.
+            note: what an operator should know about that; empty for nothing.
+            graph_shown: whether the present graph is shown, rather than the bag of another one.
         """
         with self.lock:
             self.mode, self.alarms.shown = mode, graph_shown
@@ -224,19 +224,19 @@ class Store:
             self.account.live = mode == "live"
 
     def start_over(self) -> None:
-        """Forget all of a graph but who is there: another one began."""
+        """Forget everything except the nodes: another run began."""
         with self.lock:
             self._forget()
 
     def look(self, wall: float, system: float | None = None) -> None:
-        """Note what came, and what did not: often, be there a document to show or not.
+        """Note what came and what is overdue; called often, even if no document is shown.
 
-        Where the clock of a live site is set back, charts and account start again: what comes would
-        be older than what is there.
+        If the clock of a live site is set back, charts and account start again: new values would be
+        older than those already there.
 
         Args:
             wall: now.
-            system: the system's time, which a live site has (s since 1970); None: as it was then.
+            system: the system's time, which a live site has (s since 1970); None if unchanged.
         """
         with self.lock:
             before, self._system = self._system, self._system if system is None else system
@@ -258,21 +258,21 @@ class Store:
 
     @property
     def silent_s(self) -> float:
-        """For how long no value of any topic has come (s); 0 where none ever did."""
+        """How long no value of any topic has come (s); 0 if none ever did."""
         return min((newest.silent_s(self.wall) for newest in self.newest.values()), default=0.0)
 
     @property
     def ended(self) -> bool:
-        """Whether the run is over, so that nothing is to come."""
+        """Whether the run is over: nothing more will come."""
         return self.mode == "ended"
 
     def gone(self, node: Node | None) -> bool:
-        """Whether there was a node that is not heard now, or has ended."""
+        """Return whether a node was there and is not heard now; False if the run is over."""
         return node is not None and not self.ended and not node.is_heard(self.wall)
 
     @property
     def pump_says(self) -> str | None:
-        """The pump node's state and why; None where there is no such node."""
+        """The pump's state and why, from its node or else from the recording; None if unknown."""
         if self.pump is not None and (text := self.pump.text("pump")):
             return text
         return None if self.pump_state is None else self.pump_state[1]
@@ -282,8 +282,8 @@ class Store:
     def add(self, topic: str, times_ns: Stamps, values: Values) -> None:
         """Take values of a topic of single numbers, now and for the past.
 
-        What is not newer than the past is left out. What is out of the topic's range is shown as
-        not plausible, and counts nowhere.
+        Values that are not newer than the past are left out. Values out of the topic's range are
+        shown as not plausible, and are not counted.
 
         Args:
             topic: its name in the interface, without a namespace.
@@ -292,7 +292,7 @@ class Store:
         """
         if not self.is_number(topic) or not len(times_ns):
             return
-        # Copies: what is given may be a view of a longer batch.
+        # A copy: the argument may be a view of a longer batch.
         times = np.array(times_ns, dtype=np.int64)
         with self.lock:
             newest = self.newest.get(topic) or Newest()
@@ -313,11 +313,11 @@ class Store:
                 self.account.add(topic, times, numbers)
 
     def add_now(self, topic: str, time_ns: int, value: float) -> None:
-        """Take a value of now; its past comes another way.
+        """Take a present value; the past comes another way.
 
         Args:
             topic: its name in the interface, without a namespace.
-            time_ns: since 1970; where something newer is there, this is left out.
+            time_ns: since 1970; if there is a newer value, this one is left out.
             value: in the topic's unit.
         """
         if not self.is_number(topic):
@@ -329,17 +329,17 @@ class Store:
                 newest.take(time_ns, float(self._plausible(topic, np.array(value))))
 
     def is_number(self, topic: str) -> bool:
-        """Whether the interface has such a topic, and it is of single numbers."""
+        """Return whether the interface has this topic, and it is of single numbers."""
         return topic in self._interface and self._interface[topic].type == _NUMBER
 
     def _plausible(self, topic: str, values: Values) -> Values:
-        """Return values of a topic, NaN in place of one that is not plausible; no minus zero."""
+        """Return values of a topic, with NaN for those that are not plausible; no minus zero."""
         entry = self._interface[topic]
         low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
         return np.where((values >= low) & (values <= high), values + 0.0, np.nan)
 
     def known(self, topic: str) -> float | None:
-        """Return a value that is of now; None where there is none."""
+        """Return the present value of a topic; None if there is none, or it is stale."""
         newest = self.newest.get(topic)
         return None if newest is None or newest.stale else newest.value
 
@@ -350,13 +350,13 @@ class Store:
         return _LATEST_NS
 
     def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
-        """Take a message of another topic than of single numbers, as it came or was recorded.
+        """Take a message of a topic that is not of single numbers, as heard or recorded.
 
         Args:
             topic: its name in the interface, without a namespace.
             time_ns: since 1970.
-            message: in CDR; what is not whole is left out.
-            past: of a plan, as in :meth:`add_plan`.
+            message: in CDR; an incomplete message is left out.
+            past: for a plan, as in :meth:`add_plan`.
         """
         if topic == PUMP_STATE:
             if text := wire.text(message):
@@ -374,16 +374,16 @@ class Store:
             if self.pump_state is None or time_ns > self.pump_state[0]:
                 self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
 
-    # --- what is to come ------------------------------------------------------------------------
+    # --- forecast and plan ----------------------------------------------------------------------
 
     def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
-        """Take a forecast of rain; it is shown where it says when its steps end.
+        """Take a forecast of rain; after one that is not valid, no forecast is known.
 
         Args:
             time_ns: when its first step begins, since 1970.
-            values: m/s, shape (steps,), or (members, steps) of an ensemble.
-            front: when it was issued (s since 1970, NaN where that is not known), and the end of
-                each step (s from ``time_ns``), shape (1 + steps,).
+            values: m/s, shape (steps,), or (members, steps) for an ensemble.
+            front: when it was issued (s since 1970, NaN if unknown), and the end of each step (s
+                from ``time_ns``), shape (1 + steps,).
         """
         if not 0 < time_ns < _LATEST_NS:
             return
@@ -405,7 +405,7 @@ class Store:
                 self._announce(at)
 
     def _announce(self, now: float) -> None:
-        """Note it as an event where the rain that is expected has become another."""
+        """Note an event if the expected rain has changed enough."""
         assert self._forecast is not None
         amount = self._forecast.amount(now)
         if amount is None or amount.reach_s < _NEW_FORECAST_S:
@@ -423,16 +423,16 @@ class Store:
             )
 
     def add_plan(self, time_ns: int, rows: Values, *, past: bool = True) -> None:
-        """Take what the controller means to pump.
+        """Take a plan of the controller.
 
         Args:
-            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
-            rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
-                that is expected at its end (m), and to which it is filled if no rain has come (m),
-                shape (steps, 4); without the last in older bags. Empty: nothing has changed. With a
-                number that cannot be: there is no plan now.
-            past: whether it is of the past, where what it expects is kept, and all plans before it
-                have come.
+            time_ns: when it was planned, since 1970; if there is a newer plan, this is left out.
+            rows: of each step its end (s from then), mean flow (m3/s), expected roof level at its
+                end (m), and the level to which the roof is filled if no rain has come (m), shape
+                (steps, 4); older bags lack the last column. Empty: nothing has changed. With an
+                impossible number: there is no plan now.
+            past: whether it is of the past: all plans before it have come, and the level that it
+                expects is kept.
         """
         at = time_ns / 1e9
         if not 0 < time_ns < _LATEST_NS:
@@ -447,7 +447,7 @@ class Store:
                 self._keep_expected(at)
 
     def _keep_expected(self, at: float) -> None:
-        """Keep which level the plan of a time expects an hour later."""
+        """Keep the level that the plan at a time expects an hour later."""
         plan, later = self._past_plan[1], at + _LEAD_S
         if plan is not None and later <= plan.ends[-1]:
             level = np.interp([later], plan.ends, plan.level)
@@ -456,36 +456,36 @@ class Store:
 
     @property
     def plan(self) -> Plan | None:
-        """The newest plan; None where it is not known, or there is none."""
+        """The newest plan; None if it is not known, or there is none."""
         at, plan = self._plan
         return plan if at > self._past_plan[0] else self._of_now(self._past_plan[1])
 
     @property
     def forecast(self) -> Forecast | None:
-        """The newest forecast of rain; None where it is not known."""
+        """The newest forecast of rain; None if it is not known."""
         return self._of_now(self._forecast)
 
     def _of_now(self, newest: _Outlook | None) -> _Outlook | None:
-        """Return a forecast or plan; None where newer ones may still be to be read."""
+        """Return a forecast or plan; None if a newer one may not have been read yet."""
         now_ns = max((value.time_ns for value in self.newest.values()), default=0)
         past_ns = self._past_ns()
         if newest is None or (now_ns - past_ns > HOLDS_NS and newest.at * 1e9 <= past_ns):
             return None
         return newest
 
-    # --- what nodes say -------------------------------------------------------------------------
+    # --- reports of the nodes -------------------------------------------------------------------
 
     def add_statuses(
         self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0,
         arrived: float | None = None,
     ) -> None:
-        """Take what nodes said on /diagnostics.
+        """Take the statuses of a message on /diagnostics.
 
         Args:
             wall: now.
             statuses: of one message.
-            stamp_ns: the message's time (ns since 1970), in a simulation its clock's.
-            arrived: when it came (s since 1970); None where that is not known.
+            stamp_ns: time stamp of the message (ns since 1970), in a simulation by its clock.
+            arrived: when it came (s since 1970); None if unknown.
         """
         with self.lock:
             own = any(map(self.alarms.registry.is_own, statuses))
@@ -501,18 +501,18 @@ class Store:
             self._note_controller(now)
             pump = self.pump
             if pump is not None and "flow" in pump.values:
-                # It is 0 on its topic while it is not known.
+                # While the flow is not known, its topic says 0.
                 known = pump.values["flow"] is not None
                 self.unknown_flow.say(self._stamp or now, known=known)
 
     def _note_controller(self, now: float) -> None:
-        """Drop the plan of a controller in whose place another one, or another process, is."""
+        """Drop the plan of a controller that another controller or process has replaced."""
         node = self.graph.node("controller")
         if node is None:
             return
         controller = node.name, node.process
         if self._controller not in (None, controller):
-            # The new one's first plan may have come before its first word.
+            # The first plan of the new one may have come before its first status, and stays.
             if self._past_plan[0] <= self._controller_at:
                 self._past_plan = self._past_plan[0], None
             if self._plan[0] <= self._controller_at:
@@ -520,24 +520,24 @@ class Store:
         self._controller, self._controller_at = controller, now
 
     def add_event(self, system: float, text: str) -> None:
-        """Note an event of now.
+        """Note an event that happens now.
 
         Args:
-            system: the system's time, for a graph that has said none yet (s since 1970).
+            system: the system's time, for a graph that has reported none yet (s since 1970).
             text: what happened.
         """
         with self.lock:
             self.alarms.add_event(self._now_or(system), text)
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Note that somebody saw an alarm; False where there is none such."""
+        """Note that somebody saw an alarm; return False if there is no such alarm."""
         with self.lock:
             return self.alarms.acknowledge(alarm_id)
 
     def incidents(self) -> list[Alarm]:
-        """Return the recorded incidents that have begun; none where nodes say how they are.
+        """Return the recorded incidents that have begun; none if nodes report how they are.
 
-        On a live site those that were over before the nodes were heard here.
+        On a live site: those that were over before nodes were heard here.
         """
         if self.mode == "live" and self._heard_since is not None:
             return [
@@ -549,13 +549,13 @@ class Store:
             return []
         return [
             incident if incident.over is None or incident.over <= now
-            else replace(incident, over=None)  # it stands at the time that is shown
+            else replace(incident, over=None)  # not over at the time that is shown
             for incident in self.recorded_incidents if incident.since <= now
         ]
 
     @property
     def lost_pump(self) -> bool:
-        """Whether a recording says that what the pump does is not known now."""
+        """Whether, by a recording, it is unknown what the pump does now."""
         return any(
             incident.over is None and incident.trouble.hides_pump for incident in self.incidents()
         )
@@ -564,9 +564,9 @@ class Store:
 
     @property
     def now(self) -> float | None:
-        """The graph's time (s since 1970); None before any is known.
+        """The graph's time (s since 1970); None if no time is known yet.
 
-        Of a live site it is the system's, otherwise the newest value's.
+        On a live site it is the system's time, otherwise the time of the newest value.
         """
         if self.mode == "live" and self._system is not None:
             return self._system
@@ -575,7 +575,7 @@ class Store:
 
     @property
     def utc_offset(self) -> float:
-        """Of the times that are shown (h): the site's, UTC where it has none."""
+        """Offset from UTC of the times that are shown (h): the site's, or 0 if it has none."""
         return 0.0 if self.site.utc_offset is None else self.site.utc_offset
 
     def time_of_day(self, at: float) -> str:
@@ -583,43 +583,43 @@ class Store:
         return words.time_of_day(at, self.utc_offset, at if self.now is None else self.now)
 
     def hour(self, at: float) -> str:
-        """Write a time that comes (s since 1970)."""
+        """Write a time to come (s since 1970)."""
         return words.hour_and_minute(at, self.utc_offset, self.now or at)
 
     def _is_of_system(self, at: float) -> bool:
-        """Whether a time (s since 1970) is of the system's clock, since the watcher began."""
+        """Return whether a time (s since 1970) is by the system's clock since the watcher began."""
         return self._began - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
 
     def _note_clock(self) -> None:
-        """Note when the clock of a simulation began, as far as that is known."""
+        """Note when the clock of a simulation began, if that is known."""
         times = (self._clock_began, self.now, self._stamp)
         known = [at for at in times if at is not None and not self._is_of_system(at)]
         if known and self.mode in ("simulated", "loop"):
             self._clock_began = min(known)
 
     def dated(self, at: float) -> float:
-        """Return a time of an alarm or event (s since 1970).
+        """Return the time to show for an alarm or event (s since 1970).
 
-        What was noted before the clock of a simulation was known is of that clock's begin.
+        If it was noted before the clock of a simulation was known, it is when that clock began.
         """
         began = self._clock_began
         return at if began is None or not self._is_of_system(at) else began
 
     def _now_or(self, system: float) -> float:
-        """Return the time of what happens now (s since 1970).
+        """Return the time of an event that happens now (s since 1970): the graph's time.
 
-        Before any value is known it is what the graph's nodes say; before that, the system's.
+        Before any value is known, it is the time that nodes report; before that, the system's.
         """
         known = (self.now, self._stamp, system)
         return next(at for at in known if at is not None)
 
     def _past_ns(self) -> int:
-        """Return how far the past has come (ns since 1970): the newest value of any topic."""
+        """Return up to when the past has come (ns since 1970): its newest value of any topic."""
         return max((newest.past_ns for newest in self.newest.values()), default=0)
 
 
 def _plan_of(at: float, rows: Values) -> Plan | None:
-    """Return the plan of some time (s since 1970); None where one of its numbers cannot be."""
+    """Return the plan made at a time (s since 1970); None if one of its numbers is impossible."""
     plan = np.asarray(rows, dtype=np.float64)
     if plan.ndim != 2 or plan.shape[1] not in (3, 4) or len(plan) > _MOST_STEPS:
         return None

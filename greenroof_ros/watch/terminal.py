@@ -1,4 +1,4 @@
-"""The document in a terminal: the same facts and words as on the page, at 80 by 24 and up."""
+"""The document in a terminal of 80 by 24 or more: the same facts and words as on the page."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from greenroof_ros.watch.document import series as series_of
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
 
-# How often the document is looked at (s), and at the charts.
+# How often the document and the charts are made (s).
 _LOOK_S, _CHARTS_S = 0.5, 2.0
-# How often before there was anything to show (s).
+# How often before there is anything to show (s).
 _FIRST_S = 0.1
-# How often all is printed where nothing can be drawn over (s): into a file, on a dumb terminal.
+# How often all is printed if nothing can be drawn over (s): in a file, or on a dumb terminal.
 _PRINT_S = 10.0
-# For how long the values of a graph that is there may take to be heard (s).
+# How long the first values of a running graph may take (s).
 _FOUND_S = 3.0
 _HOURS = 12.0
-# The least that is drawn for; what is smaller shows the left of it.
+# The least width that is drawn for; a narrower terminal shows the left part.
 _LEAST_WIDTH = 40
 _LABEL, _VALUE, _RANGE = 13, 15, 18
-# More lines than there are.
+# More lines than any document has.
 _ENDLESS = 1_000_000
 _BARS, _ASCII_BARS = "▁▂▃▄▅▆▇█", "_.:-=+*#"
 _WORDS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 _CHARTS = {"roof": "Roof", "cistern": "Cistern", "rain": "Rain", "flow": "Pump"}
-# Words say everything; colours repeat it, and are told apart by who sees no red or green.
+# Words say everything; colours repeat it, and can be distinguished without seeing red or green.
 _ALARM, _HEAD, _DIM = "bold bright_red", "bold", "dim"
 _STYLES = {
     "error": _ALARM, "stale": "bold bright_magenta", "warn": "bold yellow",
@@ -57,13 +57,13 @@ _STYLES = {
 def pages(
     document: Mapping[str, Any], series: Mapping[str, Any], console: Console, height: int | None
 ) -> list[SegmentLines]:
-    """Return the document as pages of a terminal, in the order in which it must be seen.
+    """Return the document as pages for a terminal, the most important parts first.
 
     Args:
-        document: of :func:`greenroof_ros.watch.document.document`.
-        series: of :func:`greenroof_ros.watch.document.series`.
-        console: says how wide they are, and in which characters.
-        height: of the terminal, lines; None for one page of all, where none can be turned.
+        document: from :func:`greenroof_ros.watch.document.document`.
+        series: from :func:`greenroof_ros.watch.document.series`.
+        console: gives the width and the characters that can be shown.
+        height: of the terminal (lines); None for a single page, if pages cannot be turned.
     """
     options = console.options.update(width=max(console.width, _LEAST_WIDTH), height=None)
     parts = _parts(document, series, options.max_width, ascii_only=options.ascii_only)
@@ -72,7 +72,7 @@ def pages(
     for part in parts:
         block, room = console.render_lines(part, options, pad=False), fit - len(lines) % fit
         if isinstance(part, Group) and room < len(block) <= fit:
-            lines += [[]] * room  # it stays together
+            lines += [[]] * room  # the block stays on one page
         lines += block
     if options.ascii_only:
         lines = [
@@ -93,7 +93,7 @@ def pages(
 def _parts(
     document: Mapping[str, Any], series: Mapping[str, Any], width: int, *, ascii_only: bool
 ) -> Iterator[RenderableType]:
-    """Yield what the document says, that which matters most first."""
+    """Yield the parts of the document, the most important first."""
     summary = document["tiles"]["summary"]
     top = Table.grid(expand=True)
     top.add_column()
@@ -122,7 +122,7 @@ def _tiles(tiles: Mapping[str, Mapping[str, Any]]) -> Table:
     table.add_column(width=_LABEL)
     for name in ("roof", "cistern", "pump", "rain", "controller"):
         tile = tiles[name]
-        # The numbers that the page has beside its gauges.
+        # The numbers beside the gauges of the page.
         marks = ", ".join(mark["label"] for mark in tile.get("marks", ()))
         why = tile.get("why", "")
         table.add_row(tile["label"], Text.assemble(
@@ -135,7 +135,7 @@ def _tiles(tiles: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def _alarms(document: Mapping[str, Any]) -> list[RenderableType]:
-    """Return the alarms: causes first, then what follows from them, and what is over."""
+    """Return the alarms: causes first, then what follows from them, then what is over."""
     rows = document["alarms"]
     present = [row for row in rows if row["over"] is None]
     if not rows:
@@ -156,14 +156,14 @@ def _alarm(row: Mapping[str, Any], said_already: str) -> Iterator[RenderableType
         since, ", acknowledged" if row["acknowledged"] else "",
         (f"; follows from {row['follows']}" if row["follows"] else "", _DIM),
     )
-    # What to do about it stands at its cause.
+    # What to do about an alarm that follows is shown with its cause.
     if row["do"] != said_already and not row["follows"]:
         yield Padding(Text(row["do"]), (0, 0, 0, 7))
     yield Padding(Text(row["what"], _DIM), (0, 0, 0, 7))
 
 
 def _charts(series: Mapping[str, Any], width: int, bars: str) -> list[RenderableType]:
-    """Return the last hours and the next as rows of bars, of what there is anything of."""
+    """Return the last and the next hours as rows of bars, without lines that have no values."""
     if series.get("now") is None:
         return []
     now, end = series["now"], series["to"]
@@ -196,7 +196,7 @@ def _charts(series: Mapping[str, Any], width: int, bars: str) -> list[Renderable
 
 
 def _ahead(name: str, series: Mapping[str, Any]) -> list[tuple[float, float, float]]:
-    """Return what is expected of a line: begin, end and value of each step."""
+    """Return the expected steps of a line: begin, end and value of each."""
     steps, place = {
         "rain": ("forecast", 2), "flow": ("plan", 2), "roof": ("plan", 3),
     }.get(name, ("", 0))
@@ -206,7 +206,7 @@ def _ahead(name: str, series: Mapping[str, Any]) -> list[tuple[float, float, flo
 def _columns(
     steps: Iterable[tuple[float, float, float]], first: float, last: float, columns: int
 ) -> list[float | None]:
-    """Return the greatest value in each of equally long times; None where there is none."""
+    """Return the greatest value in each of some equal periods; None if there is none."""
     greatest: list[float | None] = [None] * columns
     width = (last - first) / columns
     for begin, end, value in steps:
@@ -221,7 +221,7 @@ def _columns(
 def _bars(values: Sequence[float | None], low: float, high: float, bars: str) -> str:
     """Return a bar for each value, between the least and the greatest; a blank for none.
 
-    Where all are the same the bars are half as high as they may be, and of nothing the lowest.
+    If all values are the same, the bars have half the height; if all are 0, the least.
     """
     step = (high - low) / (len(bars) - 1)
     constant = bars[len(bars) // 2 if high else 0]
@@ -246,13 +246,13 @@ def _events(events: Sequence[Mapping[str, Any]]) -> list[RenderableType]:
 
 
 def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
-    """Yield how the pump is stopped and released, and what is wrong with that."""
+    """Yield a warning about the pump's stop, if any, and how to stop and release the pump."""
     stop = document["stop"]
     if stop["warning"]:
         yield Text(stop["warning"], _ALARM)
     for what, call in (("stop", stop["call"]), ("release", stop["release"])):
         if call:
-            # On a line of its own and whole: the first part of a stop alone would release the pump.
+            # In full on one line: a stop command without its end would release the pump.
             yield Text(next((
                 text for text in (f"{what} the pump: {call}", f"{what}: {call}", call)
                 if len(text) <= width
@@ -264,16 +264,16 @@ def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
 
 
 def run(store: Store, feed: Feed) -> None:
-    """Show what is known until q is pressed, or a signal or the end of the terminal comes.
+    """Show the document until q is pressed, a signal comes, or the terminal is closed.
 
-    The space bar turns to the next page, and from the last to the first. Where the pump may be
-    released here, or its fault be cleared, r and c do so, once y has confirmed it.
+    The space bar turns to the next page, and from the last to the first. If the pump may be
+    released here, or its fault cleared, r and c do so after y has confirmed it.
 
-    On a terminal all of it is used, and given back as it was. Where nothing can be drawn over, in
-    a file or on a dumb terminal, the document is printed again and again.
+    The whole terminal is used, and restored at the end. If nothing can be drawn over, in a file or
+    on a dumb terminal, the document is printed again and again.
 
     Args:
-        store: what is known.
+        store: state of the graph.
         feed: asks the pump node.
     """
     signals, console = Signals(), Console(highlight=False)
@@ -298,7 +298,7 @@ def run(store: Store, feed: Feed) -> None:
             document = document_of(store, now)
             unknown = document["mode"] == "none" or document["tiles"]["roof"]["number"] is None
             if unknown and now - begun < _FOUND_S:
-                continue  # that it is not known is said when that is known
+                continue  # too early to say that it is not known
             release.press(keys, document["stop"])
             document["asked"] = release.asks
             if now - charts_at >= _CHARTS_S:
@@ -310,14 +310,14 @@ def run(store: Store, feed: Feed) -> None:
                     shown_at = now
             elif turned or before != (document, charts, size):
                 there = pages(document, charts, console, size.height)
-                # As many pages as there are now: alarms come and go.
+                # The number of pages changes: alarms come and go.
                 number = (min(number, len(there) - 1) + turned) % len(there)
                 live.update(there[number], refresh=True)
             before = (document, charts, size)
 
 
 def _series(store: Store) -> dict[str, Any]:
-    """Return the charts of the last 12 h; of a run that is younger, of fewer hours."""
+    """Return the charts of the last 12 h, or of fewer hours if the run is younger."""
     series = series_of(store, _HOURS)
     begins = [rows[0][0] for rows in series["lines"].values() if rows]
     if not begins or series["now"] is None:
@@ -331,7 +331,7 @@ class _Release:
     """Releases the pump, and clears its fault, after a confirmation.
 
     Attributes:
-        asks: what stands at the foot: a question, or what came of it; empty for nothing.
+        asks: the text to show: a question, or its result; empty for nothing.
     """
 
     _KEYS: ClassVar = {b"r": ("release", "release_here", "release_then"),
@@ -342,10 +342,10 @@ class _Release:
         self._feed, self._key = feed, b""
 
     def press(self, keys: bytes, stop: Mapping[str, Any]) -> None:
-        """Take the keys that were pressed, where the pump is so (as the document has it).
+        """Take the pressed keys; ``stop`` is the entry of the document.
 
-        Those that come with the key that asks are no answer: nobody has read the question. Nor is
-        there one to a question that would be another by now.
+        Keys that come together with the key that asks are no answer: nobody has read the question.
+        An answer does not count either if the question would be another one by now.
         """
         for key in (keys[i:i + 1] for i in range(len(keys))):
             if question := self._question(key, stop):
@@ -364,7 +364,7 @@ class _Release:
                     self.asks = str(failure)
 
     def _question(self, key: bytes, stop: Mapping[str, Any]) -> str:
-        """Return what a key asks where the pump is so; empty where it asks nothing."""
+        """Return the question that a key asks in this state of the pump; empty if it asks none."""
         action, here, then = self._KEYS.get(key, ("", "", ""))
         if not stop.get(here):
             return ""
@@ -373,11 +373,11 @@ class _Release:
 
 @contextmanager
 def _keys() -> Iterator[Callable[[float], bytes | None]]:
-    """Take single keys from the terminal, and give it back as it was.
+    """Take single keys from the terminal, and restore it at the end.
 
     Yields:
-        What waits for so long (s), less where a key comes, and returns the keys that were pressed;
-        None where the terminal is gone.
+        A function that waits for this long (s), less if a key comes, and returns the pressed keys;
+        None if the terminal is gone.
     """
     keyboard = sys.stdin.fileno() if sys.stdin.isatty() else None
 

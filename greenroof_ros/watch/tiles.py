@@ -1,7 +1,7 @@
-"""The five things to see at a glance: levels, pump, rain and controller, each a part of the page.
+"""The five things to see at a glance: both levels, pump, rain and controller, each in a tile.
 
-Each tile has a ``label``, its ``value`` in words and as a ``number``, a ``state`` by which it is
-judged, a ``sentence`` with more about it, and whether its value is ``stale``: then it is unknown.
+Each tile has a ``label``, its ``value`` in words and as a ``number``, a ``state`` that judges it, a
+``sentence`` with details, and whether its value is ``stale``: then it is unknown.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from greenroof_ros.watch.store import Store
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
-# Most controllers look hours ahead; a forecast of less says nothing of the rain to come (s).
+# Most controllers look hours ahead; a shorter forecast says nothing about the rain to come (s).
 SOON_S = 600.0
-# Weather services renew their forecasts hourly, and begin each from a run that comes every 6 h:
-# an older one has missed such a run (s).
+# Weather services renew their forecasts hourly, each from a model run that comes every 6 h: an
+# older forecast has missed such a run (s).
 _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
@@ -37,10 +37,10 @@ Tile = dict[str, Any]
 def _tile(
     store: Store, label: str, topic: str, judged: Callable[[float], tuple[str, str]], **more: Any
 ) -> Tile:
-    """Return the tile of a topic, whose state and sentence follow from its value.
+    """Return the tile of a topic; ``judged`` gives state and sentence for its value.
 
-    A value that is missing or stale is unknown, and says what was heard last, and when; one that is
-    not plausible is an alarm.
+    A missing or stale value is unknown; for a stale value the sentence says what was last heard,
+    and when. A value that is not plausible is an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
@@ -68,8 +68,8 @@ def band_of(site: Site) -> list[float]:
 def roof(store: Store) -> Tile:
     """Return the tile of the roof's level."""
     site, newest = store.site, store.newest.get(_ROOF)
-    # The paper's soil is ten times as deep as the water that is wanted; where there is more than
-    # twice that, the whole of it is shown.
+    # The paper's soil is ten times as deep as the target level. Only if the level is above twice
+    # the target, the whole soil is shown.
     full, (low, high) = site.roof_level(site.z_cap), band_of(site)
     shown = 0.0 if newest is None else newest.value or 0.0
     top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
@@ -126,12 +126,12 @@ def cistern(store: Store) -> Tile:
 def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
-    ``alarm`` is whether it may turn and nobody knows, ``idle`` whether it is off since the
-    controller commands nothing, and for no other reason.
+    ``alarm`` is whether the pump may turn unknown to anybody; ``idle`` whether it is off only
+    because the controller commands nothing.
 
     Args:
-        store: what is known.
-        wrong: the alarms of now.
+        store: state of the graph.
+        wrong: the present alarms.
     """
     node, said = store.pump, store.pump_says
     values = {} if node is None else node.values
@@ -139,7 +139,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     may_turn = lost or (
         node is not None and (node.may_turn or (gone and values.get("stands") is False))
     )
-    heard = values.get("speed", 0.0) is not None  # so is one that says no speed at all
+    heard = values.get("speed", 0.0) is not None  # also if its node never reports a speed
     flow_known = not (lost or store.unknown_flow.lasts)
     pumped = store.newest.get(_FLOW) if flow_known and (heard or may_turn) else None
     command = store.newest.get(_COMMAND)
@@ -158,7 +158,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         parts.append(_commanded(command.value))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
-    # The node says its state by another way than the flow.
+    # The node reports its state by another way than the flow.
     stale = not may_turn and (gone or (old and said is None))
     if old and not stale:
         place = -1 if pumped is None or command is None else -2
@@ -188,7 +188,7 @@ def _commanded(share: float | None) -> str:
 
 
 def _state(store: Store, said: str | None) -> tuple[str, str]:
-    """Return the pump's state and why it is so; in a plain simulation, by the plant's rules."""
+    """Return the pump's state and the reason; in a plain simulation, by the plant's rules."""
     if said is not None:
         state, _, why = said.partition(": ")
         return (state, why) if state in PUMP_STATES else ("unknown", said)
@@ -203,7 +203,7 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
 
 
 def _why_off(store: Store, share: float | None) -> str:
-    """Return why a simulated pump stands; empty where nothing known says so."""
+    """Return why a simulated pump stands; empty if nothing known explains it."""
     site, level, stored = store.site, store.known(_ROOF), store.known(_CISTERN)
     if store.known(_FROST):
         return "there is frost"
@@ -219,13 +219,13 @@ def _why_off(store: Store, share: float | None) -> str:
 
 
 def _quiet(store: Store) -> bool:
-    """Whether it is in the site's quiet hours."""
+    """Return whether the present time is in the site's quiet hours."""
     hours, now = store.site.quiet, store.now
     return hours is not None and now is not None and hours.quiet_at(int(now * 1e9))
 
 
 def rain(store: Store) -> Tile:
-    """Return the tile of the rain, now and to come."""
+    """Return the tile of the rain: the present rain, and the rain to come."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _tile(store, "Rain", topic, lambda _: ("good", ""))
     return tile if tile["stale"] else {**tile, "sentence": _to_come(store)}
@@ -235,7 +235,7 @@ def _to_come(store: Store) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
-    # A forecast is as old as its issue, where that is known.
+    # A forecast is named by its time of issue, if known; its age counts from its first step.
     made_at = forecast.at if forecast.issued is None else forecast.issued
     age, made = now - forecast.at, store.hour(made_at)
     amount = forecast.amount(now)
@@ -256,7 +256,7 @@ def _amount(amount: Amount, *, ended: bool) -> str:
 
 
 def _range(amount: Amount) -> str:
-    """Write the range of an ensemble's rain behind its mean: `` (19 to 46)``; empty of others."""
+    """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
     low, high = (words.rain(rain).removesuffix(" mm") for rain in (amount.low, amount.high))
@@ -267,8 +267,8 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the controller.
 
     Args:
-        store: what is known.
-        wrong: the alarms of now.
+        store: state of the graph.
+        wrong: the present alarms.
     """
     node = store.graph.node("controller")
     name = None if node is None else node.name.rpartition("/")[2]
@@ -304,7 +304,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
 
 
 def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
-    """Return to what a controller fills the roof, now and later; empty where it leaves it alone."""
+    """Return to which level a controller fills the roof, now and later; empty if it does not."""
     level = store.known("/controller/fill_to")
     said = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
     if plan is None or now is None:
@@ -317,7 +317,7 @@ def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
 
 
 def _trusted(store: Store) -> str:
-    """Return how far a controller trusts the forecast, and why not in full; empty: not known."""
+    """Return how far a controller trusts the forecast, and why not fully; empty if not known."""
     share = store.known("/controller/trust")
     if share is None:
         return ""
@@ -347,14 +347,14 @@ def _planned(store: Store, plan: Plan, now: float) -> str:
 
 
 def waiting(store: Store, idle: bool) -> str:
-    """Return for which rain the controller waits; empty where it does not.
+    """Return for which rain the controller waits; empty if it does not wait.
 
-    It does where the roof is too dry, it alone has the pump off, and at least the missing water is
-    forecast, before it plans to pump any.
+    It waits if the roof is too dry, only the controller keeps the pump off, and at least the
+    missing water is forecast to fall before the controller plans to pump any.
 
     Args:
-        store: what is known.
-        idle: whether the controller alone has the pump off.
+        store: state of the graph.
+        idle: whether only the controller keeps the pump off.
     """
     site, now, forecast = store.site, store.now, store.forecast
     level = store.known(_ROOF)
@@ -374,7 +374,7 @@ def waiting(store: Store, idle: bool) -> str:
 
 
 def too_wet(store: Store) -> str:
-    """Return how much too wet the controller expects the roof to be; empty where it does not."""
+    """Return how much too wet the controller expects the roof to be; empty if it does not."""
     site, plan, now, level = store.site, store.plan, store.now, store.known(_ROOF)
     if plan is None or now is None or level is None or store.ended:
         return ""

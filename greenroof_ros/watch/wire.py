@@ -1,8 +1,7 @@
-"""Messages as they go over the wire and stand in bags (CDR), read without ROS.
+"""Messages as they are sent on the wire and stored in bags (CDR), read without ROS.
 
-What is heard and what is read from a bag goes through the same functions, so that both show the
-same; and a bag can be read where no ROS is installed. Nothing here trusts a length that a message
-says: what is not whole is None.
+Heard and recorded messages go through the same functions, and therefore show the same. A bag can be
+read without a ROS installation. No length in a message is trusted: an incomplete message is None.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from numpy.typing import NDArray
 _Result = TypeVar("_Result")
 
 _HEADER = 4
-# What is taken of one array of /diagnostics: statuses, values of each, and bytes of each text. An
-# array of this package has under ten statuses; its longest value is a list of a hundred numbers.
+# Limits of one array of /diagnostics: statuses, values of each, and bytes of each text. An array of
+# this package has under ten statuses; its longest value is a list of a hundred numbers.
 _STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
-# The numbers of one message: an ensemble of forecasts has some thousands.
+# The most numbers of one message: an ensemble of forecasts has some thousands.
 _NUMBERS = 1_000_000
 
 
@@ -30,12 +29,11 @@ class Status:
     """One status of /diagnostics.
 
     Attributes:
-        name: fully qualified, of a node; of a part of it with the part behind ``": "``.
+        name: fully qualified name of a node; for a part of it, followed by ``": "`` and the part.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         message: a sentence.
-        hardware_id: the device that it is about; of a node the machine.
-        values: as on the wire; those of this package's nodes are JSON texts, those of their parts
-            plain ones.
+        hardware_id: the device that it is about; for a node the machine.
+        values: as on the wire: JSON texts from this package's nodes, plain texts from their parts.
     """
 
     name: str
@@ -46,7 +44,7 @@ class Status:
 
 
 class _Cursor:
-    """Goes through a message, field by field."""
+    """Reads a message, field by field."""
 
     def __init__(self, message: bytes) -> None:
         if len(message) < _HEADER or message[0] != 0 or message[1] > 1:
@@ -80,7 +78,7 @@ class _Cursor:
 def _whole_or_none(
     read: Callable[[_Cursor], _Result]
 ) -> Callable[[bytes], _Result | None]:
-    """Return a reader that says None of what is not a whole message of its type."""
+    """Return a reader that returns None if the message is incomplete or not of its type."""
 
     def reader(message: bytes) -> _Result | None:
         try:
@@ -112,10 +110,10 @@ def text(cursor: _Cursor) -> str:
 
 @_whole_or_none
 def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read a ``std_msgs/msg/Float64MultiArray``: its numbers, and what stands in front of them.
+    """Read a ``std_msgs/msg/Float64MultiArray``: its numbers, and those in front of them.
 
-    The numbers are in the shape that the layout says, if it does. In front of them is what its
-    ``data_offset`` skips: of a forecast when it was issued and when its steps end.
+    The numbers have the shape of the layout, if that has at least two dimensions. ``data_offset``
+    skips those in front: for a forecast when it was issued and when its steps end.
     """
     shape = []
     for _ in range(min(cursor.whole(), 8)):
@@ -131,7 +129,7 @@ def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
     """Read the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
-    What no sender in good faith says is cut: see the limits above.
+    Texts and lists that are longer than the limits above are cut: no honest sender has such.
     """
     stamp = _stamp(cursor)
     cursor.text()
@@ -144,7 +142,7 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
             key, value = cursor.text(), cursor.text()
             if place < _VALUES:
                 values[key] = value
-        # A level that is none counts as the worst that somebody can do something about.
+        # An unknown level counts as ERROR, the worst level that somebody can do something about.
         statuses.append(Status(name, level if level <= 3 else 2, message, hardware, values))
     return stamp, statuses
 

@@ -13,7 +13,7 @@ UNKNOWN = "unknown"
 
 
 def number(value: float, decimals: int) -> str:
-    """Write a number with so many decimals; never as minus zero, and never an endless one."""
+    """Write a number with this many decimals; never minus zero; *unknown* if not below 1e12."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return UNKNOWN
     text = f"{value:.{decimals}f}"
@@ -26,15 +26,15 @@ def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str
     Args:
         value: in its SI unit.
         unit: as it is shown.
-        decimals: of the number that is shown.
-        factor: from the SI unit to the one that is shown.
+        decimals: of the shown number.
+        factor: from the SI unit to the shown unit.
     """
     text = number(value * factor, decimals)
     return text if text == UNKNOWN else f"{text} {unit}".rstrip()
 
 
 def value_of(topic: str, value: float) -> str:
-    """Write a value of a topic, or a difference of such, as the interface says: ``45.3 mm``.
+    """Write a value of a topic, or a difference of values, as the interface says: ``45.3 mm``.
 
     Args:
         topic: its name in the interface.
@@ -46,7 +46,7 @@ def value_of(topic: str, value: float) -> str:
 
 @cache
 def display_of(topic: str) -> Display:
-    """Return how the interface has the values of a topic shown."""
+    """Return how the values of a topic are shown, from the interface."""
     display = read_topics()[topic].display
     if display is None:
         raise KeyError(topic)
@@ -64,14 +64,14 @@ def volume(cubic_metres: float) -> str:
 
 
 def command(share: float) -> str:
-    """Write a command: ``40 %``; what is not nothing is not written as nothing."""
+    """Write a command: ``40 %``; a small one is not written as 0 %."""
     if 0 < share < 0.005:
         return "less than 1 %"
     return value_of("/pump/command", share)
 
 
 def length_of_time(seconds: float) -> str:
-    """Write how long something takes, as people say it: ``40 s``, ``12 min``, ``3.5 h``."""
+    """Write a duration as people say it: ``40 s``, ``12 min``, ``3.5 h``."""
     if not math.isfinite(seconds):
         return UNKNOWN
     if seconds < 90:
@@ -84,14 +84,14 @@ def length_of_time(seconds: float) -> str:
 
 
 def horizon(seconds: float) -> str:
-    """Write how far ahead one looks, in whole hours where it is some: ``40 min``, ``12 h``."""
+    """Write how far ahead a forecast or plan reaches, from 90 min on in whole hours: ``12 h``."""
     if 5400 <= seconds < 172800:
         return f"{number(seconds / 3600, 0)} h"
     return length_of_time(seconds)
 
 
 def moment(seconds: float, utc_offset: float) -> datetime | None:
-    """Return a time since 1970 (s) at an offset from UTC (h); None where no calendar has it."""
+    """Return a time since 1970 (s) at an offset from UTC (h); None if it is in no calendar."""
     try:
         return datetime.fromtimestamp(seconds, timezone(timedelta(hours=utc_offset)))
     except (ValueError, OverflowError, OSError):
@@ -99,13 +99,13 @@ def moment(seconds: float, utc_offset: float) -> datetime | None:
 
 
 def date_and_time(seconds: float, utc_offset: float, *, zone: bool = False) -> str:
-    """Write a time since 1970 (s): ``2021-07-20 05:00:00``, and with its zone ``UTC-04:00``."""
+    """Write a time since 1970 (s): ``2021-07-20 05:00:00``; on request with ``UTC-04:00``."""
     at = moment(seconds, utc_offset)
     return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S" + " %Z" * zone)
 
 
 def time_of_day(seconds: float, utc_offset: float, now: float) -> str:
-    """Write a time since 1970 (s): ``05:00:00``, with its date where that is not today's."""
+    """Write a time since 1970 (s): ``05:00:00``, with its date if that is not today."""
     at, today = moment(seconds, utc_offset), moment(now, utc_offset)
     if at is None:
         return UNKNOWN
@@ -114,7 +114,7 @@ def time_of_day(seconds: float, utc_offset: float, now: float) -> str:
 
 
 def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
-    """Write a time that comes (s since 1970): ``06:20``, tomorrow's as ``tomorrow 06:20``."""
+    """Write a time to come (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
     at, today = moment(seconds, utc_offset), moment(now, utc_offset)
     if at is None or today is None:
         return UNKNOWN
@@ -124,7 +124,7 @@ def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
 
 
 def plain(text: str, most: int) -> str:
-    """Return a text that can be shown anywhere: printable, and at most so long."""
+    """Return a text that can be shown anywhere: printable, and at most this long."""
     short = text[:most] + ("…" if len(text) > most else "")
     if short.isprintable():
         return short

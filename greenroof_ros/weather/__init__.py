@@ -1,1 +1,1 @@
-"""Weather records: formats, evapotranspiration, and what they are tick by tick."""
+"""Weather records: formats, evapotranspiration, and values tick by tick."""

@@ -1,8 +1,8 @@
-"""Evapotranspiration by FAO-56: of hours by Penman-Monteith (``fao56``), of days by Hargreaves.
+"""Evapotranspiration by FAO-56: hourly by Penman-Monteith (``fao56``), daily by Hargreaves.
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
-Rome 1998; the package ``eto`` has the equations, whose numbers in that paper stand here.
-Hargreaves' equation needs a day's least and greatest temperature, where nothing else was measured.
+Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
+Hargreaves' equation needs only a day's least and greatest temperature.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ def hourly(
 ) -> NDArray[np.float64]:
     """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
-    Net radiation is by Eqs. 37-40 from shortwave radiation: measured, or Eq. 50's
-    ``k_Rs sqrt(Tmax - Tmin) Ra`` with the day's extremes, spread over the hours as the
-    extraterrestrial radiation Ra. At night the ratio Rs/Rso, which stands for the clouds, is as
-    two to three hours before sunset. Below 0 (dew) it is 0.
+    Net radiation is computed by Eqs. 37-40 from shortwave radiation: measured, or by Eq. 50,
+    ``k_Rs sqrt(Tmax - Tmin) Ra`` with the day's extremes, spread over the hours in proportion to
+    the extraterrestrial radiation Ra. At night the ratio Rs/Rso, a measure of cloudiness, is the
+    value two to three hours before sunset. Negative results (dew) are set to 0.
 
-    Where FAO-56 leaves a choice the package takes: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
-    at sunrise and sunset count with their sunlit part, and the soil heat flux is the day's,
-    0.1 Rn, where Rn > 0 and the night's, 0.5 Rn, elsewhere.
+    If FAO-56 leaves a choice, the package's is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
+    at sunrise and sunset count with their sunlit part, and the soil heat flux has the day's value,
+    0.1 Rn, if Rn > 0, otherwise the night's, 0.5 Rn.
 
     Args:
         site: latitude, longitude, elevation, offset from UTC, albedo, k_Rs, height of the wind.
@@ -87,11 +87,11 @@ def hourly(
             rs_rso_init=ratio,
         )
 
-    # Of the night before the first evening: Rs/Rso of the first 24 hours.
+    # For the night before the first evening: Rs/Rso of the first 24 hours.
     day = model(min(hours, 24), 1.0).ts_param
     clear = float(day["R_so"].sum())
     night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
-    # The package's default would round to 0.01 mm and drop what it finds too large.
+    # The package's default would round to 0.01 mm and drop values that it considers too large.
     result: NDArray[np.float64] = model(hours, night_ratio).eto_fao(max_ETo=None, decimals=None)
     return result
 
@@ -99,12 +99,12 @@ def hourly(
 def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Evapotranspiration of the vegetation (mm/day) in each hour, shape (hours,).
 
-    It is the site's crop coefficient times the reference evapotranspiration, and NaN where records
-    are missing. Without measured solar radiation it needs the whole day, 0 to 24 h of local
-    standard time.
+    It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
+    missing. Without measured solar radiation, the records must cover the whole day, 0 to 24 h of
+    local standard time.
 
     Raises:
-        ConfigurationError: the file lacks a quantity, or the site its place on earth.
+        ConfigurationError: the file lacks a quantity, or the site file its place on earth.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
@@ -123,9 +123,9 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
         values[RADIATION] = measured
     else:
         values["Tmin"], values["Tmax"] = _daily_extremes(records, site)
-    unknown = np.isnan(sum(values.values()))  # a sum with a NaN is one
+    unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
-    # One gap-free stretch after the other: a night is as cloudy as the evening before.
+    # Each gap-free stretch by itself, because a night has the cloudiness of the evening before.
     for low, high in gaps(~unknown):
         stretch = {name: series[low:high] for name, series in values.items()}
         result[low:high] = hourly(site, records.first + low * HOUR, stretch)
@@ -135,10 +135,10 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
 def _daily_extremes(
     records: Records, site: Site
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least and largest temperature (degC) of each hour's day; NaN for a day that is not whole."""
+    """Least and largest temperature (degC) of each hour's day; NaN for an incomplete day."""
     assert site.utc_offset is not None
     temperature = records.values["temperature"]
-    # Of the first day, whose hours before the records, as those after them, are unknown.
+    # Unknown hours of the first day before the records, and of the last day after them.
     before = int((records.first.timestamp() / 3600 + site.utc_offset) % 24)
     after = -(before + records.hours) % 24
     days = np.pad(temperature, (before, after), constant_values=np.nan).reshape(-1, 24)
@@ -150,11 +150,11 @@ def _daily_extremes(
 
 
 def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Say why :func:`fao56` has no value in some hours.
+    """Return why :func:`fao56` has no value in some hours.
 
     Args:
-        records: the same.
-        hours: indices of hours of the run in which it is NaN.
+        records: those given to :func:`fao56`.
+        hours: indices of hours of the run in which the result is NaN.
     """
     reasons = []
     near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
@@ -201,14 +201,14 @@ def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> 
     """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
 
     ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra with Ra in mm/day and Tmean the mean of the
-    extremes; below 0 it is 0. It needs no humidity, wind or radiation, and is the less certain: FAO
-    would have it checked against Eq. 6 where that can be computed.
+    extremes; negative results are set to 0. It needs no humidity, wind or radiation, and is less
+    accurate: FAO recommends checking it against Eq. 6 if that can be computed.
 
     Args:
         latitude: degrees, north positive.
         days: dates, shape (days,).
-        least: temperature of each day (degC).
-        greatest: the same.
+        least: lowest temperature of each day (degC).
+        greatest: highest temperature of each day (degC).
     """
     radiation = evaporable(extraterrestrial_radiation(latitude, days))
     warmth = (least + greatest) / 2 + 17.8
@@ -216,7 +216,7 @@ def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> 
 
 
 def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Values:
-    """Sine of the sun's height, 0 at night, FAO-56 Eqs. 24, 31 and 32-33.
+    """Sine of the sun's elevation, 0 at night, FAO-56 Eqs. 24, 31 and 32-33.
 
     Args:
         latitude: degrees, north positive.
@@ -239,9 +239,9 @@ def over_the_day(
     daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
     step_s: float, east_of_meridian: float,
 ) -> Values:
-    """Spread days' evapotranspiration over steps as the sun stands; each whole day keeps its sum.
+    """Spread days' evapotranspiration over steps by the sun's elevation; a whole day keeps its sum.
 
-    A step that goes on past midnight has the evapotranspiration of the day that it begins in.
+    A step across midnight belongs to the day in which it begins.
 
     Args:
         daily: of each day (mm), shape (days,).
@@ -252,14 +252,14 @@ def over_the_day(
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
 
     Returns:
-        Of each step (mm), shape (steps,).
+        Evapotranspiration of each step (mm), shape (steps,).
     """
-    # The sun's mean height in a step is the mean of its parts, of five minutes at most.
+    # The sun's mean height in a step is the mean over its parts, of at most five minutes.
     parts = math.ceil(step_s / _PART_S)
     middles = np.round((np.arange(parts) + 0.5) * step_s / parts).astype(np.int64)
     inside = (seconds[:, None] + middles[None, :]).ravel()
     shares = sun_height(latitude, inside, east_of_meridian).reshape(-1, parts).mean(axis=1)
-    # What a whole day would have: at the ends of a record there are parts of one.
+    # Totals of whole days: at the ends of a record there may be only a part of one.
     of_a_day = (np.arange(0, _DAY_S, _PART_S) + _PART_S // 2)[None, :]
     first = (seconds // _DAY_S * _DAY_S)[np.searchsorted(day, np.arange(len(daily)))]
     whole = sun_height(latitude, (first[:, None] + of_a_day).ravel(), east_of_meridian)

@@ -1,4 +1,4 @@
-"""Weather files: which are meant, and the weather that they give."""
+"""Weather files: finding them, and joining them into one weather."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from greenroof_ros.weather.series import FILL, REFUSE, Weather
 Array = NDArray[np.float64]
 
 # The longest gap that is filled, by a straight line between the hours before and after it (h).
-# Temperature and wind follow the sun, so half a day must be left to see it by; dew point and
-# pressure follow the air mass, which changes within days. Rain is never guessed.
+# Temperature and wind follow the sun, so half a day must remain to show its course; dew point and
+# pressure follow the air mass, which changes within days. Rain is never interpolated.
 LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
 
-# From a missing hour to the hours of the same time of day whose mean stands for it.
+# Offsets from a missing hour to the hours of the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 
 def default_weather() -> Path:
-    """Return the weather of the paper, which is used unless another is given."""
+    """Return the paper's weather, the default."""
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
@@ -45,19 +45,19 @@ def read_weather(
     files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
-    """Read weather files, each of one of the formats, and join them.
+    """Read weather files, which may have different formats, and join them.
 
-    Gaps of at most :data:`LONGEST_GAP` hours, within a file or
-    between two, are filled and noted in the records; a run that needs an hour of a longer one is
-    refused by :class:`greenroof_ros.weather.series.WeatherSeries`, unless they are filled, too.
+    Gaps of at most :data:`LONGEST_GAP` hours, within a file or between two, are filled and noted in
+    the records. :class:`greenroof_ros.weather.series.WeatherSeries` refuses a run that needs an
+    hour of a longer gap, unless long gaps are filled too.
 
     Args:
         files: one or more.
-        site: its place on earth, where evapotranspiration is computed or a format needs it.
-        method: of the evapotranspiration: ``fao56``, or the files' own column. The
-            latter if there is one and otherwise ``fao56``, unless given.
-        gaps: one of :data:`greenroof_ros.weather.series.GAPS`: what is done about longer ones.
-        rain_only: leave evapotranspiration unknown (NaN): a rain gauge does not measure it.
+        site: its place on earth, for computing evapotranspiration or for a format that needs it.
+        method: of the evapotranspiration: ``fao56``, or the method of the files' own column. By
+            default the files' column if there is one, otherwise ``fao56``.
+        gaps: what to do about longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
+        rain_only: leave evapotranspiration unknown (NaN), because a rain gauge does not measure it.
 
     Raises:
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
@@ -90,9 +90,9 @@ def read_weather(
 
 
 def _whole_hours(records: Records) -> Records:
-    """Leave out the first and last hour where a shift has left each with a part of its quantities.
+    """Leave out the first and last hour if a shift has left them with some quantities only.
 
-    This comes after joining: the last hour of one file is completed by the first of the next.
+    Done after joining, because the next file completes the last hour of the one before.
     """
     if not records.shifted:
         return records
@@ -106,12 +106,12 @@ def _whole_hours(records: Records) -> Records:
 def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list[Path]:
     """Return the files that names and patterns (``data/2021_*.csv``) stand for, each once.
 
-    A name that no file has is a pattern where it has ``*``, ``?`` or ``[``.
+    A name with ``*``, ``?`` or ``[`` is a pattern unless a file has that name.
 
     Args:
         names: of files, relative to the directory.
-        key: option or parameter that has them, for messages.
-        directory: from which they are seen.
+        key: option or parameter with the names, for messages.
+        directory: base of the names.
 
     Raises:
         ConfigurationError: a pattern matches no file, or there are no names.
@@ -131,7 +131,7 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
 
 
 def bridged(series: Array, longest: int) -> Array:
-    """Return hourly values in which gaps of so many hours at most are a straight line."""
+    """Return hourly values with gaps of at most ``longest`` hours bridged by a straight line."""
     filled = series.copy()
     for low, high in gaps(np.isnan(series)):
         if high - low <= longest and low > 0 and high < len(series):
@@ -142,12 +142,12 @@ def bridged(series: Array, longest: int) -> Array:
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
-    """Fill what is still missing: rain with none, all else with the mean of the days about it.
+    """Fill what is still missing: rain with 0, other quantities with the mean of the days around.
 
-    That is the mean at the same time of day over the three days before and the three days after,
-    of those hours that are known, be it by a short gap. Where none of them is, the hour stays
-    missing. Years are worth more with a few hours guessed than cut into pieces; but rain that was
-    not measured is lost, so that this must be asked for.
+    That is the mean at the same time of day over the three days before and the three days after, of
+    the hours that are known or were bridged. If none of them is, the hour stays missing. Years with
+    a few estimated hours are more useful than pieces of years, but rain that was not measured is
+    lost, so the user must ask for this.
     """
     filled = {}
     for quantity, series in values.items():
@@ -158,7 +158,7 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _about(series: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return for each missing hour the mean of the days about it; NaN where none is known."""
+    """Return for each missing hour the mean of the days around it; NaN if none is known."""
     padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
     hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
     near = padded[hours[:, None] + _SAME_TIME_OF_DAY]

@@ -1,6 +1,6 @@
-"""The weather of a run: hourly records, and what they are tick by tick.
+"""The weather of a run: hourly records, and their values tick by tick.
 
-A run may be of years: what a tick has is looked up in its hour, and no array has an entry a tick.
+A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import FAO56, day_of_year, why_missing
 
 _HOUR_NS = 3_600_000_000_000
-# At and below this temperature there is frost: nothing is pumped (degC).
+# At or below this temperature there is frost, and nothing is pumped (degC).
 _FREEZING = 0.0
 
 REFUSE, FILL = "refuse", "fill"
 GAPS = (REFUSE, FILL)
-"""What is done about an hour that a run needs and that no short gap has: the first by default."""
+"""What to do about a missing hour in a long gap that a run needs; the first is the default."""
 
 _PERCENTILE = 95
-# So many times the percentile is too much, and so many below 0 degC.
+# Factor of the percentile from which rain is suspicious; the second below 0 degC.
 _FACTOR, _FROST_FACTOR = 9.0, 5.0
-# Of the year, to either side of the hour's own; with fewer wet hours in them nothing is said.
+# Days of the year to either side; least number of wet hours in them for a check.
 _DAYS, _LEAST_WET = 14, 20
 _YEAR = 366
 
@@ -49,19 +49,19 @@ class Weather(Records):
     """Hourly records without a gap in time, evapotranspiration among them.
 
     Attributes:
-        gaps: what was done about gaps that are not short, one of :data:`GAPS`.
+        gaps: what was done about long gaps, one of :data:`GAPS`.
     """
 
     gaps: str = REFUSE
 
     @property
     def precipitation(self) -> NDArray[np.float64]:
-        """Depth of rain in each hour (mm/h), shape (hours,); NaN where missing."""
+        """Depth of rain in each hour (mm/h), shape (hours,); NaN if missing."""
         return self.values[PRECIPITATION]
 
     @property
     def evapotranspiration(self) -> NDArray[np.float64]:
-        """Depth over the vegetation bed (mm/day), shape (hours,); NaN where missing."""
+        """Depth over the vegetation bed (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
 
     @property
@@ -82,7 +82,7 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """Which hour of the records a tick is in; beyond their end it is the last."""
+    """The hour of the records of each tick; beyond their end the last hour."""
 
     offset_ns: int
     """time of tick 0 since hour 0"""
@@ -107,13 +107,13 @@ class _Clock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """Hourly values as one for each tick; a slice is an array."""
+    """One value for each tick, from hourly values; a slice is an array."""
 
     hourly: NDArray[np.float64]
     """of all hours of the records"""
     clock: _Clock
     ticks: range
-    """all there are"""
+    """all ticks"""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -145,7 +145,7 @@ class Hour(NamedTuple):
     precipitation: float
     """m/s"""
     evapotranspiration: float
-    """m3/s, off the whole bed"""
+    """m3/s, of the whole bed"""
     frost: float
     """1 or 0"""
     until: int
@@ -156,25 +156,25 @@ class WeatherSeries:
     """A run's weather in SI units, tick by tick.
 
     Attributes:
-        precipitation: rain (m/s) in each tick; beyond the last tick for M ticks more.
-        evapotranspiration: off the whole bed (m3/s), likewise.
-        frost: 1 where there is frost, 0 where there is none or it is unknown, likewise.
-        repeats_from: the time from which on the last record is repeated, because some tick's
-            window of M ticks reaches past the end of the file; None if none does.
-        filled: hours of the run's days and the day before that were missing and filled, named, by
+        precipitation: rain (m/s) in each tick, and in M more after the last.
+        evapotranspiration: of the whole bed (m3/s), likewise.
+        frost: 1 if there is frost, 0 if there is none or it is unknown, likewise.
+        repeats_from: time from which the last record is repeated, because the window of M ticks
+            reaches past the end of the records; None if it does not.
+        filled: named hours of the run's days and the day before that were missing and filled, by
             quantity.
         filled_hours: their number; an hour counts once, however many quantities it lacked.
-        suspicious: hours of the run with more rain than is believable, named.
-        frost_hours: of the run (h); None where the file has no temperature.
-        precipitation_in_frost: depth (mm) in them, snow perhaps, which the model takes as rain.
+        suspicious: named hours of the run with implausibly much rain.
+        frost_hours: of the run (h); None if the file has no temperature.
+        precipitation_in_frost: depth in these hours (mm); the model treats it as rain, not snow.
     """
 
     def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
-        """Give each of the ticks 0..steps, and of the last tick's window, the values of its hour.
+        """Give the ticks 0..steps, and the window after the last one, the values of their hours.
 
         Args:
             weather: hourly records that cover the run.
-            site: gives tick, look-ahead and the bed's area, over which a depth is a volume.
+            site: gives tick, look-ahead, and the bed's area, to convert depths to volumes.
             start: time of tick 0.
             steps: N; tick N is the last.
 
@@ -204,7 +204,7 @@ class WeatherSeries:
             weather.evapotranspiration / 1000 / 86400 * site.a2, clock, range(ticks)
         )
         self.frost = PerTick(frost, clock, range(ticks))
-        # Of tick 0 to the end of tick N-1; the window beyond is not part of the run.
+        # From tick 0 to the end of tick N-1; the window after it is not part of the run.
         run = range(first, clock.hour(steps - 1) + 1)
         begins = [clock.first_tick(hour) for hour in run[1:]]
         frozen = frost[run.start : run.stop] * np.diff([0, *begins, steps])
@@ -224,7 +224,7 @@ class WeatherSeries:
         self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
 
     def at(self, tick: int) -> Hour:
-        """Return the weather of a tick, and until when it stays."""
+        """Return the weather of a tick, and the tick until which it stays the same."""
         hour = self._clock.hour(tick)
         until = self._clock.first_tick(hour + 1)
         return Hour(
@@ -234,7 +234,7 @@ class WeatherSeries:
 
 
 def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
-    """Refuse a run that needs an hour that is missing and was not filled."""
+    """Refuse a run that needs a missing hour that was not filled."""
     way_out = "choose another window, or put in what another station has"
     if weather.gaps == REFUSE:
         way_out += (
@@ -256,7 +256,7 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
 def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
 ) -> None:
-    """Refuse records that lack a quantity in some hours; the message goes on with what follows."""
+    """Refuse records that lack a quantity in some hours; ``further`` ends the message."""
     missing = hours[np.isnan(weather.values[quantity][hours])]
     if missing.size:
         named = ", ".join(name_hours(weather.first, missing))
@@ -266,7 +266,7 @@ def _refuse_missing(
 def records_at(
     weather: Weather, quantity: str, hours: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return records; the first stands for those before it, and the last for those after it.
+    """Return records; beyond their ends the first or last one is repeated.
 
     Raises:
         ConfigurationError: one of them is missing.
@@ -280,10 +280,10 @@ def records_at(
 
 
 def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
-    """Refuse issues that are not whole hours from where the records begin.
+    """Refuse issues that do not begin a whole number of hours from the records' first hour.
 
     Raises:
-        ConfigurationError: one is not.
+        ConfigurationError: an issue does not.
     """
     for issue in issues:
         if (issue.issued - weather.first) % HOUR:
@@ -295,24 +295,24 @@ def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
 
 
 def suspicious_rain(records: Records, hours: range) -> list[str]:
-    """Name the hours with more rain than the station's own records make believable.
+    """Name the hours with more rain than is plausible by the station's own records.
 
-    That is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of the
-    year, in all years of the records, or 5 times below 0 degC. Fewer than 20 wet hours say nothing.
-    It is the climatological outlier check for daily precipitation of GHCN-Daily (Durre, Menne,
-    Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615, doi:10.1175/
-    2010JAMC2375.1), applied to hours.
+    The limit is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of
+    the year, in all years of the records; 5 times below 0 degC. With fewer than 20 wet hours there
+    is no check. It is the climatological outlier check for daily precipitation of GHCN-Daily
+    (Durre, Menne, Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615,
+    doi:10.1175/2010JAMC2375.1), applied to hours.
 
     Args:
-        records: all there are: the more years, the better.
-        hours: indices of those to look at.
+        records: all available ones; more years make a better check.
+        hours: indices of the hours to check.
 
     Returns:
         A text for each such hour, with its rain (mm), time and percentile.
     """
     rain = records.values[PRECIPITATION]
     wet = np.flatnonzero(rain > 0)
-    first = np.datetime64(records.first.replace(tzinfo=None), "h")  # by the records' own clock
+    first = np.datetime64(records.first.replace(tzinfo=None), "h")  # in the records' own time zone
     days = day_of_year((first + wet).astype("datetime64[D]"))
     temperature = records.values.get(TEMPERATURE, np.full_like(rain, np.nan))
     there = (wet >= hours.start) & (wet < hours.stop)

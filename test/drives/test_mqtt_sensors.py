@@ -32,7 +32,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
 
 @contextmanager
 def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
-    """Hear a sensor that says metres up to 6 m, without a filter."""
+    """Subscribe to a sensor that publishes metres, up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": f"{broker.address}/{TOPIC}", "scale": 1.0, "low": 0.0, "high": 6.0, "median": 1,
         "max_age": 30.0,
@@ -46,7 +46,7 @@ def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
 
 
 def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | str | None]:
-    """Return what comes of each message: the value, or what is said instead."""
+    """Return the result of each message: the value, or the problem that is reported instead."""
     results: list[float | str | None] = []
     for message in messages:
         before = reader.snapshot
@@ -58,7 +58,7 @@ def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | st
 
 
 def begin(reader: MqttReader, talker: Talker, message: str) -> None:
-    """Say something again and again until it is heard: the subscription takes a moment."""
+    """Repeat a message until it is received: the subscription takes a moment."""
     before = reader.snapshot
 
     def is_heard() -> bool:
@@ -67,16 +67,16 @@ def begin(reader: MqttReader, talker: Talker, message: str) -> None:
         return reader.snapshot is not before
 
     until(is_heard, 20)
-    time.sleep(0.1)  # what was said meanwhile
+    time.sleep(0.1)  # lets pending messages arrive
 
 
 # --- a message ------------------------------------------------------------------------------------
 
-# By the message, and what is special of the sensor: the level, or what is said.
+# By the message and the sensor's special keys: the level, or the problem.
 MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("2.31", {}, 2.31),
     (" 2310\n", {"scale": 0.001, "offset": -0.5}, 1.81),
-    # Tasmota's message, and a gateway's with several sensors.
+    # A Tasmota message, and one from a gateway with several sensors.
     ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 1234}}',
      {"value": "ANALOG.Range1", "scale": 0.001}, 1.234),
     ('{"sensors": [{"distance": 9}, {"distance": 350}]}',
@@ -120,7 +120,7 @@ def test_what_a_message_says(
 
 
 def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
-    """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
+    """Lower median of up to three: for 1, 5, 2 it is 2; after a refused value only 4 counts."""
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "7")
         results = after(reader, talker, "1", "5", "2", "7", "4", "3")
@@ -131,7 +131,7 @@ def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
 
 
 def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
-    """A retained message may be of last year; one that comes now counts, whatever its flag."""
+    """A retained message can be a year old; a live one counts, whatever its retain flag."""
     with Talker(shared) as talker:
         talker.say(TOPIC, "1.5", retain=True)
         with reading(shared) as reader:
@@ -156,8 +156,8 @@ def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
 def test_nothing_of_before_a_suspend_counts_after_it(
     shared: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The machine slept for an hour: what comes within a second may have waited."""
-    # Asked for when nothing is heard yet, and with each message.
+    """The machine was suspended for an hour: messages within a second after it may be old."""
+    # Called once before the first message, and with each message.
     slept = chain([0.0] * 3, repeat(3600.0))
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
     with reading(shared, median=3) as reader, Talker(shared) as talker:
@@ -169,13 +169,13 @@ def test_nothing_of_before_a_suspend_counts_after_it(
         assert after(reader, talker, "4", "5") == [4.0, 4.0]
 
 
-# --- whether the sensor, and the broker, is there -------------------------------------------------
+# --- whether sensor and broker are there ----------------------------------------------------------
 
 
 def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
     shared: Mosquitto
 ) -> None:
-    """Unlike a value, that is known from what the broker kept."""
+    """Unlike a value, the availability may be a retained message."""
     with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
         unknown = "is offline: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
@@ -196,7 +196,7 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
 
 
 def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
-    """It is said at once that it is lost; one that hangs, within 15 s."""
+    """A lost connection is reported at once, a broker that hangs within 15 s."""
     with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
 
         def talk(message: str) -> None:
@@ -235,7 +235,7 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
 
 
 def test_login_and_encryption(tmp_path: Path) -> None:
-    """A broker with a password, and a certificate of the test's own."""
+    """A broker with a password, and a certificate made by the test."""
     key, certificate, passwords = (tmp_path / name for name in ("key.pem", "ca.pem", "passwords"))
     for command in (
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
@@ -279,12 +279,12 @@ def test_login_and_encryption(tmp_path: Path) -> None:
 
 
 def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
-    """A gauge of 0.2 mm a tip, which says its total in mm."""
+    """A gauge of 0.2 mm per tip, which publishes its total in mm."""
     with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
 
         def rate(total: str, pause: float) -> tuple[float, float]:
-            """Return the rate, and how long it was since the total before."""
+            """Return the rate, and the time since the previous total."""
             time.sleep(pause)
             nonlocal at
             before, at = at, time.monotonic()
@@ -304,7 +304,7 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
         value, passed = rate("0.6", 0.5)
         assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert "which is not from 0 to 0.01 m" in str(after(reader, talker, "900")[0])
-        # What was refused is nothing to count from.
+        # A refused total is no start for a difference.
         assert after(reader, talker, "901") == [None]
 
 

@@ -1,4 +1,4 @@
-"""The blocks of commands in README and documentation, and what running each of them takes."""
+"""The blocks of commands in README and documentation, and what each needs to run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COMMAND = re.compile(
 
 @dataclass(frozen=True)
 class Note:
-    """What running a block takes; the keys of ``notes.yaml``, which explains them."""
+    """What a block needs to run; the keys of ``notes.yaml``, which explains them."""
 
     block: str
     not_run: str = ""
@@ -40,7 +40,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Block:
-    """A block of commands, as written on a page of the checkout from a line on, and its note."""
+    """A block of commands, with its page, its first line there, and its note."""
 
     page: str
     line: int
@@ -49,13 +49,13 @@ class Block:
 
 
 def read_notes() -> dict[str, list[Note]]:
-    """Return the notes of each page; a key that there is not is a TypeError."""
+    """Return the notes of each page; an unknown key is a TypeError."""
     content: dict[str, list[dict[str, Any]]] = yaml.safe_load(NOTES.read_text(encoding="utf-8"))
     return {page: [Note(**note) for note in notes] for page, notes in content.items()}
 
 
 def fences(page: str) -> Iterator[tuple[int, str, str]]:
-    """Yield the fenced blocks of a page: the line where it begins, its language, its text."""
+    """Yield the fenced blocks of a page: first line, language, text."""
     text = (CHECKOUT / page).read_text(encoding="utf-8")
     for match in _FENCE.finditer(text):
         indent, language, body = match.groups()
@@ -75,7 +75,7 @@ def blocks_of(page: str, notes: dict[str, list[Note]]) -> list[Block]:
 
 
 def untagged(page: str) -> list[int]:
-    """Return the lines of blocks that hold commands but do not say ``sh``."""
+    """Return the lines of blocks that contain commands but are not marked ``sh``."""
     return [
         line for line, language, body in fences(page)
         if language == "" and any(map(_COMMAND.match, body.splitlines()))

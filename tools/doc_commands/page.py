@@ -1,4 +1,4 @@
-"""A page's blocks, run one after the other in a copy of the checkout."""
+"""Runs a page's blocks one after the other in a copy of the checkout."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from doc_commands.blocks import Block
 from doc_commands.terminal import Outcome, Terminal
 from places import CHECKOUT
 
-# What marks the processes of a page, to find those that are left; inherited by all of them.
+# Marks the processes of a page, which all inherit it, to find those that are left.
 _SESSION = "GREENROOF_ROS_DOC_COMMANDS"
 _LEAVE_S = 10.0
 
 
 def copy_of_checkout(to: Path) -> None:
-    """Copy what a clone has; ``.venv`` is the checkout's."""
+    """Copy the files that a clone has; ``.venv`` is a link to the checkout's."""
     shutil.copytree(CHECKOUT, to, ignore=shutil.ignore_patterns(
         ".?*", "__pycache__", "_build", "runs", "studies", "build", "install", "log"
     ))
@@ -34,12 +34,12 @@ def run_page(
     """Run the blocks of a page.
 
     Args:
-        blocks: of it, in order.
-        directory: empty; for the copy of the checkout and the home directory.
-        domain: ROS domain of all that is started.
+        blocks: of the page, in order.
+        directory: an empty one, for the copy of the checkout and the home directory.
+        domain: ROS domain of everything that is started.
 
     Yields:
-        Each block, and what became of it; None where it is not run.
+        Each block and its outcome; None if it is not run.
     """
     checkout, home = directory / "greenroof_ros", directory / "home"
     home.mkdir()
@@ -82,7 +82,7 @@ def _run(block: Block, terminal: Terminal) -> Outcome:
 
 
 def _left(directory: Path) -> list[str]:
-    """Return the processes of a page that still run after a while."""
+    """Return the processes of a page that still run after some time."""
     mark = f"{_SESSION}={directory}".encode()
     until = time.monotonic() + _LEAVE_S
     while True:

@@ -1,4 +1,4 @@
-"""A terminal with a shell, as a reader of the documentation has."""
+"""A terminal with a shell, as a reader of the documentation uses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-# What the shell prints around exit codes, and nobody else does.
+# The shell prints this around exit codes; nothing else prints it.
 _MARK = "\x1e"
 _PROMPT = re.compile(f"{_MARK}prompt{_MARK}")
 _FAILED = re.compile(f"{_MARK}failed (\\d+) (.*?){_MARK}", re.DOTALL)
@@ -26,7 +26,7 @@ _SET_UP = (
     r"stty -echo; unset HISTFILE; PS2=; PS1=$'\036prompt\036'; set -E; "
     r"""trap 'printf "\036failed %s %s\036\n" "$?" "$BASH_COMMAND"' ERR"""
 )
-# What Ctrl-C makes of an exit code: of the program's own, of the shell's, of a signal.
+# Exit codes after Ctrl-C: the program's own, or 128 + SIGINT.
 _INTERRUPTED = {0, 130}
 _CTRL_C_TAKES_S = 30.0
 _READY_TAKES_S = 120.0
@@ -35,11 +35,11 @@ _TAKES_S = 4 * 3600.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a block.
+    """The outcome of a block.
 
     Attributes:
         output: what was printed.
-        failures: a sentence each; empty where all went as documented.
+        failures: a sentence for each; empty if all went as documented.
     """
 
     output: str
@@ -47,16 +47,16 @@ class Outcome:
 
 
 def _take_terminal() -> None:
-    """Make standard input the terminal of this session, whose Ctrl-C is not ignored."""
+    """Make standard input the terminal of this session, and let Ctrl-C work."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 class Terminal:
-    """A terminal in a directory, with one shell for all that is typed there."""
+    """A terminal in a directory, with one shell for everything that is typed."""
 
     def __init__(self, directory: Path, environment: Mapping[str, str]) -> None:
-        """Open it."""
+        """Open the terminal."""
         self._directory = directory
         self._master, slave = pty.openpty()
         self.shell = subprocess.Popen(
@@ -79,9 +79,9 @@ class Terminal:
 
         Args:
             commands: as in the documentation.
-            ready: of each command that never ends what it prints when it is ready: then Ctrl-C.
-            then_s: how long each goes on before Ctrl-C (s).
-            limit_s: the most that it may take (s).
+            ready: for each command that never ends, what it prints when it is ready for Ctrl-C.
+            then_s: time that each then runs before Ctrl-C (s).
+            limit_s: longest time that the block may take (s).
         """
         script = self._directory / ".block.sh"
         script.write_text(commands, encoding="utf-8")
@@ -121,7 +121,7 @@ class Terminal:
         return Outcome(_FAILED.sub("", output), failures)
 
     def close(self) -> list[str]:
-        """End what runs in the background by Ctrl-C and close; return what did not end."""
+        """End background processes by Ctrl-C and close; return what did not end."""
         outcome = self.run(
             "jobs=$(jobs -p); for job in $jobs; do kill -INT -- -$job; done; wait; :", limit_s=60
         )
@@ -138,7 +138,7 @@ class Terminal:
         os.write(self._master, line.encode() + b"\n")
 
     def _until(self, patterns: list[re.Pattern[str]], limit_s: float) -> tuple[str, int | None]:
-        """Read until a pattern is printed; return what was, and which pattern it was."""
+        """Read until a pattern is printed; return the text, and the number of the pattern."""
         until = time.monotonic() + limit_s
         while True:
             self._unread = _COLOURS.sub("", self._unread).replace("\r", "\n")

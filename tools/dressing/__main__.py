@@ -1,12 +1,12 @@
-"""What dressing is worth where it was not fitted.
+"""What dressing is worth for records that it was not fitted to.
 
 ``python tools/dressing ARCHIVE ... --weather GAUGE``
 
-The months of the records are parted by their rain into a wetter and a drier half. Archives are
-dressed by what fell in one half and judged in the other, then the other way round. Last come all
-archives as one ensemble, and the whole, where each issue is dressed without the days around it.
-``ARCHIVE@96`` is an archive to 96 h. Prints a table in Markdown: of each sum the bias, and the fair
-CRPS (mm), as issued, dressed, and of climatology.
+The months of the records are divided by their rain into a wetter and a drier half. Archives are
+dressed by the rain of one half and judged on the other, then the other way round. Last come all
+archives as one ensemble, and the whole period, where each issue is dressed without the days around
+it. ``ARCHIVE@96`` cuts an archive to 96 h. Prints a table in Markdown: for each sum the bias, and
+the fair CRPS (mm), as issued, dressed, and by climatology.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from greenroof_ros.weather.series import Weather
 def halves(weather: Weather, archives: list[Archive]) -> tuple[Weather, Weather]:
     """Return the records of the drier and of the wetter months, by their totals.
 
-    Hours before the first issue that all archives have, and of the other months, are missing.
+    Hours before the first issue that all archives have, and in the other months, are missing.
     """
     rain = weather.precipitation
     times = [weather.rain_from + hour * HOUR for hour in range(len(rain))]
@@ -51,7 +51,7 @@ def halves(weather: Weather, archives: list[Archive]) -> tuple[Weather, Weather]
 
 
 def together(archives: list[Archive]) -> Archive:
-    """Return the issues that all have at one time, as one ensemble of what is as long in all."""
+    """Return the issues common to all archives as one ensemble, cut to the shortest of them."""
     by_time = [{issue.issued: issue for issue in archive.issues} for archive in archives]
     issues = []
     for issue in archives[0].issues:
@@ -64,7 +64,7 @@ def together(archives: list[Archive]) -> Archive:
 
 
 def archive(text: str) -> Archive:
-    """Read an archive, to so many hours where the text says so."""
+    """Read an archive, cut to a number of hours if the text has one."""
     path, _, hours = text.partition("@")
     past = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
     length = int(hours or 10_000)

@@ -1,8 +1,8 @@
 """Long runs with a simulated drive: ``python tools/endurance loop`` and ``... live``.
 
-loop: hardware in the loop beside the pure simulation, the volume pumped and the deviation.
-live: a live site; nodes are killed, controllers changed, a disk is full for a while. What it pumped
-beside the simulation, its incidents, and what each process took of the machine.
+loop: compares hardware in the loop with the pure simulation, by volume pumped and deviation.
+live: a live site; nodes are killed, controllers changed, and a disk is full for a while. Compares
+the pumped volume with the simulation, and lists incidents and the resources of each process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from graphs import own_domain
 
 
 def main() -> None:
-    """Do a long run and print what came of it."""
+    """Do a long run and print the results."""
     parser = argparse.ArgumentParser(
         prog="python tools/endurance", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -1,4 +1,4 @@
-"""What processes take of the machine, seen from outside, sample by sample."""
+"""Resources that processes use, sampled from outside."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import polars as pl
 from graphs import files_of
 from markdown_tables import head, row
 
-# Before it a process is still loading (s).
+# Age before which a process is still loading (s).
 _SETTLED_S = 60.0
 _KIB_PER_MIB = 1024.0
 
 
 class Figures:
-    """Samples of processes: memory (resident, MiB), threads, open files and sockets among them."""
+    """Samples of processes: resident memory (MiB), threads, open files, and sockets among these."""
 
     def __init__(self) -> None:
         self._samples: list[dict[str, object]] = []
 
     def sample(self, pids: dict[str, int]) -> None:
-        """Look at processes, by name; one that has just ended is left out."""
+        """Sample processes, given by name; a process that has just ended is left out."""
         now = time.monotonic()
         for name, pid in pids.items():
             try:
@@ -40,7 +40,7 @@ class Figures:
             })
 
     def table(self) -> str:
-        """Return a row for each name: its longest life, when it had settled and at its end."""
+        """Return a row for each name: its longest life, once settled and at its end."""
         samples = pl.DataFrame(self._samples).sort("process", "at").with_columns(
             age=pl.col("at") - pl.col("at").min().over("pid")
         )

@@ -1,4 +1,4 @@
-"""A live site for an hour: nodes killed, controllers changed, a disk that is full for a while."""
+"""A live site for an hour: nodes are killed, controllers changed, a disk is full for a while."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from ros_rig import write_forecast
 
 from greenroof_ros.model.site import read_site
 
-# Of the constant weather: mm/h, mm/day.
+# Constant weather: mm/h, mm/day.
 _RAIN, _EVAPOTRANSPIRATION = 0.0, 3.0
 _START_S, _SAMPLE_S = 60.0, 15.0
 _NODES = ("cistern_sensor", "controller", "pump", "weather", "recorder", "roof_sensor")
-# The bag's disk (MB), and for which part of the run it is full.
+# Size of the bag's disk (MB), and the part of the run during which it is full (1).
 _DISK_MB, _FULL_FROM, _FULL_TO = 64, 0.45, 0.52
 
 
 class LiveRun(ExitStack):
-    """A live site with simulated sensors and drive, each a program of its own."""
+    """A live site with simulated sensors and drive, each in its own process."""
 
     def __init__(self, directory: Path, domain: int, drive: str, *, full_disk: bool) -> None:
         """Start the programs.
 
         Args:
-            directory: of what the run leaves.
-            domain: a ROS domain of its own.
-            drive: a name of config/drives.
+            directory: for the files of the run.
+            domain: a ROS domain used by nothing else.
+            drive: a name in config/drives.
             full_disk: whether the bag's disk is full for a while.
         """
         super().__init__()
@@ -79,12 +79,12 @@ class LiveRun(ExitStack):
         return simulator
 
     def run(self, minutes: float, controllers: Sequence[str], kill_every: float) -> None:
-        """Run one controller after the other, each for an equal part.
+        """Run the controllers one after the other, each for an equal part.
 
         Args:
-            minutes: how long.
+            minutes: total length.
             controllers: their names.
-            kill_every: a node is killed so often (s).
+            kill_every: time between two kills of a node (s).
         """
         began = next_sample = time.monotonic()
         next_kill = began + kill_every
@@ -141,7 +141,7 @@ class LiveRun(ExitStack):
         return bringup
 
     def _fill(self, passed: float) -> None:
-        """Have the disk full in its part of the run."""
+        """Fill the disk, or free it, as the part of the run requires."""
         filling = self._kept / "filling"
         if not self._mounted or (_FULL_FROM < passed < _FULL_TO) == filling.exists():
             return
@@ -163,7 +163,7 @@ class LiveRun(ExitStack):
     # --- what came of it ------------------------------------------------------------------------
 
     def report(self) -> str:
-        """Return what came of it, in Markdown."""
+        """Return the results in Markdown."""
         with (self._directory / "levels.csv").open() as stream:
             ticks = list(csv.DictReader(stream))
         lines = [head([
@@ -192,9 +192,9 @@ class LiveRun(ExitStack):
     def _beside_simulation(
         self, controller: str, ticks: Sequence[dict[str, str]]
     ) -> tuple[float, ...]:
-        """Return of a part minutes, volume (m3) and deviation (m3), each beside the simulation's.
+        """Return a part's minutes, volume (m3) and deviation (m3), both with the simulation's.
 
-        The simulation begins in the live site's state, with the same weather.
+        The simulation starts from the live site's state, with the same weather.
         """
         site = read_site(CONFIG / "site.yaml")
         start = datetime(2024, 6, 1, tzinfo=timezone.utc)

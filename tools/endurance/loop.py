@@ -1,4 +1,4 @@
-"""Hardware in the loop beside the pure simulation: the volume, and the deviation that follows."""
+"""Hardware in the loop compared with the pure simulation: volume and resulting deviation."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def in_the_loop(
     directory: Path, domain: int, controller: str, hours: float, speed: float, drive: str,
     line: str,
 ) -> str:
-    """Run a site with a simulated drive, and the same without one.
+    """Run a site with a simulated drive, and the same site without one.
 
     Args:
-        directory: of what the runs leave.
-        domain: a ROS domain of its own.
+        directory: for the files of the runs.
+        domain: a ROS domain used by nothing else.
         controller: its name.
-        hours: length (simulated).
-        speed: simulated per real time; the drive is that much faster, too.
-        drive: a name of config/drives.
+        hours: simulated length.
+        speed: simulated per real time; the drive is as much faster.
+        drive: a name in config/drives.
         line: ``tcp``, or ``pty`` for Modbus RTU over a pseudo-terminal.
 
     Returns:

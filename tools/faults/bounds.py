@@ -1,6 +1,6 @@
-"""How long the pump may go on after a fault: what the documentation says, from the code's defaults.
+"""How long the pump may run after a fault: the documented times, from the code's defaults.
 
-doc/reference/interlocks.md and doc/reference/live-inputs.md state the same figures.
+doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figures.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
 from greenroof_ros.recording.bag_writer import FLUSH_S
 
-# Of the simulated drive, as the campaign starts it: from rated speed to rest, and its own timeout.
+# The simulated drive of the campaign: time from rated speed to rest, and its own timeout (s).
 RAMP_S = 1.0
 DRIVE_TIMEOUT_S = 5.0
-# How long bringup hears nothing of a node before it kills it: its default.
+# Silence of a node after which bringup kills it: bringup's default (s).
 SILENCE_S = 5.0
-# For how long the pump may run where a case is about the limit of a run or of a day, instead of the
-# default.
+# Limit of a run or of a day in cases about these limits, in place of the default (s).
 LIMIT_S = 20.0
-# What a busy machine may add to any of these, and what measuring adds.
+# Added by a busy machine, and by the measurement, to any of these times (s).
 SLACK_S = 1.0
-# Of a simulation, to the end of bringup: silence is noticed, and all nodes are ended.
+# For a simulation, time to the end of bringup: silence is noticed, and all nodes are ended.
 SIMULATION_END_S = SILENCE_S + ENDING_S + SLACK_S
 
 
@@ -33,7 +32,7 @@ def _limit(topic: str) -> float:
 
 
 def bounds(site: Site) -> dict[str, float]:
-    """Return each bound by its name (s), from the fault to a pump that stands.
+    """Return each bound by its name (s), from the fault until the pump stands.
 
     Args:
         site: of the campaign.
@@ -46,50 +45,50 @@ def bounds(site: Site) -> dict[str, float]:
     )
     exchange *= 2
     end = exchange + RAMP_S + SLACK_S
-    # It is left in silence when its speed has not fallen for so long.
+    # The line is left silent if the speed has not fallen for this long.
     runs_on = RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
     frozen, jump = 0.01, 0.02
     flow = flow_at(site, 1.0, 2.0)
     return {
-        # A rule of the pump node, or of the controller: the tick in which it acts.
+        # A rule of the pump node, or of the controller: one tick until it acts.
         "step": site.tau + step,
-        # The median of five readings of a sensor a second is the one of two readings ago.
+        # The median of five readings, one a second, lags by two readings.
         "filtered": 3.0 + site.tau + step,
         "command": _limit("/pump/command") + step,
         "level": _limit("/cistern/level") + site.tau + step,
-        # The same, of what comes and goes: it is there for 2 s first.
+        # The same for an intermittent level: it first arrives for 2 s.
         "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
         "frost": _limit("/weather/frost") + step,
-        # The permit: at once for a node that ended, after its silence for one that hangs.
+        # The permit is withdrawn at once if a node ended, and after its silence if it hangs.
         "permit": supervision._GREATEST_AGE_S + step,
         "silent": SILENT_S + PERMIT_S + step,
-        # The drive stands by itself, or bringup stops it.
+        # The drive stops by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,
-        # So long the slowest ramp that is allowed explains it.
+        # For this time the slowest permitted ramp can explain the speed.
         "follow": apart * ramp + follow + step,
-        # A level that does not move while the pump moves the water.
+        # A level that does not change although the pump moves water.
         "cistern frozen": frozen * site.a1 / flow + _limit("/cistern/level") + step,
         "roof frozen": frozen * site.a2 / flow + _limit("/roof/level") + step,
-        # The delivery check: the volume that may be missing, and the averaging that comes on top.
-        # A gauge only counts less; that it is silent must be said.
+        # A gauge's value only stops counting, but its silence must be reported.
         "gauge": _limit("/gauge/precipitation") + step,
-        # The same, where each request is answered by an exception and counts as life: two
-        # connections are tried first, after the first wait and twice that.
+        # As "drive", but each request is answered by an exception, which is a sign of life for the
+        # drive: two connections are tried first, after the first wait and after twice that wait.
         "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
         "runs on": runs_on,
-        # Where it was judged, and once more before it was seen, the connection is made again.
+        # The connection breaks twice before the fault is noticed, and is made again each time.
         "runs on, breaks": runs_on + 2 * (FIRST_WAIT_S + exchange),
         # Two connections are tried on which nothing can be written.
         "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
         "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,
         "full disk": FLUSH_S + 5.0 + step,
         "limit": LIMIT_S + step,
+        # The delivery check: the volume that may be missing, and the averaging in addition.
         "undelivered": tolerance * site.a2 / (delivery * flow) + 2 * averaging + step,
-        # The same of the cistern, whose level falls while its pump is off.
+        # The same for the cistern, whose level falls while its pump is off.
         "welded": tolerance * site.a1 / flow + 2 * averaging + step,
-        # By chance: two medians of five readings must be farther apart than the tolerance.
+        # Random: two medians of five readings must differ by more than the tolerance.
         "noisy": 4 * _limit("/cistern/level") + step,
         "drift": jump / 2e-4 + step,
     }

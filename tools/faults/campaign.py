@@ -1,10 +1,10 @@
 """The campaign of seeded faults, ``make faults``: each case is a parameter of pytest.
 
-More than a thousand: each node and program killed, ended and stopped; every topic and every Modbus
-exchange off, stuck, garbage, wrong, slow, delayed and intermittent; sensors, drives, weather,
-intruders. A rig (a live site, a pump node alone, hardware in the loop, a simulation) serves for the
-cases of a group of pytest-xdist, until one ends or breaks it. Results are lines of JSON; what is
-there is not done again, but a case that is asked for alone.
+It has more than a thousand cases: each node and program killed, ended and stopped; every topic and
+every Modbus exchange off, stuck, garbage, wrong, slow, delayed and intermittent; sensors, drives,
+weather, intruders. A rig (a live site, a pump node alone, hardware in the loop, a simulation)
+serves the cases of a pytest-xdist group until one ends or breaks it. Results are lines of JSON.
+Cases that have a good result are skipped, except a case that is run alone.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from faults.live import Outcome, Rigs, run_case
 from faults.table import read_results
 from graphs import Process, environment, own_domain
 
-# Of all that is random; and where the results are, and what the rigs leave.
+# Seed of everything random; then the directory of the results and of the rigs' files.
 SEED = int(os.environ.get("FAULTS_SEED", "1"))
 RESULTS = Path(os.environ.get("FAULTS_RESULTS", "runs/faults")).resolve()
-# So many cases share a rig: what it gathers ends with it.
+# Most cases that share a rig, because it accumulates state.
 _SHARE = 40
 
 os.environ |= environment(0)
@@ -37,11 +37,11 @@ DONE = read_results(RESULTS)
 
 
 def in_order(cases: list[Case]) -> list[Case]:
-    """Return the cases as they are done.
+    """Return the cases in the order in which they are done.
 
-    A node that is killed again soon waits longer for its next start, so they are mixed. What stops
-    nothing begins when the pump has run for a while, so the next can follow at once; what ends a
-    rig comes last, so that the others share one.
+    They are shuffled, because a node that is soon killed again waits longer for its next start.
+    Cases that stop the pump follow those that do not, which need a pump that has run for a while.
+    Cases that end a rig come last, so that the others share one.
     """
     random.Random(SEED).shuffle(cases)
     return sorted(cases, key=lambda case: (
@@ -50,7 +50,7 @@ def in_order(cases: list[Case]) -> list[Case]:
 
 
 class Bench:
-    """Does one case after the other; the cases of a rig follow each other."""
+    """Does one case after the other; consecutive cases use the same rig."""
 
     def __init__(self) -> None:
         RESULTS.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ class Bench:
         self._ended_badly: list[str] = []
 
     def do(self, case: Case) -> Outcome:
-        """Do a case, and write down what came of it."""
+        """Do a case, and write its outcome."""
         if case.rig != self._of or self._served == _SHARE:
             self.end_rig()
             self._of, self._served = case.rig, 0
@@ -97,7 +97,7 @@ class Bench:
             stream.write(json.dumps(self._last) + "\n")
 
     def end_rig(self) -> None:
-        """End the rig; what is wrong with that stands beside its last case."""
+        """End the rig; anything wrong with that is added to its last case."""
         wrong = self._rigs.end()
         if wrong:
             self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
@@ -105,7 +105,7 @@ class Bench:
             self._ended_badly.append(f"{self._last['id']}: {wrong}")
 
     def end(self) -> None:
-        """End what is left; fail where a rig ended badly after its last case."""
+        """End what is left; fail if a rig ended badly after its last case."""
         self.end_rig()
         Process.end_all()
         if not self._failed:
@@ -121,7 +121,7 @@ def bench() -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("case", [
-    # Simulations and foreign readers keep the processors busy: they are one group.
+    # Simulations and foreign readers keep the processors busy, so they form one group.
     pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(
         case.rig if ":" in case.rig else "busy"))
     for case in in_order(all_cases())

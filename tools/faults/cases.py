@@ -1,4 +1,4 @@
-"""Every case of the campaign: what is done to what, and what must come of it."""
+"""Every case of the campaign: what is done to which target, and what must follow."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ WAYS = (SIMULATED, LOOP, LIVE)
 # How often the four foreign readers are stopped in one case.
 ROUNDS = 50
 DRIVES = ("danfoss_fc202", "abb_acs880", "grundfos_cim500", "schneider_atv630")
-# Who shows a condition, as its status on /diagnostics is called, and the condition's code.
+# The name of a status on /diagnostics, and the code of a condition that it shows.
 Sign = tuple[str, str]
 
 
 def _pump(*codes: str) -> tuple[Sign, ...]:
-    """Return that the pump's own state has these codes."""
+    """Return signs with these codes, shown by the pump's own status."""
     return tuple(("pump: pump", code) for code in codes)
 
 
 def _level(tank: str, why: str = "") -> tuple[Sign, ...]:
-    """Return that the pump stands because a tank's level is unknown, and perhaps why that is."""
+    """Return the signs of a pump that stands for an unknown level, and perhaps of the reason."""
     return _pump(f"{tank}_level_unknown") + ((("pump: levels", why),) if why else ())
 
 
@@ -33,16 +33,16 @@ _NO_PERMIT: Sign = ("pump: supervisor", "no_permit")
 
 @dataclass(frozen=True)
 class Expected:
-    """What must come of a fault.
+    """What must follow from a fault.
 
     Attributes:
-        stops: the pump must stop within the bound; False: it must run on; None: either.
+        stops: True: the pump must stop within the bound; False: it must run on; None: either.
         bound: name of one of `bounds.bounds`.
         signs: what must be shown, all of it.
-        names: node or topic that must be in the reason that is given for the end.
+        names: node or topic that the reason of the end must name.
         recovery: ``heals``: the pump runs again by itself; ``latches``: only after ~/reset;
-            ``either``; ``stays``: it stays off; ``ends``: bringup ends, and all with it; of a
-            simulation ``same``: it runs to its end, with the same bag.
+            ``either``; ``stays``: it stays off; ``ends``: bringup and all its processes end; for a
+            simulation ``same``: it runs to its end, with an unchanged bag.
         watch: how long the pump must run on (s).
     """
 
@@ -59,9 +59,9 @@ class Case:
     """One fault.
 
     Attributes:
-        rig: kind of rig and drive, such as ``site:abb_acs880``; cases of one rig follow each other.
+        rig: kind of rig and drive, such as ``site:abb_acs880``; cases of one rig are consecutive.
         fault: what is done, such as ``kill``.
-        target: to what.
+        target: what it is done to.
         number: of the repetition.
         parameter: of the fault, if it has one.
     """
@@ -89,7 +89,7 @@ NODES = ("onoff", "weather", "cistern_sensor", "roof_sensor", "pump", "recorder"
 
 
 def _process(node: str, fault: str) -> Expected:
-    """Return what must come of a fault of a process of a live site."""
+    """Return what must follow from a fault of a live site's process."""
     failed = (node, "node_failed")
     if fault == "stop short":
         return Expected(stops=False)
@@ -120,7 +120,7 @@ def _processes(repeats: int) -> Iterator[Case]:
             yield Case(rig, fault, "site_simulator", number, Expected(
                 bound="level", signs=_level("cistern")))
         for again in range(2):
-            # Only the drive's own timeout is left.
+            # Only the drive's own timeout can stop the pump.
             yield Case(rig, "kill both", "pump and bringup", number + 4 * again, Expected(
                 bound="drive", recovery="ends"))
 
@@ -129,8 +129,8 @@ def _processes(repeats: int) -> Iterator[Case]:
 
 _LOST = _pump("drive_lost")
 _DRIVE: dict[str, Expected] = {
-    # Not believed is an absurd value, by the drive file's range of the speed: as if nothing had
-    # been said. Under power again a drive is as before, and reports no fault.
+    # An absurd value is outside the drive file's range of the speed and not believed, as if there
+    # were no answer. A drive that has power again is as before, and reports no fault.
     **dict.fromkeys(
         ("refused", "dropped", "half_open", "silence", "late", "garbage", "wrong_unit",
          "wrong_function", "wrong_length", "absurd_value", "power_cycle"),
@@ -142,22 +142,21 @@ _DRIVE: dict[str, Expected] = {
     "drive_fault": Expected(bound="drive", signs=_pump("drive_fault"), recovery="latches"),
     "timeout_off": Expected(bound="drive", signs=_pump("drive_timeout")),
     "local": Expected(bound="drive", signs=(("pump: drive", "drive_local"),)),
-    # Held by an operator, it says that it is off, and its motor runs until its own timeout passes.
+    # Held by an operator, the drive reports off, but its motor runs until its own timeout passes.
     "runs_on": Expected(bound="runs on", signs=_pump("runs_on"), recovery="latches"),
-    # PX4's: silent for 7 s of 9.
+    # As in PX4: silent for 7 s of 9.
     "intermittent": Expected(bound="intermittent drive", signs=_LOST),
 }
-# A Danfoss's speed is a share of its reference, and the same raw value twice of that: believed, and
-# a speed that does not follow.
+# A Danfoss's speed is a share of its reference. Twice that share is believed, as a speed that does
+# not follow.
 _OF_MAKE = {
     ("danfoss_fc202", "absurd_value"): Expected(
         bound="follow", signs=_pump("speed_not_followed"), recovery="latches"),
 }
-# What there is of it on a serial line, where nothing connects; the line of a simulator that is
-# started again would have another name.
+# Drive faults on a serial line, which has no connections; a restarted simulator's line would have
+# another name.
 _SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
-# The motor does not stop, whatever it is ordered to do: there must be an alarm, and the fault
-# latches.
+# The motor does not stop, whatever the order: there must be an alarm, and the fault latches.
 _UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
 
 
@@ -175,16 +174,16 @@ def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iter
 
 
 def _drive_alone(repeats: int) -> Iterator[Case]:
-    """Return what is done to a pump node alone."""
+    """Yield the cases of a pump node alone."""
     for number in range(repeats):
         for drive in DRIVES:
-            # It refuses what is written, and takes every request for a sign of life.
+            # It refuses writes, but counts every request as a sign of life.
             yield Case(f"pump:{drive}", "drive", "refused_writes", number, Expected(
                 bound="refusing", signs=_LOST))
-            # Its connections break sooner than it can be judged on one.
+            # Its connections break before it can be judged on one.
             yield Case(f"pump:{drive}", "drive", "runs_on, breaks", number, Expected(
                 bound="runs on, breaks", signs=_pump("runs_on"), recovery="latches"), 3)
-            # For some time after power-up some drives guard nothing.
+            # For some time after power-up some drives have no timeout.
             yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", number, Expected(
                 bound="drive", recovery="ends"))
 
@@ -195,9 +194,9 @@ RELAYS = ("tasmota", "shelly_gen2")
 
 
 def _relay(repeats: int) -> Iterator[Case]:
-    """Return what is done to a relay, its broker and its driver.
+    """Yield the cases of a relay, its broker and its driver.
 
-    Deaf is where renewals come too late, or not at all: it switches itself off, and answers.
+    Deaf means that renewals come too late or not at all: it switches itself off, but answers.
     """
     for drive in RELAYS:
         rig = f"relay:{drive}"
@@ -217,7 +216,7 @@ def _relay(repeats: int) -> Iterator[Case]:
                 bound="drive", recovery="ends"))
 
 
-# What may go wrong on a line to a sensor.
+# Faults of the line to a sensor.
 WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
         "wrong_unit", "wrong_function", "wrong_length", "exception", "intermittent")
 _RUNS_ON = Expected(stops=False)
@@ -226,9 +225,9 @@ _RUNS_ON = Expected(stops=False)
 
 
 def _still(tank: str) -> Expected:
-    """Return what must come of a level that does not change while the pump runs.
+    """Return what must follow from a level that does not change while the pump runs.
 
-    Of the roof's it cannot be known whether water arrives.
+    A constant roof level does not show whether water arrives.
     """
     if tank == "roof":
         return Expected(bound="roof frozen", signs=_pump("delivery"), recovery="latches")
@@ -264,14 +263,14 @@ def _sensors(repeats: int) -> Iterator[Case]:
         for fault in ("burst_pipe", "closed_valve"):
             yield Case(f"site:{drive}", "site", fault, number, Expected(
                 bound="undelivered", signs=_pump("delivery"), recovery="latches"))
-    # These lower the level faster than pump and outlet can, so that it jumps meanwhile.
+    # These leaks lower the level faster than pump and outlet can, so the level jumps meanwhile.
     for number, leak in enumerate((20_000, 50_000)):
         yield Case(f"site:{DRIVES[number]}", "site", "leak", number, Expected(
             bound="undelivered", signs=_pump("delivery"), recovery="latches"), leak)
 
 
 def _brokers(repeats: int) -> Iterator[Case]:
-    """Sensors on MQTT: what comes to them through a broker, or does not."""
+    """Yield the cases of sensors on MQTT and their broker."""
     level = Expected(bound="level", signs=_level("cistern", "input_silent"))
     lost, broker_lost = (
         tuple((f"{tank}_sensor: sensor", f"{what}_lost") for tank in ("cistern", "roof"))
@@ -281,7 +280,7 @@ def _brokers(repeats: int) -> Iterator[Case]:
         rig = f"mqtt:{DRIVES[number % 4]}"
         for fault, expected in (
             ("killed", replace(level, signs=(*level.signs, *broker_lost))),
-            # It may be back before the level is too old.
+            # The broker may be back before the level is too old.
             ("restarted", Expected(stops=None, signs=broker_lost)),
             ("paused", level),
             ("half_open", level),
@@ -307,7 +306,7 @@ def _dry(repeats: int) -> Iterator[Case]:
 
 
 def _limits(repeats: int) -> Iterator[Case]:
-    """A command that says the same for ever."""
+    """Yield the cases of a command that never changes, which the pump's limits must stop."""
     for number in range(repeats):
         for limit, code, recovery in (
             ("greatest_run", "longest_run", "heals"),
@@ -333,10 +332,10 @@ MODES = ("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermitt
 
 
 def _badly() -> dict[tuple[str, str], Expected]:
-    """Return what must come of topics that are published badly; of all others, nothing.
+    """Return what must follow from topics that are published badly; others have no effect.
 
-    The controller takes what it commands itself for /pump/flow, and the campaign's, on/off, needs
-    no forecast.
+    The controller uses its own command in place of /pump/flow, and the campaign's controller
+    (on/off) needs no forecast.
     """
     command, frost = "/pump/command", "/weather/frost"
     refused = Expected(signs=_REFUSED[command])
@@ -350,7 +349,7 @@ def _badly() -> dict[tuple[str, str], Expected]:
         (command, "wrong"): refused,
         (command, "slow"): silent,
         (command, "intermittent"): replace(silent, bound="intermittent"),
-        # A meter that says that nothing flows, while a level falls: one of both is wrong.
+        # The meter reports no flow while a level falls: one of the two is wrong.
         ("/pump/meter", "wrong"): Expected(
             bound="undelivered", signs=_pump("delivery"), recovery="latches"),
         ("/gauge/temperature", "wrong"): Expected(bound="command", signs=_pump("frost")),
@@ -365,7 +364,7 @@ def _badly() -> dict[tuple[str, str], Expected]:
             (name, "intermittent"): Expected(
                 bound="intermittent", signs=_level(tank, "input_silent")),
         }
-    for gauge in GAUGES:  # the forecast counts instead
+    for gauge in GAUGES:  # the forecast is used instead
         bad = Expected(stops=False, bound="gauge", signs=_REFUSED[gauge])
         badly |= {(gauge, "off"): bad, (gauge, "garbage"): bad}
     return badly
@@ -375,7 +374,7 @@ LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
 FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
 PLAYED = (*LEVELS, *FORECASTS)
 GAUGES = ("/gauge/precipitation", "/gauge/temperature")
-# What shows that values of a topic were refused.
+# Signs of refused values, by topic.
 _REFUSED = {
     "/pump/command": (*_pump("command_unknown"), ("pump: command", "input_refused")),
     "/weather/frost": _pump("frost_unknown"),
@@ -383,7 +382,7 @@ _REFUSED = {
     "/gauge/precipitation": (("weather: rain gauge", "gauge_bad"),),
     "/gauge/temperature": (("weather: thermometer", "gauge_bad"),),
 }
-# By rig, what is played there.
+# Topics played by the campaign, by rig.
 _ON = {
     "pump": ("/pump/command", *LEVELS), "played": PLAYED, "gauged": GAUGES,
     "metered": ("/pump/meter",), "flow": ("/pump/flow",),
@@ -396,7 +395,7 @@ def _topics(repeats: int) -> Iterator[Case]:
         for number in range(repeats):
             for topic in topics:
                 for mode in MODES:
-                    # These take a minute and more.
+                    # These take a minute or more.
                     slow = mode == "stuck" and topic in LEVELS[:2]
                     slow |= mode == "off" and topic in ("/weather/frost", *GAUGES)
                     slow |= mode == "wrong" and topic == "/pump/meter"
@@ -411,8 +410,8 @@ def _topics(repeats: int) -> Iterator[Case]:
 
 # --- intruders ------------------------------------------------------------------------------------
 
-# What shows that a topic has two publishers, of those that stop the pump; of the others nobody
-# takes the pump's orders.
+# Signs of two publishers, on the topics whose second publisher stops the pump; the others do not
+# command the pump.
 _OBEYED = {
     "/pump/command": _pump("two_controllers"),
     "/cistern/level": _level("cistern", "input_publishers"),
@@ -430,7 +429,7 @@ def _intruders(repeats: int) -> Iterator[Case]:
             yield Case(rig, "intruder", topic, number, Expected(bound="command", signs=signs))
         for topic in _HEARD:
             yield Case(rig, "intruder", topic, number, Expected(stops=None))
-        # Every topic that any live node hears, whoever publishes it: 10,000 more.
+        # Every topic that a live node hears, whoever publishes it: 10,000 hostile messages.
         for topic in (*_OBEYED, *_HEARD, *GAUGES):
             yield Case(rig, "10000 hostile", topic, number, Expected(
                 stops=None, bound="command", signs=_OBEYED.get(topic, ())))
@@ -474,15 +473,15 @@ def _loop(repeats: int) -> Iterator[Case]:
             bound="drive", recovery="ends"))
 
 
-# Of the weather only the plant hears these.
+# Weather topics that only the plant hears.
 _OF_PLANT = ("/weather/precipitation", "/weather/evapotranspiration")
 RELAYED = (*_OBEYED, *FORECASTS, *_OF_PLANT)
 
 
 def _relayed(repeats: int) -> Iterator[Case]:
-    """What is missing stalls the tick, and what is late makes it late.
+    """Yield the cases of relayed topics: a missing message stalls the tick, a late one delays it.
 
-    A wrong level is believed, since any plant may have it.
+    A wrong level is believed, because a plant could have it.
     """
     for number in range(repeats):
         for topic in RELAYED:
@@ -490,7 +489,7 @@ def _relayed(repeats: int) -> Iterator[Case]:
             refused = Expected(stops=topic not in _OF_PLANT, signs=_REFUSED.get(
                 topic, ((f"{hearer}: refused", "values_refused"),)))
             wrong = {"/pump/command": refused, "/weather/frost": Expected(signs=_pump("frost"))}
-            # Who waits for whom is known: the first in the chain is named.
+            # The waiting nodes are known, so the first in the chain is named.
             stalled = Expected(
                 bound="command", signs=(("plant", "node_failed"),), recovery="ends",
                 names=topic if topic in _OF_PLANT else "/pump/command")
@@ -500,10 +499,10 @@ def _relayed(repeats: int) -> Iterator[Case]:
                 "garbage": refused,
                 "wrong": wrong.get(topic, _RUNS_ON),
                 "ok": _RUNS_ON,
-                # Later than a command may be, and sooner than the run ends: it stops, but goes on
-                # before it stands.
+                # Later than a command may be, but before the run ends: the pump slows down, but
+                # runs on before it stands.
                 "slow": Expected(stops=None, bound="command", signs=_pump("no_command")),
-                # A tick of a second and these two are about as long as a command may be late.
+                # A one-second tick and these two delays are about as long as a command may be late.
                 "delayed": Expected(stops=None, watch=6.0),
                 "intermittent": replace(stalled, bound="intermittent"),
             }.items():
@@ -540,7 +539,7 @@ def _simulated(repeats: int) -> Iterator[Case]:
 
 
 def _readers(blocks: int) -> Iterator[Case]:
-    """Four readers of /roof/level, stopped for 6.5 s and continued, in all three ways at once."""
+    """Yield cases of four readers of /roof/level, stopped for 6.5 s and continued, in all ways."""
     for number in range(blocks):
         for way in ("simulated", "loop", "live"):
             yield Case("readers", f"four readers stopped {ROUNDS} times", way, number, Expected(

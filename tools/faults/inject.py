@@ -1,4 +1,4 @@
-"""What is done in a case: begun, and ended again."""
+"""The faults of the cases: how they begin and end."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
-# Shorter than every limit.
+# Shorter than every limit (s).
 _SHORT_S = (0.2, 0.6)
 
 
@@ -38,12 +38,12 @@ def signal_process(pid: int, fault: str, rng: random.Random, undo: ExitStack) ->
         time.sleep(rng.uniform(*_SHORT_S))
         os.kill(pid, signal.SIGCONT)
         return
-    undo.enter_context(suppress(ProcessLookupError))  # it was killed meanwhile, as it should be
+    undo.enter_context(suppress(ProcessLookupError))  # it may rightly have been killed meanwhile
     undo.callback(os.kill, pid, signal.SIGCONT)
 
 
 def intrude(watcher: Watcher, topic: str, fault: str, rng: random.Random) -> None:
-    """Publish nonsense on a topic, where others do, too."""
+    """Publish nonsense on a topic on which other nodes publish too."""
     kind = read_topics()[topic].type
 
     def value() -> object:
@@ -64,14 +64,14 @@ def intrude(watcher: Watcher, topic: str, fault: str, rng: random.Random) -> Non
 
 
 def refuse_second_graph(domain: int, place: Path) -> None:
-    """See that a second bringup keeps off."""
+    """Check that a second bringup refuses to start."""
     second = Process(domain, "bringup", "--hours", "1", cwd=place)
     code = second.wait(30)
     assert code == EXIT_OCCUPIED, f"a second graph ended with exit code {code}: {second.stderr()}"
 
 
 def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
-    """Begin the fault of a case; what ends it is to be done by a stack."""
+    """Begin the fault of a case, and add its end to a stack."""
     truth, players = rig.truth, rig.players
     match case.fault:
         case "kill" | "term" | "stop short" | "stop long":
@@ -100,7 +100,7 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             rig.fill()
             undo.callback(rig.free)
         case "stuck for ever":
-            pass  # it says the same from the start on
+            pass  # the command is the same from the start
         case "sensor" | "site":
             truth.inject_site(case.target, case.parameter)
             undo.callback(truth.inject_site, "none")
@@ -140,7 +140,7 @@ def _process(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
 
 
 def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None:
-    """Let a fault of a line stand; an intermittent one is silent for some time, again and again."""
+    """Start a fault of a line; an intermittent fault is silence that comes and goes."""
     undo.callback(inject, "none")
     if fault != "intermittent":
         inject(fault)
@@ -162,7 +162,7 @@ def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None
 def _broker(
     rig: MqttRig | RelayRig, fault: str, rng: random.Random, undo: ExitStack
 ) -> None:
-    """Do something to the broker of sensors or relay, or the cable to it."""
+    """Do something to the broker of sensors or relay, or to the cable."""
     broker = rig.broker
     match fault:
         case "killed":
@@ -171,7 +171,7 @@ def _broker(
         case "restarted":
             broker.kill()
             broker.start()
-            time.sleep(6.0)  # its clients wait for up to 5 s; what they say is of this case
+            time.sleep(6.0)  # its clients wait for up to 5 s; their reports belong to this case
         case "paused":
             broker.pause()
             undo.callback(broker.go_on)
@@ -181,7 +181,7 @@ def _broker(
         case "hostile" if isinstance(rig, MqttRig):
             rig.say_nonsense(10_000, rng)
         case "retained" if isinstance(rig, MqttRig):
-            # The sensor dies, and who connects again gets its last word.
+            # The sensor dies, and a client that reconnects gets its last message.
             rig.say_retained()
             rig.truth.inject_site("cistern_silent")
             undo.callback(rig.truth.inject_site, "none")
@@ -200,7 +200,7 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
         undo.callback(rig.watcher.stop, False)
         undo.callback(truth.inject_drive, "none")
     elif case.target == "timeout_off":
-        # It is read with each new connection.
+        # The timeout is read with each new connection.
         truth.inject_drive("timeout_off")
         truth.inject_drive("dropped")
         time.sleep(1.0)
@@ -214,7 +214,7 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
 
 
 def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
-    """Let the motor run whatever the order, or again after it stood; then it can be stopped."""
+    """Let the motor ignore orders, or run again after it stood; at the end it can be stopped."""
     undo.callback(rig.watcher.stop, False)
     undo.callback(wait, lambda: rig.truth.speed <= AT_REST, 8, "a pump that can be stopped stands")
     undo.callback(rig.truth.inject_drive, "none")

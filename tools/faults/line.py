@@ -1,4 +1,4 @@
-"""The line of a level sensor on Modbus, and the cable to a broker: both can go bad."""
+"""The line of a level sensor on Modbus, and the cable to a broker; both can be made to fail."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from greenroof_ros.simulators.server import Device, Server, StandingFault
 
 
 class Line:
-    """Listens at a port, and asks the sensor at another, in a thread of its own.
+    """Listens at a port and asks the sensor at another, in a thread of its own.
 
-    Before the sensor stands a server of the simulators'.
+    It puts one of the simulators' servers in front of the sensor.
     """
 
     def __init__(self, port: int, behind: int) -> None:
@@ -32,7 +32,7 @@ class Line:
         self._thread.start()
 
     def inject(self, fault: str) -> None:
-        """Let a fault stand, with its default; connections that there are meet it, too."""
+        """Start a fault with its default parameter; it also affects existing connections."""
         self._fault.parameter = faults.DRIVE_FAULTS[fault].default
         self._fault.name = fault
 
@@ -48,7 +48,7 @@ class Line:
         self._behind.close()
 
     def _ask(self, register: int) -> bool:
-        """Read the level; where there is no answer, none is given."""
+        """Read the level; return False, for no answer, if the sensor gives none."""
         try:
             if not self._behind.connected:
                 self._behind.connect()
@@ -60,14 +60,14 @@ class Line:
 
 
 class Cable:
-    """A TCP connection to a port, for each at its own; while it is cut nothing goes either way.
+    """Forwards each TCP connection to a port; while it is cut nothing passes in either direction.
 
-    As on a network that is gone: connections stay open, and new ones are answered by nobody. What
-    was sent meanwhile comes when it is whole again.
+    It acts like a lost network: connections stay open, and new ones get no answer. Data sent
+    meanwhile arrive when it is whole again.
 
     Attributes:
-        port: its own, on loopback.
-        cut: whether it is.
+        port: its own port, on loopback.
+        cut: whether it is cut.
     """
 
     def __init__(self, behind: int) -> None:
@@ -82,7 +82,7 @@ class Cable:
         self._server.close()
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # it was closed
+        with contextlib.suppress(OSError):  # the server was closed
             while True:
                 near = self._server.accept()[0]
                 try:

@@ -1,4 +1,4 @@
-"""A case of a rig with a drive: the fault, the time until the pump stands, and what comes after."""
+"""A case of a rig with a drive: the fault, the time until the pump stands, and the recovery."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
 
-# How much longer than the bound is waited, for a figure of how bad it was (s).
+# How long to wait beyond the bound, to see how much it is exceeded (s).
 _LONGER_S = 10.0
-# What a node that was killed needs until the pump runs again: back-off, start, recovery (s).
+# Time from a node's kill until the pump must run again: back-off, start, recovery (s).
 _RECOVERY_S = 75.0
-# Within which bringup ends once the pump stands (s).
+# Time within which bringup must end once the pump stands (s).
 _END_S = 50.0
 _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
-# Within which no alarm of what is over is shown any more; a gauge or a forecast file that is good
-# again counts only after a while (s).
+# Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file that
+# is good again counts only after a while.
 _OVER_S = 15.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002
-# What a recorder may lose (s): what came since its last flush, and a flush that was under way.
+# What a recorder may lose (s): data since its last flush, and the flush in progress.
 _LOST_S = FLUSH_S + 1.0
 
 
 @dataclass
 class Outcome:
-    """What came of a case.
+    """The outcome of a case.
 
     Attributes:
-        to_safe: time from the fault to a pump that stands, or to the alarm where it cannot be
-            stopped (s); None where it had to run on.
-        bound: of that (s).
-        signs: what was shown of the cause: each status, and its code.
-        reason: of the end, for people.
-        lost: seconds that a bag lacks, ticks in a simulation; None where nothing was to lose.
-        recovery: how it went on.
-        recovered: after how long the pump ran again (s); None where it did not by itself.
-        wrong: what was not as it should be; empty for nothing.
+        to_safe: time from the fault until the pump stands, or until the alarm if it cannot be
+            stopped (s); None if it had to run on.
+        bound: of that time (s).
+        signs: what was shown of the cause: status and code.
+        reason: of the end, as text.
+        lost: seconds that a bag lacks, or ticks in a simulation; None if nothing could be lost.
+        recovery: what happened afterwards.
+        recovered: time until the pump ran again (s); None if it did not by itself.
+        wrong: deviations from what must happen; empty if there are none.
     """
 
     to_safe: float | None = None
@@ -68,10 +68,10 @@ class Outcome:
 
 
 class Rigs:
-    """The rig of cases that follow each other: made for the first, and again where it broke.
+    """The rig of consecutive cases: made for the first, and again after it broke.
 
     Attributes:
-        stack: ends it, and what was started for it.
+        stack: ends the rig, and everything started for it.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -80,7 +80,7 @@ class Rigs:
         self._rig: Rig | None = None
 
     def do(self, case: Case, outcome: Outcome, task: Callable[[Rig], None]) -> None:
-        """Do something to a case's rig; where that fails or ends it, the next case has another."""
+        """Do something to a case's rig; if that fails or ends it, the next case gets a new one."""
         try:
             if self._rig is None:
                 self._count += 1
@@ -91,7 +91,7 @@ class Rigs:
             task(self._rig)
         except BrokenError as error:
             outcome.fail(f"rig: {error}")
-        except Exception as error:  # whatever it is, the next case needs a new rig
+        except Exception as error:  # whatever failed, the next case needs a new rig
             outcome.fail(f"{type(error).__name__}: {error}")
         ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
         if outcome.wrong or ends:
@@ -112,27 +112,27 @@ class Rigs:
 def run_case(
     rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float = 0.0
 ) -> None:
-    """Do a case to a rig, and note what came of it.
+    """Do a case to a rig, and note the outcome.
 
     Args:
-        rig: to which.
-        case: which.
-        rng: for all that is random.
+        rig: the rig.
+        case: the case.
+        rng: for everything that is random.
         outcome: where it is noted.
-        hold: how long the fault stays once it was said (s).
+        hold: how long the fault stays after it was reported (s).
 
     Raises:
-        BrokenError: the rig did not come to run before it.
+        BrokenError: the pump did not run before the case.
     """
-    # What the case before left may show once more: a level that came just before its sensor died
-    # becomes too old after its limit. A limit of the pump's use counts from the start on.
+    # The previous case may still have an effect: a level received just before its sensor died
+    # becomes too old after its limit. A limit of the pump's use counts from its start.
     if case.expected.stops is not False and case.fault != "stuck for ever":
         rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.watchers[1:] = []
     if case.target == "recorder" and isinstance(rig, SiteRig):
         _until_it_records(rig.kept / "bag", rng)
-    time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
+    time.sleep(rng.uniform(0.0, 1.0))  # a random phase of the ticks, which last a second
     if not rig.runs():
         rig.until_running()
     outcome.bound = bounds(rig.site)[case.expected.bound]
@@ -144,7 +144,7 @@ def run_case(
 
 
 def _until_it_records(bag: Path, rng: random.Random) -> None:
-    """Wait until a recorder that a case before has ended writes again, and for a random time."""
+    """Wait until a recorder that an earlier case ended writes again, then for a random time."""
 
     def written() -> tuple[Path | None, int]:
         file = newest_file(bag)
@@ -161,9 +161,9 @@ def newest_file(bag: Path) -> Path | None:
 
 
 def last_message(file: Path) -> float:
-    """Return when the last whole message of a file came (s since 1970); it need not be closed."""
+    """Return the time of the last whole message in a file, closed or not (s since 1970)."""
     last = 0
-    with suppress(McapError, EOFError), file.open("rb") as stream:  # where it was cut
+    with suppress(McapError, EOFError), file.open("rb") as stream:  # it may be cut
         for record in StreamReader(stream, emit_chunks=True).records:
             records = breakup_chunk(record) if isinstance(record, Chunk) else [record]
             last = max([last, *(part.log_time for part in records if isinstance(part, Message))])
@@ -181,7 +181,7 @@ def _fault(
         begin(rig, case, rng, undo)
         slow = ("dry", "power cycle, then kill", "unstoppable")
         if case.fault in slow or case.fault.startswith("second"):
-            began = time.monotonic()  # it took its time to become so
+            began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
             _until_it_stands(rig, case, began, outcome)
         else:
@@ -228,7 +228,7 @@ def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> No
 def _signs(
     rig: Rig, case: Case, began: float, incidents: int, outcome: Outcome
 ) -> None:
-    """See that all that must be shown of a fault is, and that the page has advice about it."""
+    """Check that all signs of a fault are shown, and that the page gives advice about it."""
     assert outcome.bound is not None
     until = max(began + outcome.bound, time.monotonic() + 2.0)
     if case.expected.recovery == "ends":
@@ -241,20 +241,20 @@ def _signs(
             )
             return
         time.sleep(0.05)
-    advised = {who for watcher in rig.watchers for at, (who, _) in watcher.advised if at >= began}
+    advised = {who for who, _ in rig.advised(began)}
     without = {who for who, code in case.expected.signs if code != "node_failed"} - advised
     if without:
         outcome.fail(f"no alarm with advice came of: {without}")
 
 
 def _said(rig: Rig, began: float) -> list[str]:
-    """Return what was said since a time, with how long after it (s)."""
+    """Return what was reported since a time, each with the delay (s)."""
     said = [(at - began, who, text) for at, who, text in rig.watcher.said if at >= began]
     return [f"{after:.2f} {who} {text}" for after, who, text in said[:30]]
 
 
 def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
-    """See that it goes on as specified."""
+    """Check that the rig recovers as specified."""
     expected = case.expected.recovery
     if expected == "stays":
         since = time.monotonic()
@@ -273,7 +273,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
                 outcome.fail("the fault did not latch: the pump ran again by itself")
             return
         if rig.watcher.pump_state == "fault" and expected != "heals":
-            time.sleep(RAMP_S + 1.0)  # it may have latched while the pump turned
+            time.sleep(RAMP_S + 1.0)  # the fault may have latched while the pump turned
             break
         time.sleep(0.05)
     if expected == "heals":
@@ -292,10 +292,10 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
 
 
 def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
-    """See that no alarm of what is over stands."""
+    """Check that no alarm of the fault remains."""
     until = time.monotonic() + _OVER_S
     if case.fault == "full disk":
-        until += RETRY_S + FLUSH_S  # so long the recorder waits before it tries again
+        until += RETRY_S + FLUSH_S  # the recorder's wait before it tries again
     while stands := rig.watcher.standing.intersection(case.expected.signs):
         if time.monotonic() > until:
             outcome.fail(f"stands although it is over: {stands}")
@@ -304,14 +304,14 @@ def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
 
 
 def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
-    """See that bringup ends by name, and everything with it."""
+    """Check that bringup ends with a reason, and all its processes with it."""
     pids = set(rig.pids().values()) | rig.started
     try:
         code = rig.main.process.wait(_END_S)
     except subprocess.TimeoutExpired:
         outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
-    # A live site ends with 1 where it had incidents, which may be of the cases before.
+    # A live site ends with 1 if it had incidents, perhaps in an earlier case.
     asked = int(rig.summary()["incident_count"] > 0) if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
         case.fault if case.target == "bringup" else "", 1)

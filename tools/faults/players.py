@@ -1,4 +1,4 @@
-"""Controller, sensors and weather played by the campaign, each as good or bad as a case asks."""
+"""Controller, sensors and weather played by the campaign, with or without the faults of a case."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from greenroof_ros.model.site import Site
 
 Value = float | Sequence[float]
 PERIOD_S = 1.0
-# PX4's *intermittent*: on for 2 s, off for 7 s.
+# The fault *intermittent* of PX4: on for 2 s, off for 7 s.
 ON_S, OFF_S = 2.0, 7.0
-# Where the nodes publish between which the campaign stands.
+# Prefix of the topics on which the nodes publish if the campaign stands between them.
 TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
-# Too large, which a command may be: it counts as 1.
+# Values too large for other topics; as a command they count as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
-# What is wrong but looks right, by topic: how far off, or a value of its own.
+# Wrong values that look right, by topic: an offset, or a value of its own.
 _WRONG: dict[str, Callable[[float], float]] = {
     "/cistern/level": lambda level: level + 0.3,
     "/roof/level": lambda level: level + 0.1,
@@ -39,15 +39,15 @@ _WRONG: dict[str, Callable[[float], float]] = {
     "/gauge/precipitation": lambda rain: 1e-6,
     "/gauge/temperature": lambda degrees: -5.0,
 }
-# How late a delayed topic is (s), and how much slower a slow one.
+# Delay of a delayed topic (s), and factor of the period of a slow one.
 _DELAY_S, _SLOW = 2.0, 4.0
 
 
 class _Played:
-    """Topics that the campaign publishes, each in one of the ways of PX4's list.
+    """Topics that the campaign publishes, each with one of the faults of PX4's list.
 
     Attributes:
-        topics: what is published.
+        topics: the published topics.
     """
 
     def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
@@ -59,7 +59,7 @@ class _Played:
         self._random = random.Random(0)
 
     def set(self, topic: str, mode: str, rng: random.Random) -> None:
-        """Publish a topic in a way from now on."""
+        """Publish a topic with this fault from now on."""
         self._random = random.Random(rng.random())
         self._began = time.monotonic()
         self._mode[topic] = mode
@@ -68,7 +68,7 @@ class _Played:
         threading.Timer(seconds, self._watcher.publish, (topic, value)).start()
 
     def _changed(self, topic: str, value: Value) -> Value | None:
-        """Return what becomes of a value; None where it does not come, or not now."""
+        """Return the value to publish; None if nothing is published now."""
         mode, since = self._mode[topic], time.monotonic() - self._began
         if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
             return None
@@ -85,7 +85,7 @@ class _Played:
 
 
 class Players(_Played):
-    """Publishes each topic once a second; levels follow from what the drive really does."""
+    """Publishes each topic once a second; levels follow from the drive's true speed."""
 
     def __init__(
         self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
@@ -135,7 +135,7 @@ class Players(_Played):
                         self._watcher.publish(topic, said)
 
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
-        """Publish so many hostile values as fast as it goes, then in fits and starts."""
+        """Publish this many hostile values as fast as possible, with random pauses."""
         sample = self._values[topic]()
         self._random = random.Random(rng.random())
         for number in range(count):
@@ -145,11 +145,11 @@ class Players(_Played):
 
 
 class Relay(_Played):
-    """Stands between nodes in lockstep: what one says of a tick, the others hear from here.
+    """Stands between nodes in lockstep: the others hear each node's messages only through it.
 
-    A node publishes under /true, and each message comes on as a case asks; one that does not holds
-    the tick up. A node in lockstep publishes next when it is answered: slow is as late as delayed,
-    for longer.
+    A node publishes under /true, and each message is passed on as a case requires; one that is not
+    passed on holds up the tick. A node in lockstep publishes again only when it is answered, so
+    slow is the same as delayed, but longer.
     """
 
     def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
@@ -175,6 +175,6 @@ def _garbage(topic: str, value: Value, rng: random.Random) -> Value:
         hostile = tuple(degrees for degrees in hostile if not -90 <= degrees <= 60)
     if isinstance(value, float):
         return rng.choice(hostile)
-    # A controller that needs no forecast takes one of another length, but none that cannot be.
+    # A controller that needs no forecast accepts one of another length, but not invalid values.
     count = rng.choice((len(value), len(value) - 3, 1))
     return [rng.choice(hostile) for _ in range(count)]

@@ -1,7 +1,7 @@
 """Four foreign readers of /roof/level stopped for 6.5 s and continued, in all three ways at once.
 
-Over shared memory this froze nodes that had nothing to do with them: no run may end, no pump stop,
-and not one byte of the simulation's bag may change.
+With shared memory this froze unrelated nodes. No run may end, no pump may stop, and the
+simulation's bag must not change in a single byte.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.recording.bag_reader import count_ticks
 
 READERS, STOPPED_S = 4, 6.5
-# How long all read on before they are stopped again, and how far their stops are apart at most.
+# Pause before the readers are stopped again, and the longest time between their stops (s).
 _PAUSE_S, _APART_S = (0.1, 0.5), 0.4
 # Simulated per wall time, so that the run lasts for all stops.
 _SPEED = 20.0
 _LEAST_SPEED = 0.05
-# Such as ``ros2 topic echo``: it knows nothing of this package but when to end, and has the
-# middleware's own settings, shared memory included.
+# Like ``ros2 topic echo``: it uses only this package's rule for when to end, and the middleware's
+# own settings, including shared memory.
 _READER = """
 import rclpy
 from std_msgs.msg import Float64
@@ -45,7 +45,7 @@ rclpy.spin(node)
 
 
 class _Readers:
-    """Four of them in each domain."""
+    """Four readers in each domain."""
 
     def __init__(self, domains: list[int], directory: Path) -> None:
         self._processes = [
@@ -58,7 +58,7 @@ class _Readers:
         ]
 
     def stop_and_continue(self, rng: random.Random) -> None:
-        """Stop each for `STOPPED_S`, at a moment of its own; all are stopped most of the time."""
+        """Stop each for `STOPPED_S`, at its own random time; for most of it all are stopped."""
         began = time.monotonic()
         moments = []
         for process in self._processes:
@@ -85,7 +85,7 @@ class _Readers:
 
 
 def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[Case, Outcome]]:
-    """Do the three cases of a block, each in its own graph, and yield what came of each."""
+    """Do the three cases of a block, each in its own graph, and yield the outcome of each."""
     directory.mkdir(parents=True, exist_ok=True)
     rng = random.Random(f"{seed} {cases[0].number}")
     outcomes = {case: Outcome(recovery="ran on") for case in cases}
@@ -134,7 +134,7 @@ def _look(
     case: Case, outcome: Outcome, rigs: dict[str, Rig], simulation: Process, began: float,
     number: int,
 ) -> None:
-    """See after a round that nothing came of it."""
+    """Check after a round that it had no effect."""
     if case.target == "simulated":
         if simulation.process.poll() is not None and not outcome.wrong:
             outcome.fail(f"the run ended in round {number}: {simulation.stderr()[:400]}")
@@ -152,7 +152,7 @@ def _compare(
     simulation: Process, domain: int, directory: Path, hours: str,
     outcomes: dict[Case, Outcome],
 ) -> None:
-    """Compare the simulation's bag with the bag of an undisturbed run as fast as it goes."""
+    """Compare the simulation's bag with the bag of an undisturbed run at full speed."""
     wrong = ""
     code = simulation.process.wait(600)
     if code != 0:

@@ -1,4 +1,4 @@
-"""What the cases are done to: a live site, a pump node alone, or a simulation with a drive."""
+"""Rigs for the cases: a live site, a pump node alone, or a simulation with a drive."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.simulators.control_profiles import AbbDrives
 
 START_S = 60.0
-# What the simulated drive needs from power-up until it answers (s).
+# Time from the simulated drive's power-up until it answers (s).
 BOOT_S = 2.0
-# What the campaign sets other than its default, so that a pump that was stopped runs again soon.
-# None of these is in a bound.
+# Parameters that differ from their defaults, so that a stopped pump runs again soon. No bound
+# depends on them.
 SHORTENED = {"recovery_time": 1.0}
 PUMP_SHORTENED = {
     **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
     "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
 }
-# The paper's site, but for a roof that takes an hour to fill: ten times its target.
+# The paper's site, but with a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
 CONTROLLER = "onoff"
@@ -63,7 +63,7 @@ def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
     """Wait for a condition.
 
     Raises:
-        BrokenError: it does not come.
+        BrokenError: it is not met in time.
     """
     until = time.monotonic() + seconds
     while not condition():
@@ -81,7 +81,7 @@ def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
 
 
 def site_file(directory: Path, **changes: float) -> Path:
-    """Write the campaign's site file."""
+    """Write the campaign's site file, with changed values."""
     text = (CONFIG / "site.yaml").read_text()
     values = {"z_veg": _TARGET, "starts_per_hour": 3600.0, **changes}
     for name, value in values.items():
@@ -93,7 +93,7 @@ def site_file(directory: Path, **changes: float) -> Path:
 
 
 def _has_shared_memory(pid: int) -> bool:
-    """Whether a process shares memory with others, which a stopped one of them could hold."""
+    """Return whether a process uses shared memory, which a stopped process could hold."""
     try:
         return "/dev/shm/fastrtps" in Path(f"/proc/{pid}/maps").read_text()
     except OSError:
@@ -101,7 +101,7 @@ def _has_shared_memory(pid: int) -> bool:
 
 
 class Simulator:
-    """A simulated drive or site as a program, that can be started again where it was."""
+    """A simulated drive or site as a process, which can be restarted at the same address."""
 
     def __init__(self, domain: int, directory: Path, module: str, *options: str) -> None:
         self._start = (domain, directory, module, options)
@@ -134,14 +134,14 @@ class Simulator:
 
 
 class Rig:
-    """A pump on a simulated drive, and all that has to do with it.
+    """A pump on a simulated drive, and everything around it.
 
     Attributes:
         watcher: the campaign's node in the graph.
-        truth: what the drive really does.
-        watchers: all that hear for the campaign: `watcher`, and a case's own in another domain.
-        kept: where bringup keeps its summary and incidents, if there is a bringup.
-        lines: to the level sensors, where they can go bad; by tank.
+        truth: the true state of the drive.
+        watchers: all that listen for the campaign: `watcher`, and a case's own in another domain.
+        kept: directory of bringup's summary and incidents, if there is a bringup.
+        lines: lines to the level sensors that can fail, by tank.
     """
 
     pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
@@ -153,10 +153,10 @@ class Rig:
         """Start the drive.
 
         Args:
-            directory: for what all of it leaves.
+            directory: for all files of the rig.
             domain: of the graph.
             drive: make of the drive.
-            special: what is other than usual, by attribute.
+            special: attributes that differ from the usual ones.
         """
         vars(self).update(special)
         self.directory, self.domain, self.drive_name = directory, domain, drive
@@ -170,7 +170,7 @@ class Rig:
             )} for node in self.nodes
         }))
         self.lines: dict[str, Line] = {}
-        # The wait after power-up, where a drive guards nothing, would come with each connection.
+        # Otherwise the node would wait after each connection, for drives unguarded at power-up.
         self.drive_file = drive if self.as_shipped else guarding(drive, directory)
         (bench,) = free_ports(1)
         self.drive = Simulator(
@@ -192,11 +192,11 @@ class Rig:
         self.main = self.bring_up()
 
     def _place(self) -> tuple[str, ...]:
-        """Return the options that say where the drive is."""
+        """Return the options that give the drive's place."""
         return ("--serial", "pty") if self.serial else ("--port", str(*free_ports(1)))
 
     def start_site(self) -> Address | None:
-        """Start what the drive's pump waters, and return its workbench; None without either."""
+        """Start the site, if the rig has one; return its workbench, otherwise None."""
         return None
 
     def bring_up(self) -> Process:
@@ -212,13 +212,13 @@ class Rig:
         return pids
 
     def runs(self) -> bool:
-        """Whether the pump runs, truly and by its node."""
+        """Return whether the pump runs, by its true speed and by its node."""
         return self.truth.runs() and self.watcher.pump_state in ("running", "starting")
 
     def until_guarded(self) -> None:
-        """Wait until the drive's own timeout counts, which it may not at once after power-up.
+        """Wait until the drive's own timeout works, which may take some time after power-up.
 
-        The node's own wait for that is off, but in cases about it.
+        The node's own wait for it is switched off, except in cases about it.
         """
         if self.as_shipped or self.drive_name != "abb_acs880":
             return
@@ -226,10 +226,10 @@ class Rig:
         time.sleep(max(0.0, until - time.monotonic()))
 
     def until_running(self, seconds: float = START_S, steady_s: float = 0.0) -> None:
-        """Wait until the pump runs, and has for so long without a break.
+        """Wait until the pump runs, and has run without a break for ``steady_s``.
 
         Raises:
-            BrokenError: it does not.
+            BrokenError: it does not run in time.
         """
         until = time.monotonic() + seconds
         while not self.runs() or self.truth.steady_for() < steady_s:
@@ -245,24 +245,32 @@ class Rig:
             time.sleep(0.02)
 
     def signs(self, since: float, incidents: int = 0) -> set[Sign]:
-        """Return what was shown since a time, on /diagnostics and in incidents after so many."""
-        heard = {
-            sign for watcher in self.watchers for at, sign in list(watcher.signs) if at >= since
-        }
-        return heard | {
+        """Return the signs since a time on /diagnostics, and in incidents from a number on."""
+        return self._heard("signs", since) | {
             (incident.subject, incident.code) for incident in read_incidents(self.kept)[incidents:]
         }
 
+    def advised(self, since: float) -> set[Sign]:
+        """Return the signs since a time that the page has advice about."""
+        return self._heard("advised", since)
+
+    def _heard(self, kind: str, since: float) -> set[Sign]:
+        """Return a kind of signs since a time; a case's own watcher hears that case alone."""
+        return {
+            sign for watcher in self.watchers for at, sign in list(getattr(watcher, kind))
+            if at >= since or watcher is not self.watcher
+        }
+
     def incidents(self) -> int:
-        """Return how many incidents there were so far."""
+        """Return the number of incidents so far."""
         return len(read_incidents(self.kept))
 
     def summary(self) -> dict[str, Any]:
-        """Return what bringup has written about itself; nothing where there is no bringup."""
+        """Return bringup's summary; empty if there is no bringup."""
         return summary_of(self.kept) if (self.kept / summary.SUMMARY).exists() else {}
 
     def reason(self) -> str:
-        """Return why bringup ended, for people; empty where it was killed."""
+        """Return why bringup ended, as text; empty if it was killed."""
         return self.summary().get("reason") or ""
 
     def __enter__(self) -> Rig:
@@ -281,7 +289,7 @@ class Rig:
             line.close()
 
     def _end_main(self) -> list[str]:
-        """End what is under test, and return what is wrong with how it ended."""
+        """End the processes under test, and return what is wrong with how they ended."""
         wrong = []
         pids = set(self.pids().values()) | self.started
         if any(map(_has_shared_memory, pids)):
@@ -292,7 +300,7 @@ class Rig:
             main.terminate()
             try:
                 code = main.wait(25)
-                # A site with incidents that it got over ends with 1.
+                # A site that recovered from its incidents ends with 1.
                 over = code == 1 and self.summary().get("status") == summary.DONE
                 if code not in (0, 130) and not over:
                     wrong.append(f"exit code {code} after SIGTERM")
@@ -314,7 +322,7 @@ class Rig:
 
 
 class SiteRig(Rig):
-    """A live site by bringup: sensors and drive simulated, each a program behind Modbus."""
+    """A live site by bringup; sensors and drive are simulated programs behind Modbus."""
 
     cistern_m3 = _CISTERN_M3
 
@@ -342,7 +350,7 @@ class SiteRig(Rig):
         return Address("127.0.0.1", bench)
 
     def _sensors(self) -> tuple[Any, Any]:
-        """Return the file of the simulated sensors, and that by which the nodes read them."""
+        """Return the file of the simulated sensors, and the file with which the nodes read them."""
         sensors, by_line = (
             yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
         )
@@ -359,24 +367,24 @@ class SiteRig(Rig):
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
-        # A simulator that was started again begins with the head of its table.
+        # After a restart of the simulator its table has only a head at first.
         wait(lambda: self.csv.read_text().count("\n") > 1, 10, "no level of the site")
         _, cistern, roof = self.csv.read_text().splitlines()[-1].split(",")[:3]
         return float(cistern), float(roof)
 
     def water(self) -> tuple[str, ...]:
-        """Return the options with which the site's simulator goes on with its water."""
+        """Return the options with which the site's simulator continues from the present levels."""
         cistern, roof = self.levels()
         return ("--cistern", repr(cistern * self.site.a1), "--roof", repr(roof * self.site.a2))
 
     @property
     def dry_level(self) -> float:
-        """The level of the cistern at which the pump is stopped (m)."""
+        """The cistern level at which the pump is stopped (m)."""
         return self.site.suction_level + settings_for(self.site).level_offset
 
 
 class RelayRig(SiteRig):
-    """The same with a relay on MQTT, and a cable from the pump node to the broker."""
+    """A live site with a relay on MQTT, and a cable from the pump node to the broker."""
 
     def _place(self) -> tuple[str, ...]:
         self.broker = Mosquitto(self.directory)
@@ -397,7 +405,7 @@ class RelayRig(SiteRig):
 
 
 class GaugedRig(SiteRig):
-    """The same with a weather station, which the campaign plays."""
+    """A live site with a weather station, which the campaign plays."""
 
     def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, GAUGES)
@@ -405,11 +413,11 @@ class GaugedRig(SiteRig):
 
 
 class MqttRig(SiteRig):
-    """The same with sensors on MQTT.
+    """A live site with sensors on MQTT.
 
     Attributes:
-        broker: of the sensors, which keeps what is retained when it ends.
-        cable: between it and the nodes.
+        broker: of the sensors; it keeps retained messages when it ends.
+        cable: between the broker and the nodes.
     """
 
     def _sensors(self) -> tuple[Any, Any]:
@@ -425,12 +433,12 @@ class MqttRig(SiteRig):
         )
 
     def say_retained(self) -> None:
-        """Say the cistern's level once more, for the broker to keep."""
+        """Publish the cistern's level once more, as a retained message."""
         with Talker(self.broker) as talker:
             talker.say(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
 
     def say_nonsense(self, count: int, rng: random.Random) -> None:
-        """Say so many things that are no level, as somebody else who may write there."""
+        """Publish this many payloads that are no level, as another client with write access."""
         with Talker(self.broker) as talker:
             for _ in range(count):
                 talker.say(_CISTERN_TOPIC, rng.choice(_NONSENSE))
@@ -442,7 +450,7 @@ class MqttRig(SiteRig):
 
 
 class FullDiskRig(SiteRig):
-    """The same, its bag on a small disk that can be filled."""
+    """A live site whose bag is on a small disk that can be filled."""
 
     def bring_up(self) -> Process:
         self._disk = ExitStack()
@@ -466,7 +474,7 @@ class FullDiskRig(SiteRig):
 
 
 class PlayedRig(Rig):
-    """The same with levels and weather from nodes of somebody else's, whom the campaign plays."""
+    """A live site with external nodes for levels and weather, which the campaign plays."""
 
     topics = PLAYED
     nodes = ("pump", CONTROLLER)
@@ -485,7 +493,7 @@ class PlayedRig(Rig):
 
 
 class FlowRig(PlayedRig):
-    """The same, and what the pump node says of the flow is the campaign's, too."""
+    """The same, but the campaign also publishes the flow in place of the pump node."""
 
     topics = (*PLAYED, "/pump/flow")
     nodes = (CONTROLLER,)
@@ -503,7 +511,7 @@ class FlowRig(PlayedRig):
 def pump_node(
     rig: Rig, *more: str, domain: int | None = None, live: bool = True
 ) -> Process:
-    """Start a pump node at the drive of a rig, by itself."""
+    """Start a pump node by itself at a rig's drive."""
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
         "live": str(live).lower(), "site_file": rig.site_file, "drive": rig.drive_file,
@@ -518,7 +526,7 @@ def pump_node(
 
 
 class PumpRig(Rig):
-    """The pump node alone: no supervisor, and the campaign is controller, sensors and weather."""
+    """The pump node alone, without a supervisor; the campaign plays all other nodes."""
 
     topics: tuple[str, ...] = ("/pump/command", *LEVELS)
 
@@ -528,7 +536,7 @@ class PumpRig(Rig):
 
 
 class LoopRig(Rig):
-    """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
+    """Hardware in the loop: the site is simulated in lockstep in real time, with a drive."""
 
     def bring_up(self) -> Process:
         self.kept = self.directory / "run"
@@ -556,7 +564,7 @@ class RelayedRig(Rig):
         )
 
     def _node(self, name: str, *parameters: str, arguments: Sequence[str] = ()) -> Process:
-        """Start a node that publishes for the campaign."""
+        """Start a node whose messages go through the campaign."""
         interface = read_topics()
         ours = [topic for topic in RELAYED if name in interface[topic].publishers]
         node = Process(
@@ -576,13 +584,13 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
     "full disk": FullDiskRig, "played": PlayedRig, "flow": FlowRig, "pump": PumpRig,
     "loop": LoopRig, "relayed": RelayedRig,
-    # With water for half a minute.
+    # Water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
-    # With a flow meter; on a serial line, two pseudo-terminals; with the drive file as shipped.
+    # With a flow meter; on a serial line (two pseudo-terminals); with the drive file as shipped.
     "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
     "rtu": partial(PumpRig, serial=True),
     "guarded": partial(PumpRig, as_shipped=True),
-    # With a pump that may run for a few seconds without a break or in a day, or by volume.
+    # Limits a run, the running time of a day, or the volume of a day, to a few seconds of pumping.
     **{
         limit: partial(PumpRig, pump_parameters={**PUMP_SHORTENED, limit: most})
         for limit, most in {

@@ -1,7 +1,7 @@
-"""The case at a forecast service: six hours of one of its failures, as a live site meets it.
+"""Cases of a failing forecast service: six hours of one failure, as a live site meets it.
 
-Requests and answers are real; the time between two requests is not waited for. In each ten minutes
-the file of forecasts is read, and controller and pump control decide by it, in this process.
+Requests and answers are real, but the time between requests is skipped. For every ten minutes the
+file of forecasts is read, and controller and pump control use it, in this process.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from greenroof_ros.weather.series import FILL
 
 _HOURS = 6
 _EVERY_S = 1800.0
-# The weather node's: so old a forecast may be (s).
+# Limit of the weather node for the age of a forecast (s).
 _ISSUE_LIMIT_S = 7200.0
-# Backing off from a minute to half an hour, a failing service is asked 5 times in the first half
-# hour, and then twice an hour: far below the 600 a minute that it allows.
+# With waits from a minute to half an hour, a failing service gets 5 requests in the first half
+# hour, and then two an hour: far below the 600 a minute that it allows.
 _MOST_REQUESTS = 18
 _START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 
 
 def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
-    """Have a service fail for six hours, and look at what the site knows and does meanwhile."""
+    """Let a service fail for six hours, and check what the site knows and does meanwhile."""
     directory.mkdir(parents=True, exist_ok=True)
     site = read_site(CONFIG / "site.yaml")
     server = ForecastService(
@@ -60,7 +60,7 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
             outcome.fail("a bad answer changed the file of forecasts")
         if case.target == "limit" and min(waits) < 120:
             outcome.fail(f"asked again after {min(waits):g} s, where Retry-After says 120 s")
-        # Where a connection breaks, the HTTP library asks once more by itself.
+        # If a connection breaks, the HTTP library repeats the request once by itself.
         if len(waits) > _MOST_REQUESTS or server.asked - 1 > 2 * len(waits):
             outcome.fail(f"the service was asked {server.asked - 1} times in {_HOURS} h")
         forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
@@ -79,7 +79,7 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
 
 
 def _requests(fetcher: Fetcher, outcome: Outcome) -> list[float]:
-    """Fetch for six hours, and return the waits; each must say why there was nothing."""
+    """Fetch for six hours, and return the waits; each attempt must report why it failed."""
     waits: list[float] = []
     while sum(waits) < 3600 * _HOURS:
         waits.append(fetcher.fetch())
@@ -92,11 +92,11 @@ def _requests(fetcher: Fetcher, outcome: Outcome) -> list[float]:
 def _stands_from(
     site: Site, forecast: LiveForecast, began: datetime, *, thermometer: bool
 ) -> float:
-    """Return from when on (s) a pump stands that is to run; infinite where it never does.
+    """Return the time (s) from which a pump that should run stands; infinite if it never does.
 
-    Each ten minutes a new pump control is asked for a quarter of a minute: its own limits do not
-    count. While there is a forecast the pump is commanded to run; then by `lookahead`, on a dry
-    roof. Without a thermometer the temperature is the forecast's.
+    Every ten minutes a new pump control runs for a quarter of a minute, so its own limits do not
+    count. While there is a forecast the pump is commanded to run, then `lookahead` decides, with a
+    dry roof. Without a thermometer the temperature comes from the forecast.
     """
     choice = find_controller("lookahead")
     values = {setting.name: setting.default for setting in choice.parameters_on(site)}

@@ -1,4 +1,4 @@
-"""A case of the simulated way: the run ends by name, or not one byte of its bag changes."""
+"""A case of the simulated way: the run ends with a reason, or every byte of its bag is the same."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from graphs import Process, bag_file, environment, summary_of
 from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.bag_writer import recovered_bag
 
-# A run that is over before a fault shows would show nothing; the short one is compared whole.
+# A run that is over before a fault shows would prove nothing; the short one is compared in full.
 _LONG_H, _SHORT_H = "12", "1"
-# Simulated per wall time of the short one: slow enough that it lasts for what is done to it.
+# Simulated per wall time in the short run: slow enough that it lasts until the fault is over.
 _SHORT_SPEED = "400"
-# Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder, and the
-# one under way.
+# Ticks that a restored bag may lack: as many as the plant can run ahead of the recorder, and the
+# current one.
 _LOST_TICKS = 33
 
 
 def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Outcome:
-    """Bring a simulation up, do the case to it, and look at what it leaves."""
+    """Bring up a simulation, do the case to it, and check what it leaves."""
     directory.mkdir(parents=True, exist_ok=True)
     same = case.expected.recovery == "same"
     options = ["--hours", _SHORT_H, "--speed", _SHORT_SPEED] if same else ["--hours", _LONG_H]
@@ -90,7 +90,7 @@ def _begin(
 
 
 def _fills_up(case: Case, directory: Path, domain: int, outcome: Outcome) -> None:
-    """See that a run whose disk fills up ends by name, and that its bag can be restored."""
+    """Check that a run whose disk fills up ends with a reason, and that its bag can be restored."""
     run = Process(
         domain, "bringup", "--controller", "onoff", "--hours", _LONG_H, "--output", "run/on",
         cwd=directory,
@@ -119,7 +119,7 @@ def _same(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
 
 
 def _note_end(case: Case, code: int, expected: int, run: Path, outcome: Outcome) -> None:
-    """Note how bringup ended, and see that it says what it should."""
+    """Note how bringup ended, and check the reason that it gives."""
     outcome.recovery = "ended"
     if code != expected:
         outcome.fail(f"ended with exit code {code}, not {expected}")
@@ -147,7 +147,7 @@ def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outc
 
 
 def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
-    """Restore the bag of a run by the command for that."""
+    """Restore the bag of a run with the command ``recover``; return whether that worked."""
     done = subprocess.run(
         [sys.executable, "-m", "greenroof_ros.recover", str(run), *options], capture_output=True,
         text=True, env=environment(0), timeout=60,
@@ -158,7 +158,7 @@ def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
 
 
 def _count_lost(directory: Path, *, domain_free: bool, outcome: Outcome) -> None:
-    """Count the ticks that the plant had made and the bag, restored, has not."""
+    """Count the ticks that the plant has made and the restored bag lacks."""
     run = directory / "run"
     bag = run / "bag"
     ticks = count_ticks(bag)

@@ -14,14 +14,13 @@ import paths  # noqa: F401
 from faults.cases import MODES, SIMULATED, WAYS
 from markdown_tables import head, row
 
-# How the tables begin, each of some rigs, and end: of relays, of what else comes over the network,
-# and of the rest.
+# Beginnings and end of the tables, each for some rigs: relays, other network devices, and the rest.
 _RELAYS, _NETWORK, _REST = (
     f"<!-- measured: make faults{of} -->\n" for of in (", relays", ", network", "")
 )
 _TABLES = {"relay": _RELAYS, "mqtt": _NETWORK, "service": _NETWORK}
 _END = "<!-- end of table -->"
-# What a reader looks for, by the beginning of a fault's name, or of rig and fault; the first fits.
+# Row of a fault, by the beginning of its name, or of rig and fault; the first match counts.
 _KINDS = {
     "kill both": "pump node and bringup killed together",
     "kill": "a process killed (`kill -9`)",
@@ -65,7 +64,7 @@ def _rig(result: dict[str, Any]) -> str:
 
 
 def _kind(result: dict[str, Any]) -> str:
-    """Return the beginning by which a result's row is known."""
+    """Return the prefix that selects a result's row."""
     rig, fault = _rig(result), result["fault"]
     return next(
         kind for kind in _KINDS
@@ -107,12 +106,12 @@ def _cells(way: str, results: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-# A pump that runs so soon after the fault (s) has run on.
+# A pump that runs again this soon after the fault has run on (s).
 _AT_ONCE_S = 1.0
 
 
 def _outcome(results: list[dict[str, Any]]) -> str:
-    """Return how most went on, then the others."""
+    """Return the most frequent recovery, then the others."""
     counts = Counter(
         "ran on" if result["to_safe"] is None and result["recovered"] is not None
         and result["recovered"] < _AT_ONCE_S else result["recovery"] for result in results

@@ -1,4 +1,4 @@
-"""What really happens: the speed of the simulated drive, twenty times a second, and its faults."""
+"""The true state: the simulated drive's speed, sampled twenty times a second, and its faults."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from greenroof_ros.drives.modbus_line import Address, DriveError
 from greenroof_ros.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05
-# Six minutes, longer than the longest case.
+# Six minutes of samples, longer than the longest case.
 _KEPT = 7200
-# How far back a pump without a break is looked for (s).
+# How far back to look for a break in running (s).
 _LOOK_BACK_S = 15.0
-# Below it the motor is at rest (share of rated speed). It is less than the speed up to which a pump
-# stands for its driver, since a true speed has no noise.
+# Speed below which the motor is at rest (share of rated speed). It is below the drivers' limit,
+# because a true speed has no noise.
 AT_REST = 0.005
-# Above it it runs.
+# Speed above which it runs.
 TURNS = 0.1
 
 
 class Truth:
-    """Looks at the workbenches of drive and site, from a thread of its own."""
+    """Reads the workbenches of drive and site, in a thread of its own."""
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
         self.greatest = 0.0
@@ -48,7 +48,7 @@ class Truth:
 
     def _sample(self) -> None:
         while not self._ended.wait(_PERIOD_S):
-            # While the simulator was killed or stopped nothing is known.
+            # Nothing is known while the simulator is killed or stopped.
             with suppress(DriveError), self._one_at_a_time:
                 before = time.monotonic()
                 speed = self._drive.speed()
@@ -71,7 +71,7 @@ class Truth:
         with self._one_at_a_time:
             try:
                 request()
-            except DriveError:  # the simulator was started again since the last request
+            except DriveError:  # the simulator was restarted since the last request
                 request()
 
     @property
@@ -79,12 +79,12 @@ class Truth:
         return self.samples[-1][1] if self.samples else 0.0
 
     def runs(self) -> bool:
-        """Whether the pump turns, and has for the last half second."""
+        """Return whether the pump turns, and has turned for the last half second."""
         recent = self._from(time.monotonic() - 0.5)
         return len(recent) >= 3 and min(speed for _, speed in recent) > TURNS
 
     def steady_for(self) -> float:
-        """Return for how long the pump has turned without a break (s), as far as is known."""
+        """Return for how long the pump has turned without a break (s), as far back as is known."""
         now = since = time.monotonic()
         for at, speed in self._newest_first():
             if speed <= TURNS or since - at > 2.0 or now - at > _LOOK_BACK_S:
@@ -105,7 +105,7 @@ class Truth:
         return min((v for at, v in self._from(since) if at <= until), default=0.0)
 
     def _newest_first(self) -> Iterator[tuple[float, float]]:
-        """Yield the samples while others are being added, which an iterator does not bear."""
+        """Yield the samples, newest first; an iterator would fail while others are added."""
         for number in range(1, len(self.samples)):
             yield self.samples[-number]
 

@@ -1,4 +1,4 @@
-"""The campaign's own node: it hears what is said in a graph, plays sensors, and is the intruder."""
+"""The campaign's own node: it hears a graph's reports, plays sensors, and is the intruder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from greenroof_ros.watch.wire import Status
 
 @contextmanager
 def _transport() -> Iterator[None]:
-    """Use the nodes' transport, and leave the environment of what is started later as it was."""
+    """Use the nodes' transport, and restore the environment for processes started later."""
     before = dict(os.environ)
     choose_transport()
     try:
@@ -43,14 +43,14 @@ class Watcher:
     """A node in a thread of its own.
 
     Attributes:
-        said: what was said of states that changed, for people: when, by which status, its level
-            and sentence.
-        codes: of each status as it was heard last; empty where all is well.
-        signs: the conditions that came up, as a program reads them: when, at which status, and
-            their codes; the codes on the page, too.
+        said: reports of changed states, as text: the time, the status, its level and sentence.
+        last: the newest of these texts, by status.
+        codes: code of each status when it was last heard; empty if all is well.
+        signs: conditions that came up, from the status values and on the page: the time, the status
+            and the code.
         advised: those on the page with advice, likewise.
-        standing: the conditions that stand on the page now.
-        pump_state: what the pump node says of the pump, in a word.
+        standing: the conditions on the page now.
+        pump_state: the pump's state in a word, from its node.
         failures: why nodes ended, by their names.
     """
 
@@ -90,7 +90,7 @@ class Watcher:
 
     def _spin(self) -> None:
         while not self._ended:
-            # A publisher of an intruder's may go while the executor looks at it.
+            # An intruder's publisher may go while the executor looks at it.
             with suppress(InvalidHandle):
                 self._executor.spin_once(timeout_sec=0.05)
 
@@ -118,7 +118,7 @@ class Watcher:
 
     def _hear(self, now: float, status: Any) -> None:
         who, values = status.name.lstrip("/"), {entry.key: entry.value for entry in status.values}
-        if ": " in who:  # a part of a node; the values of the nodes themselves are JSON texts
+        if ": " in who:  # a part of a node; values of the nodes themselves are JSON
             code = values.get("code", "")
             text = f"{('OK', 'WARN', 'ERROR', 'STALE')[status.level[0]]} {status.message}"
             if self.last.get(who) != text:
@@ -148,7 +148,7 @@ class Watcher:
             self._publishers[topic].publish(message)
 
     def publish_any(self, topic: str, value: Any) -> None:
-        """Publish on a topic of any type; None for a message as it is made."""
+        """Publish on a topic of any type; None for a message with default values."""
         if value is not None:
             self.publish(topic, value)
         elif self._topics[topic].type.endswith("DiagnosticArray"):
@@ -161,13 +161,13 @@ class Watcher:
             self._publishers[topic].publish(message_class(self._topics[topic].type)())
 
     def relay(self, source: str, topic: str, changed: Callable[[Any], Any]) -> None:
-        """Publish on a topic what comes on another one, as a function makes it; None: nothing."""
+        """Publish what arrives on another topic, changed by a function (None: nothing)."""
         self.open(topic)
         described = self._topics[topic]
 
         def pass_on(message: Any) -> None:
             data = message.data
-            if isinstance(data, array):  # without what stands in front of a forecast
+            if isinstance(data, array):  # without the padding in front of a forecast
                 data = data[message.layout.data_offset :]
             value = changed(data)
             if value is not None:
@@ -178,7 +178,7 @@ class Watcher:
         )
 
     def open(self, topic: str) -> None:
-        """Be a publisher of a topic, and say nothing on it."""
+        """Create a publisher of a topic, without publishing."""
         with self._lock:
             if topic not in self._publishers:
                 described = self._topics[topic]
@@ -187,7 +187,7 @@ class Watcher:
                 )
 
     def withdraw(self, topic: str) -> None:
-        """Be no publisher of a topic any more."""
+        """Remove the publisher of a topic."""
         with self._lock:
             publisher = self._publishers.pop(topic, None)
             if publisher is not None:
@@ -196,7 +196,7 @@ class Watcher:
     # --- services -------------------------------------------------------------------------------
 
     def reset(self, seconds: float = 5.0) -> str:
-        """Call ~/reset of the pump node and return its answer; empty where there was none."""
+        """Call ~/reset of the pump node and return its answer; empty if there was none."""
         return self._call(self._reset, Trigger.Request(), seconds)
 
     def stop(self, on: bool, seconds: float = 5.0) -> str:

@@ -2,11 +2,11 @@
 
 Each skill's forecasts of Toronto's rain, May to October 2015 to 2025, are compared with the
 records: r, POD, FAR and bias of sums over 1, 6, 12 and 24 h, one, two, three and five days ahead,
-beside the least and the greatest of the services'. With ``--fit`` the climate and the errors of
-config/forecasts/skill.yaml are fitted first, and printed. With ``--ensembles`` the tables are of
-how alike an ensemble's members are, and what their mean gains, beside those of three services, of
-sums over 12, 24, 72 and 120 h. Of the two longest how alike services are needs no gauge; nan is
-what does.
+with the range of the services in brackets. With ``--fit`` the climate and the errors of
+config/forecasts/skill.yaml are fitted first, and printed. With ``--ensembles`` the tables show how
+similar an ensemble's members are, and how much their mean gains, compared with three services, for
+sums over 12, 24, 72 and 120 h. For the two longest sums only the similarity of the services is
+known, which needs no gauge; their other figures are nan.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from greenroof_ros.forecast.skill import REAL, SKILLS, read_skill
 from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors
 from greenroof_ros.verification.pairs import Sum
 
-# Hours of the sums whose ensembles are compared: half a day, up to what a roof has room for.
+# Sums for which ensembles are compared (h): from half a day to what a roof has room for.
 ENSEMBLE_SUMS = (12, 24, 72, 120)
 
 
 def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) -> None:
     """Fit climate and errors, and print them."""
     climate = fit_climate(list(rain.values()), TIP)
-    # The newest issue that is a day old is 24 to 29 h old.
+    # Of issues every 6 h, the newest that is at least a day old is 24 to 29 h old.
     of_leads = {
         24 * day + 2.5: np.stack([spread[day, hours][:, :3] for hours in SUMS], axis=1)
         for day in DAYS
@@ -74,7 +74,7 @@ def forecasts(
 def table(
     rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray], name: str, seeds: int
 ) -> None:
-    """Print a skill's figures, the mean over seeds, beside the services'."""
+    """Print a skill's figures, means over the seeds, with the services' range."""
     observed = np.concatenate(list(rain.values()))
     of_seeds = forecasts(rain, name, seeds, 1)
     print(f"\n{name}, mean of {seeds} seeds\n\n{head(['days ahead', 'sums over', *NAMES])}")
@@ -97,9 +97,9 @@ def table(
 
 
 def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
-    """Print how alike services are, and members of a skill's ensembles, and what their mean gains.
+    """Print the similarity of services and of a skill's members, and the gain of their mean.
 
-    Cells are services / as many members, r and ratios of r; of members the mean over seeds.
+    Cells are services / as many members, r and ratios of r; for members the mean over the seeds.
     """
     observed = np.concatenate(list(rain.values()))
     issued = forecasts(rain, name, seeds, 5)

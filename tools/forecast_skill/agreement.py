@@ -1,8 +1,8 @@
-"""How alike forecasts of the same hours are, and how much better their mean is than one of them.
+"""How similar forecasts of the same hours are, and how much better their mean is than one of them.
 
-A poor man's ensemble is one forecast of each of several services (Ebert 2001, Monthly Weather
-Review 129, 2461-2480). What its mean gains depends on how alike its members are. So it says
-whether members of the package's own ensembles are more independent than services are.
+A poor man's ensemble has one forecast from each of several services (Ebert 2001, Monthly Weather
+Review 129, 2461-2480). The gain of its mean depends on how similar its members are. So the gain
+shows whether members of the package's ensembles are more independent than services are.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from forecast_skill.figures import table
 
 
 class Agreement(NamedTuple):
-    """How well forecasts of the same sums agree with what fell, and with each other.
+    """How well forecasts of the same sums agree with the records, and with each other.
 
     Attributes:
         alone: r of each with the records, shape (members,).
-        pairs: r of each two, in the order of ``itertools.combinations``.
+        pairs: r of each pair, in the order of ``itertools.combinations``.
         mean: r of their mean with the records.
     """
 
@@ -31,20 +31,19 @@ class Agreement(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """By how much r of the mean is above one member's, as a ratio."""
+        """r of the mean over the mean r of single members (1)."""
         return self.mean / float(self.alone.mean())
 
 
 def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
-    """Return the agreement of forecasts whose records themselves are not at hand.
+    """Return the agreement of forecasts from their r and covariance, without the series.
 
-    The covariance of a mean with the records is the mean of its members' covariances with them,
-    so r of the mean is sum(r_i s_i) / sqrt(sum(C_ij)), s being standard deviations and C
-    covariances.
+    The covariance of a mean with the records is the mean of its members' covariances with them, so
+    r of the mean is sum(r_i s_i) / sqrt(sum(C_ij)), with standard deviations s and covariances C.
 
     Args:
         alone: r of each with the records, shape (members,).
-        covariance: of them (mm2), shape (members, members).
+        covariance: of the forecasts (mm2), shape (members, members).
     """
     deviations = np.sqrt(np.diag(covariance))
     likeness = covariance / np.outer(deviations, deviations)
@@ -55,10 +54,10 @@ def agreement(alone: np.ndarray, covariance: np.ndarray) -> Agreement:
 
 
 def of_services(day: int, hours: int) -> Agreement:
-    """Return the agreement of GEM, GFS and KNMI so many days ahead; of GEM and KNMI on the fifth.
+    """Return the agreement of GEM, GFS and KNMI on a day ahead; on the fifth without GFS.
 
-    Their r is over the hours that the gauge has, their covariances are over all. Of sums over 72
-    and 120 h there are covariances only, and what needs r is NaN.
+    Their r is over the hours that the gauge has, their covariances are over all hours. For sums
+    over 72 and 120 h only covariances are known, so values that need r are NaN.
     """
     pairs = table("services_covariance.csv").filter(day=day, sum_hours=hours)
     both_ways = pl.concat([pairs, pairs.rename({"model": "other_model", "other_model": "model"})
@@ -75,14 +74,14 @@ def of_services(day: int, hours: int) -> Agreement:
 
 
 def of_members(forecasts: np.ndarray, observed: np.ndarray, hours: int, count: int) -> Agreement:
-    """Return the agreement of ensembles of so many members, the mean over all choices of them.
+    """Return the agreement of ensembles of ``count`` members, the mean over all choices of members.
 
     Args:
-        forecasts: of each hour (mm), shape (members, hours); NaN where there is none. Hours that
-            make no whole sum at the end do not count.
+        forecasts: of each hour (mm), shape (members, hours); NaN if there is none. Hours at the end
+            that do not fill a sum are left out.
         observed: the records of these hours (mm).
-        hours: that are summed.
-        count: how many members an ensemble has.
+        hours: length of a sum.
+        count: number of members of an ensemble.
     """
     whole = len(observed) // hours * hours
     sums = forecasts[:, :whole].reshape(len(forecasts), -1, hours).sum(axis=2)

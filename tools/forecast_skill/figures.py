@@ -1,4 +1,4 @@
-"""Figures of forecasts against records, of services and of the package's own."""
+"""Scores of forecasts, from services and from the package, by records."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from greenroof_ros.forecast.skill import Skill
 from greenroof_ros.weather.series import Weather
 
 YEARS = range(2015, 2026)
-# Of May to October.
+# Hours from May to October.
 SEASON_HOURS = 184 * 24
 ZONE = timezone(timedelta(hours=-5))
 
 DAYS = (1, 2, 3, 5)
-# Hours that are summed, and the least sum that is an event (mm).
+# Lengths of the sums (h), and for each the least sum that is an event (mm).
 SUMS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
-# Of Toronto's gauge (mm).
+# Tip of Toronto's gauge (mm).
 TIP = 0.25
 NAMES = ("r", "POD", "FAR", "bias")
 
 
 def table(name: str) -> pl.DataFrame:
-    """Return a table of the tests' data."""
+    """Return a table of the test data."""
     return pl.read_csv(DATA / name, comment_prefix="#")
 
 
@@ -41,21 +41,20 @@ def seasons() -> dict[int, np.ndarray]:
 
 
 def begin(year: int) -> datetime:
-    """Return when a season begins."""
+    """Return the start of a season."""
     return datetime(year, 5, 1, tzinfo=ZONE)
 
 
 def season_weather(year: int, rain: np.ndarray) -> Weather:
-    """Return a season as weather with 2 mm/day of evapotranspiration."""
+    """Return a season as weather, with 2 mm/day of evapotranspiration."""
     values = {"precipitation": rain, "evapotranspiration": np.full(len(rain), 2.0)}
     return Weather((Path("season.csv"),), begin(year), values, "drawn")
 
 
 def services() -> dict[tuple[int, int], np.ndarray]:
-    """Return r, POD, FAR and bias of the services by day ahead and hours of the sum.
+    """Return r, POD, FAR and bias of the services by days ahead and hours of the sum.
 
-    Shape (services, 4). GFS's fifth day is left out: it lacks half of its water, an error of the
-    archive.
+    Shape (services, 4). GFS's fifth day is left out, because the archive lacks half of its water.
     """
     skill = table("skill.csv").filter(
         ~((pl.col("days_ahead") == 5) & (pl.col("model") == "gfs_seamless"))
@@ -87,13 +86,13 @@ def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
 def days_ahead(
     year: int, rain: np.ndarray, skill: Skill, seed: int, days: tuple[int, ...], members: int = 1
 ) -> dict[int, np.ndarray]:
-    """Return what the newest issue of so many days before had forecast of each hour (mm).
+    """Return for each hour the forecast (mm) of the newest issue that is at least so many days old.
 
-    Open-Meteo's previous runs have it so: of day N, the newest issue that is at least N x 24 h old.
-    NaN where there is none.
+    Open-Meteo's previous runs are made the same way: for day N, the newest issue that is at least
+    N x 24 h old. NaN if there is none.
 
     Returns:
-        By day, shape (members, hours).
+        Forecasts by day, shape (members, hours).
     """
     weather = season_weather(year, rain)
     model = ErrorModel(weather, seed, skill, members)

@@ -1,16 +1,16 @@
 """The measured roofs: ``python tools/measured_roofs DIRECTORY``, which has the files of both.
 
-Each roof is fitted on one half of its warm seasons and judged on the other, both ways, beside SWMM
-as its authors calibrated it and a bucket of one parameter. Needs the extras [study] and [swmm].
-With ``--parts`` each roof is fitted again without one part of the model after the other instead, on
-its earlier half, to see what the part buys on the later one; and config/site_neubrandenburg.yaml is
-judged there.
+Each roof is fitted on one half of its warm seasons and judged on the other, both ways, and compared
+with SWMM as its authors calibrated it and with a bucket of one parameter. Needs the extras [study]
+and [swmm]. With ``--parts`` each roof is instead fitted on its earlier half without each part of
+the model in turn, to see what the part gains on the later half; config/site_neubrandenburg.yaml is
+judged there too.
 
-DIRECTORY holds of each roof NAME, neubrandenburg and berlin, what KWB-R/keys.lid has of it, as
+DIRECTORY holds for each roof NAME, neubrandenburg and berlin, files from KWB-R/keys.lid:
 NAME.inp, its model for SWMM 5; NAME_temperature_daily.txt, a line for each day: station, year,
 month, day, greatest and least temperature (degC); and CSV compressed by xz, with columns
 "time" (ISO 8601, local), "rain [mm/5min]" and "runoff [mm/5min]": neubrandenburg_5min.csv.xz has
-both, berlin_rain_5min.csv.xz and berlin_runoff_5min.csv.xz have theirs.
+both, berlin_rain_5min.csv.xz and berlin_runoff_5min.csv.xz have one each.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ LEAST_MM = 5.0
 
 
 def start_site(roof):
-    """Return the site that the fit begins with: typical values, the roof's own size and place."""
+    """Return the site that the fit begins with: typical values, and the roof's size and place."""
     site = read_site(shared_directory() / "config" / "site.yaml")
     return measured_roof(replace(
         site, a2=roof.area, z_soil=roof.soil, latitude=roof.latitude, longitude=roof.longitude,
@@ -63,18 +63,18 @@ def scored(record, runoff, steps):
 
 
 class Answer(NamedTuple):
-    """What a roof makes of a storm."""
+    """A roof's response to a storm."""
 
     peak: float
-    """greatest runoff of a quarter of an hour (mm/h)"""
+    """largest runoff in a quarter of an hour (mm/h)"""
     delay: float
-    """from when half of the rain has fallen to that peak (min)"""
+    """time from when half of the rain has fallen until that peak (min)"""
     volume: float
-    """mm"""
+    """runoff (mm)"""
 
 
 def answer(storm, record, runoff):
-    """Return what a runoff (mm in each step) is in a storm."""
+    """Return the response in a storm, from a runoff (mm in each step)."""
     within = runoff[storm.first:storm.end]
     fallen = np.cumsum(np.nan_to_num(record.rain[storm.first:storm.end]))
     half = int(np.searchsorted(fallen, fallen[-1] / 2))
@@ -85,7 +85,7 @@ def answer(storm, record, runoff):
 
 
 def judge(roof, directory, scratch):
-    """Return rows of scores, measured and simulated answers to storms, and notes."""
+    """Return rows of scores, measured and simulated responses to storms, and notes."""
     site = start_site(roof)
     record = read_roof(roof, directory, site, scratch)
     theirs = swmm(roof, directory, record, scratch)
@@ -124,7 +124,7 @@ def judge(roof, directory, scratch):
 
 
 class NoLayer(MeasuredSoil):
-    """What percolates leaves the roof at once."""
+    """Percolation leaves the roof at once."""
 
     def layer_outflow(self, layer, inflow, seconds):
         """Return the outflow (m3/s)."""
@@ -132,18 +132,18 @@ class NoLayer(MeasuredSoil):
 
 
 class NoStress(MeasuredSoil):
-    """Plants take as much from a dry soil."""
+    """Plants take up as much water from a dry soil as from a wet one."""
 
     def water_stress(self, x2):
-        """Return the share that evaporates."""
+        """Return the share of the evapotranspiration demand that plants take up."""
         return 1.0
 
 
 class NoPercolation(MeasuredSoil):
-    """Nothing percolates below field capacity."""
+    """There is no percolation below field capacity."""
 
     def mean_percolation(self, x2, arriving, seconds):
-        """Return what leaves the substrate (m3/s)."""
+        """Return the percolation (m3/s)."""
         return max(0.0, x2 - self._capacity) / seconds
 
 
@@ -154,19 +154,19 @@ PARTS = {
 
 
 def parts(roof, directory, scratch):
-    """Yield a row of what each part of the model buys."""
+    """Yield a row for each part of the model: the scores without it."""
     site = start_site(roof)
     record = read_roof(roof, directory, site, scratch)
     earlier, later = halve(record, comparable(record) & warm(record)).values()
     for part, soil in PARTS.items():
-        simulation.MeasuredSoil = soil  # by which a simulation makes its soil
+        simulation.MeasuredSoil = soil  # the class from which a simulation makes its soil
         runoff = fit(site, record, earlier).simulated.runoff
         yield part_row(roof, part, record, runoff, later)
     simulation.MeasuredSoil = MeasuredSoil
     shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
     if shipped.exists():
         site = read_site(shipped)
-        # Half full at first, as the meter would show it.
+        # Begins half full, as the meter would show it.
         runoff = simulation.simulate(site, record, 0.5, least_reading(record)).runoff
         yield part_row(roof, shipped.name, record, runoff, later)
 
@@ -177,14 +177,14 @@ def part_row(roof, model, record, runoff, steps):
 
 
 def _row(roof, model, scores):
-    """Return a row of means of scores, as Markdown."""
+    """Return a row of mean scores, in Markdown."""
     nse = [f"{np.mean([of_half.nse[time] for of_half in scores]):.2f}" for time in scores[0].nse]
     volume = 1 + np.mean([of_half.volume_error for of_half in scores])
     return row([roof, model, *nse, f"{volume:.2f}"])
 
 
 def table(rows, notes):
-    """Return the means of both halves as a table of Markdown, and the notes below it."""
+    """Return the means of both halves as a table in Markdown, with the notes below it."""
     lines = [head(["roof", "model", "NSE 5 min", "NSE 1 h", "NSE 1 day", "volume"])]
     for roof in ROOFS:
         for model in MODELS:
@@ -195,7 +195,7 @@ def table(rows, notes):
 
 
 def figure(answers):
-    """Return the scatter of the storms: peak, delay and volume of each model over the measured."""
+    """Return the scatter of storms: peak, delay and volume of each model against the measured."""
     panels, data = [], {}
     for what, title in (("peak", "peak (mm/h)"), ("delay", "delay (min)"),
                         ("volume", "volume (mm)")):

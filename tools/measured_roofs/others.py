@@ -1,4 +1,4 @@
-"""What the fitted roof is compared with: SWMM as its authors calibrated it, and a bucket."""
+"""Models to compare the fitted roof with: SWMM as its authors calibrated it, and a bucket."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Values = NDArray[np.float64]
 
 
 def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
-    """Run SWMM with the roof's own model; its runoff in each step (mm), NaN outside of its run."""
+    """Run SWMM with the roof's own model; return runoff (mm in each step), NaN outside its run."""
     from pyswmm import Output, Simulation
     from swmm.toolkit.shared_enum import NodeAttribute
 
@@ -36,14 +36,14 @@ def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
     ), encoding="utf-8")
     model = scratch / f"{roof.name}-swmm.inp"
     model.write_text(
-        # An initial deficit of 4, which SWMM 5.2 refuses, is a share: at most 1. It counts for
-        # nothing, as all of either subcatchment but its roof is sealed.
+        # An initial deficit is a share, at most 1; SWMM 5.2 refuses the file's value, 4. It has no
+        # effect, because everything except the roof is sealed in both subcatchments.
         re.sub(r"(?m)^(S1\s+3\.0\s+0\.5\s+)4\b(?=\s*$)", r"\g<1>0.4", text)
         .replace(f'"{rain_file}"', f'"{scratch / rain_file}"')
         .replace(f'"{temperature_file}"', f'"{scratch / temperature_file}"'), encoding="utf-8"
     )
     with Simulation(str(model), outputfile=str(scratch / f"{roof.name}-result.out")) as running:
-        running.step_advance(86400)  # without a word on every hour
+        running.step_advance(86400)  # avoids a message for every hour
         for _ in running:
             pass
     outfall = re.search(r"\[OUTFALLS\]\n(?:;.*\n)*(\S+)", text)[1]
@@ -52,7 +52,7 @@ def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
     result = np.full(record.steps, np.nan)
     first = record.times[0]
     for time, litres in flow.items():
-        # A result is of a moment, the end of its step.
+        # A result is for an instant, the end of its step.
         step = int((np.datetime64(time, "s") - first) / np.timedelta64(STEP_S, "s")) - 1
         if 0 <= step < record.steps:
             result[step] = litres * STEP_S / area
@@ -60,9 +60,9 @@ def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
 
 
 def bucket(record: Record, steps: NDArray[np.bool_]) -> Values:
-    """Fit a bucket by its one parameter, its depth (mm), and return its runoff (mm).
+    """Fit a bucket's one parameter, its depth (mm), and return its runoff (mm).
 
-    It evaporates as the reference grass does, while there is water, and what it cannot hold runs
+    It evaporates like the reference grass while it holds water, and water that it cannot hold runs
     off at once.
     """
     rain, wanted = np.nan_to_num(record.rain).tolist(), record.reference.tolist()

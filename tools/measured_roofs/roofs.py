@@ -1,7 +1,7 @@
-"""The two measured roofs, as records of this project's form.
+"""The two measured roofs, as records in this project's format.
 
-Rain and runoff every five minutes and temperatures of days, from the repository KWB-R/keys.lid
-(Kompetenzzentrum Wasser Berlin, MIT). Their files are not part of this repository.
+Rain and runoff every five minutes and daily temperatures, from the repository KWB-R/keys.lid
+(Kompetenzzentrum Wasser Berlin, MIT). Its files are not part of this repository.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Roof(NamedTuple):
     area: float
     """m2"""
     soil: float
-    """depth of the substrate (m), as the SWMM model of the roof has it"""
+    """depth of the substrate (m), from the SWMM model of the roof"""
     latitude: float
     longitude: float
 
@@ -45,11 +45,11 @@ ROOFS = (
 
 
 def read_roof(roof: Roof, directory: Path, site: Site, scratch: Path) -> Record:
-    """Write a roof's record as CSV of this project's form, and read that."""
+    """Write a roof's record as CSV in this project's format, and read that."""
     rain = _series(directory / roof.rain, "rain [mm/5min]")
     runoff = _series(directory / roof.runoff, "runoff [mm/5min]")
     extremes = temperatures(directory / f"{roof.name}_temperature_daily.txt")
-    # Loggers set their clocks now and then: what falls into one step of the clock is its sum.
+    # Loggers set their clocks now and then; values in the same step of the clock are added up.
     first = max(min(rain), min(runoff))
     file = scratch / f"{roof.name}.csv"
     with file.open("w", newline="", encoding="utf-8") as stream:
@@ -70,7 +70,7 @@ def _cell(value: float | None) -> str:
 
 
 def _series(file: Path, column: str) -> dict[int, float]:
-    """Return the sum of each five minutes of the clock, NaN where a part is missing."""
+    """Return the sum in each five minutes of the clock; NaN if a part is missing."""
     sums: dict[int, float] = {}
     with lzma.open(file, "rt", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
@@ -90,5 +90,5 @@ def temperatures(file: Path) -> dict[str, tuple[float, float]]:
 
 
 def warm(record: Record) -> np.ndarray:
-    """Return which steps are of April to October; what runs off in winter is melted snow."""
+    """Return which steps are in April to October; in winter the runoff is melted snow."""
     return in_months(record, "4-10")

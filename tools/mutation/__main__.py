@@ -1,9 +1,9 @@
 """Change the code in one place at a time, and see whether a test fails.
 
-``python tools/mutation`` copies the checkout, draws a seeded sample of all the mutants that
-Cosmic Ray can make of each folder's modules, and runs the tests of ``judges.yaml`` on each. Printed
-is a table; it and every mutant that survived are kept in ``runs/``. Ctrl-C ends it after the mutant
-in hand: they come in random order, so those judged until then are a sample, too.
+``python tools/mutation`` copies the checkout, draws a seeded sample of all the mutants that Cosmic
+Ray can make of each folder's modules, and runs the tests of ``judges.yaml`` on each. It prints a
+table, and keeps it in ``runs/`` with every mutant that survived. Ctrl-C ends it after the current
+mutant: the order is random, so the mutants judged until then are a sample too.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkItem
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 
-# Bits of what is no whole number are a TypeError, and `is` of numbers and texts often equals `==`.
+# Bit operations need integers, otherwise TypeError; `is` often equals `==` for numbers and text.
 _POINTLESS = re.compile(
     r"core/(ReplaceBinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(RShift|LShift|Bit\w+)"
     r"|ReplaceComparisonOperator_(Eq_Is|NotEq_IsNot|Is_Eq|IsNot_NotEq))"
 )
-# A mutant that takes so many times as long as the code itself, and more by so much (s), hangs.
+# A mutant hangs if it takes longer than this many times the unchanged code, plus this time (s).
 _TIMES_AS_LONG, _LEAST_LIMIT_S = 5.0, 60.0
-_Z = 1.96  # of an interval of 95 %
+_Z = 1.96  # for an interval of 95 %
 
-_interrupted: list[int] = []  # signals that came
+_interrupted: list[int] = []  # signals received
 
 
 # Columns of the tables: the outcome of a folder's sample, with the share of survivors and its
@@ -55,14 +55,14 @@ Survivor = namedtuple("Survivor", "folder module line operator diff")
 
 
 def mutants_of(modules: list[Path], session: Path) -> list[WorkItem]:
-    """Return all mutants of some modules that could change what they do, in a fixed order."""
+    """Return all mutants of some modules that could change their behaviour, in a fixed order."""
     with use_db(session) as database:
         init(modules, database, {})
         items = list(database.work_items)
     annotations = {module: list(_annotations(module)) for module in modules}
 
     def could_matter(mutation: MutationSpec) -> bool:
-        # Of an annotation that nothing evaluates, `int | None` may as well be `int - None`.
+        # In an annotation that is never evaluated, `int | None` and `int - None` are equivalent.
         return not _POINTLESS.match(mutation.operator_name) and not (
             "_BitOr_" in mutation.operator_name
             and any(a <= mutation.start_pos < b for a, b in annotations[mutation.module_path])
@@ -83,9 +83,9 @@ def _annotations(module: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int
 
 
 def command_of(judges: list[str], without: list[str], reruns: int) -> str:
-    """Return what runs the tests that judge a module, up to the first that fails."""
+    """Return the command that runs the tests of a module, up to the first failure."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-    # No other plugins: they take as long to be loaded as a mutant's tests.
+    # No other plugins: loading them takes as long as a mutant's tests.
     for plugin in ("xdist.plugin", "pytest_timeout", "pytest_rerunfailures"):
         words += ["-p", plugin]
     words += ["--reruns", str(reruns)]
@@ -95,7 +95,7 @@ def command_of(judges: list[str], without: list[str], reruns: int) -> str:
 
 
 def limit_of(command: str) -> float:
-    """Return how long the tests may take on a mutant (s), by how long they take on the code."""
+    """Return the time limit of a mutant's tests (s), from their time on the unchanged code."""
     began = time.monotonic()
     done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
     if done.returncode != 0:
@@ -104,7 +104,7 @@ def limit_of(command: str) -> float:
 
 
 def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row, list[Survivor]]:
-    """Judge a sample of a folder's mutants; the working directory is the copy of the checkout."""
+    """Judge a sample of a folder's mutants; the working directory must be the checkout's copy."""
     commands = {
         Path("greenroof_ros", module): command_of(judges, entry["without"], entry["reruns"])
         for module, judges in entry["modules"].items()
@@ -151,7 +151,7 @@ def _changed(diff: str) -> str:
 
 
 def interval(count: int, of: int) -> tuple[float, float, float]:
-    """Return a share and its interval of 95 % (Wilson's)."""
+    """Return a share and its 95 % interval (Wilson's)."""
     if not of:
         return 0.0, 0.0, 1.0
     share, z2 = count / of, _Z**2
@@ -161,7 +161,7 @@ def interval(count: int, of: int) -> tuple[float, float, float]:
 
 
 def write(path: Path, kind: type[Row] | type[Survivor], folder: str, rows: list[Any]) -> None:
-    """Put a folder's rows in the place of those that a table has of it."""
+    """Replace a folder's rows in a table."""
     kept = []
     if path.exists():
         with path.open(newline="", encoding="utf-8") as stream:
@@ -190,7 +190,7 @@ def main() -> int:
     unknown = [folder for folder in arguments.folders if folder not in folders]
     if unknown:
         parser.error(f"there is no folder {unknown[0]}; they are {', '.join(folders)}")
-    # The tests of a mutant are in a session of their own, which a Ctrl-C does not reach.
+    # A mutant's tests run in a session of their own, which Ctrl-C does not reach.
     signal.signal(signal.SIGINT, lambda number, _: _interrupted.append(number))
     table = arguments.output.resolve()
     survivors_file = table.with_name(f"{table.stem}_survivors.csv")

@@ -1,21 +1,22 @@
 """What forecasts as they were issued are worth: ``python tools/real_seasons ARCHIVES -o DIR``.
 
-ARCHIVES is a directory with the previous runs of three services and the gauge's record beside them,
-2024-02-20 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs
-on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
-of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a
-file in DIR; the same command goes on where it was. Prints tables in Markdown, draws trust over
-time, and writes ``worth.csv``, from which the README's figure is drawn.
+ARCHIVES is a directory with the previous runs of three services and the gauge's record, 2024-02-20
+to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs on/off, and
+``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, of a
+placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a file
+in DIR; the same command continues after an interruption. Prints tables in Markdown, draws trust
+over time, and writes ``worth.csv``, from which the README's figure is drawn.
 
 - **dressed**: by the same record, without the days around each issue.
-- **by the other half**: the period's blocks of four weeks are parted by their rain into a wetter
-  and a drier half. Each is dressed by what fell in the other, and judged by itself. No storm is on
-  both sides, since no issue within the length of a member and five days of another dresses it.
-- **the hour as forecast**: of the present hour only what falls in this minute is known.
+- **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
+  and a drier half. Each is dressed by the rain of the other, and judged by itself. No storm is in
+  both, because no issue within the length of a member and five days of another dresses it.
+- **used ideally**: an ensemble that knows as much as a service, and is reliable (``ideal.py``).
+- **the hour as forecast**: in the present hour only the rain in this minute is known.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
-the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues of 35 days
-later, and at the end those of the first weeks: as wet, and without skill.
+the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues from 35 days
+later, and at the end from the first weeks: as wet, but without skill.
 """
 
 from __future__ import annotations
@@ -31,10 +32,12 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
-from real_seasons.inputs import AUTUMN, ROOFS, SEASON, YEAR, Inputs, Period
+from real_seasons.ideal import DRAWS
+from real_seasons.inputs import AUTUMN, ROOFS, SEASON, SERVICES, YEAR, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
+    IDEAL,
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
@@ -45,6 +48,7 @@ from real_seasons.runs import (
 from real_seasons.tables import (
     Results,
     by_halves,
+    of_ideal,
     of_owner,
     of_period,
     present_hour,
@@ -58,7 +62,7 @@ PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
 
 def cases(roof: str, period: Period) -> Iterator[Case]:
-    """Yield the runs of a period on a roof, in the order of their worth."""
+    """Yield the runs of a period on a roof, the most useful first."""
     if period is AUTUMN:
         yield Case(roof, period, "three")
         yield Case(roof, period, "placebo")
@@ -77,13 +81,17 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
             yield Case(roof, period, PERFECT, trusts=False)
     for source in SOURCES:
         yield Case(roof, period, source, DRESSED)
+    if period is SEASON and roof == "measured":
+        for source in SERVICES:
+            for draw in DRAWS:
+                yield Case(roof, period, source, IDEAL, draw=draw)
     if period is SEASON:
         yield Case(roof, period, "placebo", trusts=False)
         yield Case(roof, period, "placebo", DRESSED, trusts=False)
 
 
 def main() -> None:
-    """Make the runs, and print and draw what they found."""
+    """Make the runs, and print and draw their results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("archives", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -108,7 +116,7 @@ def main() -> None:
             print(f"\n## {roof}, {period.words}")
             for lines in (
                 of_period(results), by_halves(results, inputs.wet_weeks(period)),
-                present_hour(results), of_owner(results),
+                of_ideal(results), present_hour(results), of_owner(results),
             ):
                 print("", *lines, sep="\n", flush=True)
             if period is not AUTUMN:

@@ -1,4 +1,4 @@
-"""What the real seasons are made of: sites, the gauge's record, and forecasts as issued."""
+"""Inputs of the real seasons: sites, the gauge's record, and forecasts as issued."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ from greenroof_ros.weather.reading import read_weather
 Array = NDArray[np.float64]
 
 SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
+# The fifth day of GFS holds half the water of its fourth: an error of the archive.
+HOURS_OF = {"GFS": 96}
 
 
 @dataclass(frozen=True)
 class Roof:
-    """A site, and how far controllers look on it."""
+    """A site, and the length of its controllers' forecasts."""
 
     file: str
     hours: int
-    """of a dressed forecast"""
+    """length of a dressed forecast"""
     target: float
-    """m"""
+    """target level (m)"""
 
 
-# The paper's target, as in all earlier results, and the site file's.
+# With the paper's target, as in all earlier results, and with the site file's.
 ROOFS = {
     "measured": Roof("site_catchment.yaml", 48, 0.0457),
     "measured, target 39 mm": Roof("site_catchment.yaml", 48, 0.039),
@@ -53,7 +55,7 @@ WEEK_H = 7 * 24
 
 @dataclass(frozen=True)
 class Period:
-    """When runs begin, and their length."""
+    """When runs begin, and how long they last."""
 
     words: str
     start: datetime
@@ -61,16 +63,16 @@ class Period:
 
     @property
     def weeks(self) -> int:
-        """How many; the last may be short."""
+        """Number of weeks; the last may be short."""
         return math.ceil(self.hours / WEEK_H)
 
     def blocks(self) -> NDArray[np.intp]:
-        """Return in which block of weeks each week is; a short block at the end joins the last."""
+        """Return the block of each week; a short block at the end joins the one before."""
         last = max(1, round(self.weeks / BLOCK_WEEKS)) - 1
         return np.minimum(np.arange(self.weeks) // BLOCK_WEEKS, last)
 
 
-# As far as the archives go, and a season that begins with a dry roof.
+# The whole length of the archives, and a season that begins with a dry roof.
 YEAR = Period("20 February to 31 December", datetime(2024, 2, 20, 12, tzinfo=timezone.utc), 7548.0)
 SEASON = Period("May to October", datetime(2024, 5, 1, tzinfo=timezone.utc), 4416.0)
 AUTUMN = Period("September and October", datetime(2024, 9, 1, tzinfo=timezone.utc), 1464.0)
@@ -81,22 +83,22 @@ class Inputs:
 
     def __init__(self, archives: Path, scratch: Path) -> None:
         """Take the directory of the archives, and one for the files that a run reads."""
-        self._archives, self._scratch = archives, scratch
+        self.archives, self.scratch = archives, scratch
         self._sites = {roof: self._write_site(roof) for roof in ROOFS}
         gauge = scratch / "gauge.csv"
         site = read_site(self.site_file("measured"))
         gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
         self.record = read_weather([gauge], site, rain_only=True)
-        """of the rain as the gauge has it; missing hours are NaN"""
+        """rain as the gauge has it; missing hours are NaN"""
         self.weather = {
             roof: read_weather([gauge], read_site(self.site_file(roof)), "assumed", "fill")
             for roof in ROOFS
         }
-        """of a run on each roof; missing hours are dry"""
+        """weather of a run, by roof; missing hours are dry"""
 
     def site_file(self, roof: str) -> Path:
-        """Return the file of a roof's site, in ticks of a minute and with mains."""
-        return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
+        """Return the file of a roof's site, with ticks of a minute and with mains."""
+        return self.scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
 
     def _write_site(self, roof: str) -> Site:
         file = shared_directory() / "config" / ROOFS[roof].file
@@ -107,16 +109,18 @@ class Inputs:
 
     @cached_property
     def issued(self) -> Mapping[str, Archive]:
-        """The archives by name, each known hours after its nominal time, as a service's."""
+        """The archives by name, each known some hours after its nominal time, like a service's."""
         site = self._sites["measured"]
         services = {
             short: replace(
-                read_archive(self._archives / f"{name}_previous_runs.csv", site),
+                read_archive(self.archives / f"{name}_previous_runs.csv", site),
                 delay=SERVICE_DELAY_H,
             )
             for short, name in SERVICES.items()
         }
-        services["GFS"] = _shortened(services["GFS"], 96)
+        services |= {
+            source: _shortened(services[source], hours) for source, hours in HOURS_OF.items()
+        }
         gem = services["GEM"]
         return {
             "three": together(list(services.values())),
@@ -128,14 +132,14 @@ class Inputs:
         }
 
     def dressed(self, roof: str, source: str) -> Archive:
-        """Return an archive dressed by the record without the days around each issue."""
+        """Return an archive dressed by the record, without the days around each issue."""
         archive = self.issued[source]
         return dress(archive, learn(archive, self.record, ROOFS[roof].hours))
 
     def crossed(self, roof: str, source: str, period: Period) -> Archive:
-        """Return an archive, each half of a period dressed by the other half.
+        """Return an archive with each half of a period dressed by the other half.
 
-        What is issued outside of the period is dressed by the wetter half.
+        Issues outside the period are dressed by the wetter half.
         """
         archive, by = self.issued[source], self.by_half(roof, source, period)
         issues = tuple(
@@ -145,7 +149,7 @@ class Inputs:
         return replace(archive, issues=issues)
 
     def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
-        """Return what fell after the issues of the drier half of a period, and of the wetter."""
+        """Return dressings by the drier half of a period (False) and by the wetter half (True)."""
         rain = self.record.precipitation
         half = [
             self.is_wet(period, self.record.rain_from + hour * HOUR) for hour in range(len(rain))
@@ -162,13 +166,13 @@ class Inputs:
         }
 
     def measured(self, time: datetime, hours: int) -> float:
-        """Return what fell from a time on (mm); NaN where an hour of it is missing."""
+        """Return the rain after a time (mm); NaN if one of its hours is missing."""
         begin = (time - self.record.rain_from) // HOUR
         rain = self.record.precipitation[max(0, begin) : begin + hours]
         return float(rain.sum()) if len(rain) == hours else math.nan
 
     def is_wet(self, period: Period, time: datetime) -> bool | None:
-        """Whether a time is in the wetter half of a period; None where it is in neither."""
+        """Return whether a time is in the wetter half of a period; None if it is in neither."""
         week = (time - period.start) // timedelta(hours=WEEK_H)
         return bool(self.wet_weeks(period)[week]) if 0 <= week < period.weeks else None
 
@@ -189,12 +193,12 @@ class Inputs:
 
 
 def _half_sine(hour: int) -> float:
-    """Return the share of a day's mean that evaporates in an hour of UTC; the sun is up from 5."""
+    """Return the factor from a day's mean evaporation to an hour of UTC; the sun rises at 5."""
     return math.pi * max(0.0, math.sin(math.pi * (hour + 0.5 - 5) / 12))
 
 
 def _gauge(file: Path, site: Site) -> str:
-    """Return the gauge's record with the evapotranspiration that is assumed (mm/day)."""
+    """Return the gauge's record with the assumed evapotranspiration (mm/day)."""
     monthly = site.monthly_evapotranspiration
     assert monthly is not None
     lines = ["time,precipitation [mm/h],assumed evapotranspiration [mm/day]"]
@@ -207,14 +211,14 @@ def _gauge(file: Path, site: Site) -> str:
 
 
 def _shortened(archive: Archive, hours: int) -> Archive:
-    """Return an archive to so many hours."""
+    """Return an archive cut to a number of hours."""
     return replace(archive, issues=tuple(
         replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
     ))
 
 
 def _shifted(archive: Archive) -> Archive:
-    """Return each issue with what was forecast weeks later."""
+    """Return each issue with the forecast of an issue some weeks later."""
     issues: Sequence = archive.issues
     count = PLACEBO_DAYS * round(timedelta(days=1) / (issues[1].issued - issues[0].issued))
     moved = [*issues[count:], *issues[:count]]

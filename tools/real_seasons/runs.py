@@ -1,4 +1,4 @@
-"""One run of a real season, and what is kept of it: a file, so that none is made twice."""
+"""One run of a real season, and its results in a file, so that no run is made twice."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from real_seasons.ideal import ideal_forecast
 from real_seasons.inputs import Inputs, Period
 
 from greenroof_ros.controllers.registry import find_controller
@@ -16,8 +17,8 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import Rain, SteppedForecast
-from greenroof_ros.formats.records import Archive
+from greenroof_ros.forecast.resampling import Known, Rain, SteppedForecast
+from greenroof_ros.formats.records import HOUR, Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
@@ -25,16 +26,17 @@ from greenroof_ros.model.site import read_site
 
 Array = NDArray[np.float64]
 
-# A twentieth of the flow lifts in a tick of a minute what on/off lifts in three seconds.
+# A twentieth of the flow pumps in a tick of a minute what on/off pumps in three seconds.
 ONOFF = {"fraction": 0.05}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
+IDEAL = "used ideally"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
 SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A run: a period on a roof, and how it is decided."""
+    """A run: a period on a roof, and how it is controlled."""
 
     roof: str
     period: Period
@@ -44,18 +46,21 @@ class Case:
     """whether trust is learned; otherwise the forecast is trusted in full"""
     hour: bool = True
     """whether the gauge's rain in this minute counts as the whole hour's"""
+    draw: int = 0
+    """of the ensemble that stands for an ideal use"""
 
     @property
     def name(self) -> str:
-        """As tables have it."""
+        """Its name in tables."""
         words = [self.source]
         words += [] if self.form == ISSUED else [self.form]
         words += ["trusted in full"] if not self.trusts and self.source in SOURCES else []
         words += [] if self.hour else ["the hour as forecast"]
+        words += [f"draw {self.draw}"] if self.draw else []
         return ", ".join(words)
 
     def file(self, directory: Path) -> Path:
-        """Return where its result is."""
+        """Return the file of its result."""
         place, name = (
             re.sub(r"\W+", "_", words)
             for words in (f"{self.roof} {self.period.words}", self.name)
@@ -64,26 +69,29 @@ class Case:
 
 
 class HourAsForecast(SteppedForecast):
-    """Knows what falls in this moment, and of the rest of the hour the forecast."""
+    """Knows the rain at this moment, and for the rest of the hour only the forecast."""
 
-    def _take_hour(self, hour: int) -> None:
-        super()._take_hour(hour)
-        self._now = self._rates[:-1, 0].copy()
-        rain, _ = self._model.known(hour, self._hours(hour))
-        self._rates[:-1, 0] = rain[:, 0] / 1000 / 3600
+    def _known_in(self, hour: int) -> Known:
+        """Return the newest forecast in an hour, that hour included."""
+        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
+        present = min(hour, len(self._weather.precipitation) - 1)
+        self._now = self._weather.precipitation[present] / 1000 / 3600
+        evapotranspiration[0] = self._weather.evapotranspiration[present]
+        issued = self._weather.first + hour * HOUR
+        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
 
     def precipitation(self, tick: int) -> Rain:
-        """Return the means of the steps (m/s), the first of them observed."""
+        """Return the means of the steps (m/s); the first is observed."""
         rain = np.array(super().precipitation(tick))
         rain[..., 0] = self._now
         return rain
 
 
 def write(case: Case, inputs: Inputs, file: Path) -> None:
-    """Run a case, and write what it came to.
+    """Run a case, and write its results.
 
-    That is the metrics, at the end and as they were as each week ended, the deviation of each week
-    (m3), and what /controller/trust was as each day began.
+    They are the metrics at the end and at the end of each week, the deviation in each week (m3),
+    and /controller/trust at the beginning of each day.
     """
     run = build(case, inputs)
     controller, metrics = run.make_controller(), Metrics()
@@ -116,7 +124,8 @@ def build(case: Case, inputs: Inputs) -> Run:
     run = build_run(
         site_file, site, weather, case.period.start.isoformat(),
         count_ticks(site, case.period.hours, "hours"), controller, parameters, "low-low",
-        initial_state(site, "low-low"), ForecastChoice(),
+        initial_state(site, "low-low"),
+        ideal_forecast(inputs, case.source, case.draw) if case.form == IDEAL else ForecastChoice(),
     )
     archive = _archive(case, inputs)
     if archive is None:
@@ -129,8 +138,8 @@ def build(case: Case, inputs: Inputs) -> Run:
 
 
 def _archive(case: Case, inputs: Inputs) -> Archive | None:
-    """Return the forecasts of a case; None for perfect ones."""
-    if case.source in (ONOFF_NAME, PERFECT):
+    """Return the archive of a case; None if it has none."""
+    if case.source in (ONOFF_NAME, PERFECT) or case.form == IDEAL:
         return None
     if case.form == DRESSED:
         return inputs.dressed(case.roof, case.source)

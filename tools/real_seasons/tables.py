@@ -13,6 +13,7 @@ from real_seasons.inputs import BLOCK_WEEKS, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
+    IDEAL,
     ISSUED,
     NO_RAIN,
     ONOFF_NAME,
@@ -24,13 +25,13 @@ from real_seasons.runs import (
 Array = NDArray[np.float64]
 Results: TypeAlias = dict[Case, dict[str, Any]]
 
-# Of the bootstrap. Blocks of weeks, since a storm's excess stays for more than one.
+# Of the bootstrap. It draws blocks of weeks, because a storm's excess lasts longer than one week.
 RESAMPLES = 2000
 
-# Sums of forecasts are over so many hours.
+# Length of the sums of forecasts (h).
 _SUM_H = 48
 
-# What an owner sees of a run: heading, form, and the weekly sums whose ratio it is.
+# What an owner sees of a run: heading, format, and the weekly sums whose ratio it is.
 OWNERS = {
     "mean deviation (mm)": ("{:.2f}", "total_deviation_m3", "deviated"),
     "water stress (h)": ("{:.0f}", "stress_hours", ""),
@@ -48,7 +49,7 @@ def _weeks(results: Results) -> dict[Case, Array]:
 
 
 def _named(weeks: Mapping[Case, Array], source: str) -> Array:
-    """Return the weeks of a run that is not of a service; NaN where it has not been made."""
+    """Return the weeks of a run without a service; NaN if the run has not been made."""
     missing = np.full_like(next(iter(weeks.values())), np.nan)
     return next((result for case, result in weeks.items() if case.source == source), missing)
 
@@ -63,7 +64,7 @@ def drawn_weeks(weeks: int) -> NDArray[np.intp]:
 
 
 def interval(own: Array, other: Array) -> tuple[float, float, float]:
-    """Return a sum over weeks over another's, and the ends of its 95 % interval."""
+    """Return the ratio of two sums over weeks, and the ends of its 95 % interval."""
     drawn = drawn_weeks(len(own))
     ratios = own[drawn].sum(axis=1) / other[drawn].sum(axis=1)
     low, high = np.percentile(ratios, [2.5, 97.5])
@@ -71,15 +72,20 @@ def interval(own: Array, other: Array) -> tuple[float, float, float]:
 
 
 def ratio(own: Array, other: Array) -> str:
-    """Return it as a cell."""
+    """Return the ratio and its interval as a cell."""
     value, low, high = interval(own, other)
     return f"{value:.3f} ({low:.3f} to {high:.3f})"
 
 
 def gained(own: Array, dry: Array, perfect: Array) -> str:
     """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
-    share = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
-    return "" if np.isnan(share) else f"{share:.0f} %"
+    gain, most = dry - own, dry - perfect
+    if np.isnan(gain.sum() + most.sum()):
+        return ""
+    drawn = drawn_weeks(len(own))
+    shares = gain[drawn].sum(axis=1) / most[drawn].sum(axis=1)
+    low, high = 100 * np.percentile(shares, [2.5, 97.5])
+    return f"{100 * gain.sum() / most.sum():.0f} % ({low:.0f} to {high:.0f})"
 
 
 def _head(cells: Sequence[str]) -> Iterator[str]:
@@ -93,7 +99,7 @@ def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> I
     Args:
         weeks: of all runs.
         columns: forms of forecasts.
-        chosen: which weeks count.
+        chosen: which weeks to include.
     """
     onoff, dry, perfect = (
         _named(weeks, source)[chosen] for source in (ONOFF_NAME, NO_RAIN, PERFECT)
@@ -128,7 +134,7 @@ def of_period(results: Results) -> Iterator[str]:
 
 
 def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield the tables of each half, whose forecasts the other half dresses."""
+    """Yield the table of each half, with forecasts dressed by the other half."""
     weeks = _weeks(results)
     if any(case.form == CROSSED for case in weeks):
         for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
@@ -137,10 +143,10 @@ def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
 
 
 def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
-    """Yield how much of the rain's variance each service forecasts, in sums over two days.
+    """Yield the share of the rain's variance that each service forecasts, in sums over two days.
 
-    That is the squared correlation of the members' mean with the gauge. The bias is forecast over
-    measured.
+    It is the squared correlation of the members' mean with the gauge. The bias is forecast over
+    measured rain.
     """
     halves = {period.words: (False, True), "drier half": (False,), "wetter half": (True,)}
     yield from _head([
@@ -168,8 +174,26 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
             yield f"| {' | '.join(cells)} |"
 
 
+def of_ideal(results: Results) -> Iterator[str]:
+    """Yield the table of what the best use of each service gains, beside what it gains."""
+    weeks = _weeks(results)
+    dry, perfect = (_named(weeks, source) for source in (NO_RAIN, PERFECT))
+    ideal = [case for case in weeks if case.form == IDEAL]
+    if ideal:
+        draws = dict.fromkeys(case.draw for case in ideal)
+        yield from _head([
+            "forecast", ISSUED, DRESSED, *(f"{IDEAL}, draw {draw}" for draw in draws)
+        ])
+    for source in dict.fromkeys(case.source for case in ideal):
+        shown = [
+            case for form in (ISSUED, DRESSED, IDEAL) for case in weeks
+            if (case.source, case.form, case.trusts, case.hour) == (source, form, True, True)
+        ]
+        yield f"| {source} | {' | '.join(gained(weeks[case], dry, perfect) for case in shown)} |"
+
+
 def present_hour(results: Results) -> Iterator[str]:
-    """Yield what it costs not to know the present hour to its end."""
+    """Yield the cost of not knowing the present hour to its end."""
     weeks = _weeks(results)
     for case, own in weeks.items():
         if not case.hour:
@@ -184,6 +208,8 @@ def of_owner(results: Results) -> Iterator[str]:
     """Yield the table of what an owner sees, with intervals from blocks of weeks."""
     yield from _head(["forecast", *OWNERS, *STORMS.values()])
     for case, result in results.items():
+        if case.form == IDEAL:
+            continue
         sums = _weekly_sums(result)
         cells = []
         for form, above, below in OWNERS.values():
@@ -195,7 +221,7 @@ def of_owner(results: Results) -> Iterator[str]:
 
 
 def _weekly_sums(result: dict[str, Any]) -> dict[str, Array]:
-    """Return what each week added to metrics that are sums, and to those that ratios are of."""
+    """Return what each week added to the metrics that are sums, and to both terms of ratios."""
     until: list[dict[str, float]] = result["until"]
 
     def added(metric: Callable[[dict[str, float]], float]) -> Array:

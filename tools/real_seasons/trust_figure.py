@@ -1,4 +1,4 @@
-"""How far forecasts were trusted, day by day: a figure of what runs had on /controller/trust."""
+"""How far forecasts were trusted, day by day: a figure of /controller/trust in the runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from greenroof_ros.report.drawing import COLOURS, CONFIG
 
 
 def draw(results: Results, file: Path) -> None:
-    """Draw the trust of the runs that learned it, of forecasts as issued; nothing without any."""
+    """Draw the trust of runs that learned it with forecasts as issued, if there are any."""
     values = [
         {
             "day": (case.period.start + timedelta(days=day)).isoformat(),

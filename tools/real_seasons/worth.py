@@ -1,4 +1,4 @@
-"""What forecasts are worth from May to October: rows of the file that the README's figure shows."""
+"""What forecasts are worth from May to October: the rows of the file behind the README's figure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Row: TypeAlias = tuple[str, str, str, str, str, str]
 COLUMNS = (
     "roof", "decided by", "mean deviation [mm]", "share of on/off's", "its low end", "its high end",
 )
-# The runs that are shown, by the words of the figure.
+# The runs in the figure, by their labels.
 SHOWN = {
     "on/off": (ONOFF_NAME, ISSUED),
     "lookahead, no forecast": (NO_RAIN, ISSUED),
@@ -30,7 +30,7 @@ SHOWN = {
     "with perfect forecasts": (PERFECT, ISSUED),
 }
 LEAST = "least possible"
-# Of the bound (ticks of a minute): in single ticks the solver takes longer than all runs.
+# Block length of the bound (ticks of a minute): with single ticks it takes longer than all runs.
 _BLOCK = 10
 
 
@@ -38,7 +38,7 @@ def rows(roof: str, results: Results, inputs: Inputs, output: Path) -> Iterator[
     """Yield the rows of a roof: each run with its 95 % interval, and the least possible.
 
     The least possible lies between the bound, its low end, and the better of two plans that know
-    all weather. It is the whole season's, so it has no interval of its own.
+    all weather. It holds for the whole season, so it has no confidence interval.
     """
     season = {(case.source, case.form): run for case, run in results.items() if case.hour}
     onoff = season[SHOWN["on/off"]]
@@ -54,7 +54,7 @@ def rows(roof: str, results: Results, inputs: Inputs, output: Path) -> Iterator[
 
 
 def _least(roof: str, inputs: Inputs, output: Path) -> tuple[float, float]:
-    """Return the bound of the season's total deviation (m3), and the better plan's."""
+    """Return the bound of the season's total deviation (m3), and the better plan's deviation."""
     case = Case(roof, SEASON, PERFECT, trusts=False)
     file = case.file(output).with_name("least_possible.json")
     if not file.exists():

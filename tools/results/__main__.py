@@ -1,14 +1,14 @@
 """Run the studies behind ``doc/results.md``, and keep what its tables and figures need.
 
-``python tools/results`` runs those that take minutes, ``python tools/results NAME ...`` the named
-ones. Each study goes to ``studies/NAME``, where a finished one is not run again, and is reduced to
-``doc/results/NAME.csv``; ``python doc/generate.py`` makes the page's table and figure of that.
+``python tools/results`` runs the studies that take minutes, ``python tools/results NAME ...`` the
+named ones. Each study goes to ``studies/NAME``, where a finished one is not repeated, and is
+reduced to ``doc/results/NAME.csv``; ``python doc/generate.py`` makes the page's table and figure.
 
 A table of runs has a row for each run, in all digits: what differs between the runs, and their
 deviation. A table of seeds or seasons has a row for each controller, over all of them. The studies
 of seasons take hours, and need the records of ``doc/running/seasons.md`` in ``--weather DIR``.
 Until they are run again, the files of forecasts, seasons, horizons, skills and sizes have the few
-digits that earlier tables had, and but for ``lookahead`` no mm.
+digits of earlier tables, and only ``lookahead`` has mm.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ OF_YEARS = ("lookahead", "seasons", "horizons", "skills", "sizing")
 
 
 def make(name: str, weather: Sequence[str]) -> None:
-    """Run a study, or the rest of it, and write its table."""
+    """Run a study, or what remains of it, and write its table."""
     grid, reduce = TABLES[name]
     study = Path("studies") / name
     subprocess.run(
@@ -75,7 +75,7 @@ def main() -> None:
         for name in arguments.names or [name for name in TABLES if name not in OF_YEARS]:
             make(name, weather)
     except subprocess.CalledProcessError as error:
-        sys.exit(error.returncode)  # the study has said why
+        sys.exit(error.returncode)  # the study has printed why
 
 
 if __name__ == "__main__":

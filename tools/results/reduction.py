@@ -1,4 +1,4 @@
-"""What the tables of results keep of a study's ``results.csv``."""
+"""Reduction of a study's ``results.csv`` to the tables of results."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import polars as pl
+from sizing.__main__ import interval
 
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import differing, row_parameters
@@ -15,7 +17,7 @@ from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
 
 Rows: TypeAlias = list[dict[str, str]]
 
-# Of the initial state, which its name says.
+# Volumes of the initial state, which its name identifies.
 _VOLUMES = ("cistern_m3", "roof_m3")
 _OUTCOMES = ("total_deviation_m3", "mean_deviation_mm", "bound_m3")
 
@@ -27,7 +29,7 @@ def read(path: Path) -> Rows:
 
 
 def write(path: Path, rows: Rows) -> None:
-    """Write a table; a column that only some rows have is empty in the others."""
+    """Write a table; columns that only some rows have are empty in the others."""
     columns = dict.fromkeys(name for row in rows for name in row)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, list(columns), lineterminator="\n")
@@ -36,9 +38,9 @@ def write(path: Path, rows: Rows) -> None:
 
 
 def inputs(rows: Rows) -> list[str]:
-    """Return the columns that tell runs apart, before the columns of their outcomes.
+    """Return the columns that distinguish runs; they precede the columns of outcomes.
 
-    A parameter is among them where it differs between the runs of a controller.
+    A parameter is included if it differs between the runs of a controller.
     """
     given = list(rows[0])[1 : list(rows[0]).index("status")]
     by_controller: dict[str, Rows] = defaultdict(list)
@@ -73,9 +75,9 @@ def seeds(study: Path) -> Rows:
 def seasons(study: Path) -> Rows:
     """Return a row for each controller and roof, over the years and seeds of its seasons.
 
-    The mean deviation is of all years (mm); its ratio to the first on/off's on the same roof has a
-    95 % interval. Beside it are the number of years with less than on/off, and the ratio to
-    the least possible where the study has it.
+    The mean deviation is over all years (mm). Its ratio to the first on/off on the same roof has a
+    95 % interval. The row also has the number of years in which it is below on/off, and the ratio
+    to the least possible if the study has it.
     """
     rows = read(study / "results.csv")
     columns = [
@@ -122,14 +124,15 @@ def _by_year(rows: Rows) -> Deviations:
 
 
 def sizes(study: Path) -> Rows:
-    """Return the mains water saved in a season (m3) for each size, as a mean over the years."""
+    """Return the mains water saved in a season (m3) for each size: the mean, and its interval."""
     saved: dict[tuple[str, float, float], list[float]] = defaultdict(list)
     for row in read(study / "results.csv"):
         site = read_site(study / "configuration" / row["site"])
         size = row["initial"], site.a2, site.a1 * site.z_o
         saved[size].append(float(row["saved_m3"]))
+    names = ("saved_m3", "low", "high")
     return [
         {"initial": initial, "green_roof_m2": str(roof), "cistern_m3": str(cistern),
-         "saved_m3": str(np.mean(values))}
+         **dict(zip(names, map(str, interval(pl.Series(values))), strict=True))}
         for (initial, roof, cistern), values in saved.items()
     ]

@@ -1,7 +1,7 @@
 """What each size of cistern and green roof gives its owner: ``python tools/sizing STUDY``.
 
-STUDY is what 'greenroof study config/studies/sizing.yaml' has made. Prints a table in Markdown:
-means of a season, and the 95 % interval of a mean of as many years, by Student's t.
+STUDY is the output of 'greenroof study config/studies/sizing.yaml'. Prints a table in Markdown: the
+mean season, with the 95 % confidence interval of the mean over the years (Student's t).
 """
 
 from __future__ import annotations
@@ -31,11 +31,16 @@ METRICS = {
 }
 
 
-def mean(values: pl.Series, form: str) -> str:
-    """Return a mean over years, with its 95 % interval."""
+def interval(values: pl.Series) -> tuple[float, float, float]:
+    """Return a mean over years, and the ends of its 95 % interval."""
     middle, count = values.mean(), values.count()
     wide = stdtrit(count - 1, 0.975) * values.std() / count**0.5
-    return f"{middle:{form}} ({middle - wide:{form}} to {middle + wide:{form}})"
+    return middle, middle - wide, middle + wide
+
+
+def mean(values: pl.Series, form: str) -> str:
+    """Return it as a cell."""
+    return "{} ({} to {})".format(*(f"{value:{form}}" for value in interval(values)))
 
 
 def main() -> None:

@@ -1,11 +1,10 @@
 """Every kind of alarm of the fault campaign, on the page in Chromium.
 
 ``pytest tools/watch/alarms.py -s`` does each case to a real live site as ``make faults`` does, and
-holds each fault for longer than the limit once it was said. What a node says is wrong on
-``/diagnostics`` must stand on the page within the limit, with the condition's code, and go within
-it when it is over. What lasts less than the limit may be missed, but of each kind its own alarm
-must be seen: what the campaign wants shown of it, or what follows from it for the node that it is
-done to.
+keeps each fault for longer than the limit after it was reported. Whatever a node reports as wrong
+on ``/diagnostics`` must appear on the page within the limit, with the condition's code, and
+disappear within it afterwards. A change that lasts less than the limit may be missed, but each kind
+must show its own alarm: one that the campaign expects, or one of the node with the fault.
 """
 
 from __future__ import annotations
@@ -27,21 +26,21 @@ from faults.rig import BrokenError, Rig, wait
 from graphs import Process, environment, free_ports
 from watch.diagnosed import Diagnosed
 
-# Within which a change must be on the page (s), where the machine does nothing else.
+# Time within which a change must be on the page (s), if the machine does nothing else.
 LIMIT_S = 2.0
-# How much longer than that a fault stays once it was said, and each case after its end (s).
+# Time that a fault stays beyond this limit after it was reported, and each case after its end (s).
 _LONGER_S = 1.0
 _LOOK_S = 0.1
-# A process that was started again is found by each listener in its own time, as Fast DDS announces
-# it again and again. So long (s) the page may hear of it before this program does.
+# Each listener discovers a restarted process in its own time, as Fast DDS announces it repeatedly.
+# The page may hear of it this much earlier than this program (s).
 _AHEAD_S = 3.0
-# What is on the page: of each alarm that stands level and code, by the name of its status; the
-# events, the newest first.
+# Reads the page: level and code of each standing alarm, by the name of its status; and the events,
+# newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
     (alarm) => [alarm.dataset.alarm, `${alarm.dataset.level} ${alarm.dataset.code}`])),
   [...document.querySelectorAll("#events li")].map((event) => event.textContent)]"""
-# Kinds that say nothing on this page, by fault and target, and why.
+# Kinds that this page does not show, by fault and target, with the reason.
 NOT_SAID = {
     ("second pump node", "in another domain"):
         "it reports in its own domain, where this page does not listen",
@@ -49,10 +48,10 @@ NOT_SAID = {
 
 
 def kinds() -> list[Case]:
-    """Return one case for each fault and its conditions that must be shown of a live site.
+    """Return one case for each fault and set of conditions that a live site must show.
 
-    Neither those that end the site, and with it all that is said, nor bursts of hostile values: the
-    same is said of those that keep coming.
+    Cases that end the site, and so all reports, are left out, and so are bursts of hostile values,
+    which show the same as repeated ones.
     """
     kinds: dict[tuple[str, tuple[Sign, ...]], Case] = {}
     for case in all_cases():
@@ -70,8 +69,8 @@ class Look:
 
     Attributes:
         at: when.
-        alarms: what is compared of each, by the name of its status.
-        events: the newest first.
+        alarms: level and code of each alarm, by the name of its status.
+        events: newest first.
     """
 
     at: float
@@ -79,16 +78,16 @@ class Look:
     events: list[str]
 
     def restart(self, name: str) -> str:
-        """Return the newest event that a node was started again; empty for none."""
+        """Return the newest event that reports a node's restart; empty if there is none."""
         return next((event for event in self.events if f"{name} was started again" in event), "")
 
 
 class Page:
-    """The page in Chromium, looked at ten times a second in a thread of its own.
+    """The page in Chromium, read ten times a second in a thread of its own.
 
     Attributes:
         looks: what stood on it.
-        problem: why it cannot be looked at any more; empty where it can.
+        problem: why it cannot be read any more; empty if it can.
     """
 
     def __init__(self, url: str) -> None:
@@ -113,7 +112,7 @@ class Page:
             self.problem = f"{type(error).__name__}: {error}"
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop reading."""
         self._ended = True
         self._thread.join(10)
 
@@ -124,7 +123,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Change:
-    """A change that the page followed: its status, what it became, and after how long (s)."""
+    """A change that the page showed: its status, its new value, and the delay (s)."""
 
     name: str
     what: str
@@ -132,11 +131,11 @@ class Change:
 
 
 class Comparison:
-    """What was said in a time, and what the page showed of it.
+    """What nodes reported in a period, and what the page showed of it.
 
     Attributes:
-        followed: what it showed within the limit.
-        missed: what it did not, in words.
+        followed: the changes that it showed within the limit.
+        missed: the changes that it did not show in time, in words.
     """
 
     def __init__(
@@ -145,11 +144,11 @@ class Comparison:
         """Compare.
 
         Args:
-            said: what was said.
+            said: what was reported.
             page: what was shown.
-            since: what was said from then on counts.
-            until: the page was looked at until then.
-            limit: within which it must follow (s).
+            since: start of the reports to compare.
+            until: time until which the page was read.
+            limit: time within which the page must follow (s).
         """
         self.followed: list[Change] = []
         self.missed: list[str] = []
@@ -188,7 +187,7 @@ class Comparison:
         self._note(name, "was started again", at, seen, must=must)
 
     def _note(self, name: str, what: str, at: float, seen: float | None, *, must: bool) -> bool:
-        """Note whether a change was followed; return False where it may be missed, and was."""
+        """Note whether a change was shown; return False if it may be missed, and was."""
         if seen is not None and seen - at <= self._limit:
             self.followed.append(Change(name, what, max(0.0, seen - at)))
         elif must:
@@ -200,7 +199,7 @@ class Comparison:
 
 
 class Pages:
-    """The page of each rig, and all that was compared."""
+    """The page of each rig, and all comparisons."""
 
     def __init__(self, rigs: Rigs) -> None:
         self.rigs = rigs
@@ -208,7 +207,7 @@ class Pages:
         self._rig: Rig | None = None
 
     def compare(self, rig: Rig, case: Case, outcome: Outcome) -> Comparison:
-        """Do a case to a rig, and compare its page with what was said."""
+        """Do a case to a rig, and compare its page with what was reported."""
         if rig is not self._rig:
             self._open(rig)
         began = time.monotonic()
@@ -229,13 +228,13 @@ class Pages:
         page = self._page = Page(f"http://127.0.0.1:{port}/")
         self.rigs.stack.callback(page.close)
         wait(lambda: page.looks[-1].alarms == said.stands, 30, "no page of all")
-        rig.until_running()  # last: some rigs' pumps may run for 20 s only
+        rig.until_running()  # last, because some rigs' pumps may run for only 20 s
         self._rig = rig
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
-    """Look at the page of each rig, and print at the end how late it was."""
+    """Read the page of each rig; at the end print how late it was."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in environment(0).items():
             patch.setenv(name, value)
@@ -249,7 +248,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
     pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(case.rig)) for case in kinds()
 ])
 def test_alarm(pages: Pages, case: Case) -> None:
-    """The page follows each change in time, and shows the alarm of the kind."""
+    """The page shows each change in time, and the alarm of the case's kind."""
     comparisons: list[Comparison] = []
     outcome = Outcome()
     pages.rigs.do(
@@ -259,7 +258,7 @@ def test_alarm(pages: Pages, case: Case) -> None:
     (comparison,) = comparisons
     print(f"{case.id}: {_table(comparison.followed)}; the case: {outcome.wrong or 'as it should'}")
     assert comparison.missed == []
-    # Where another status of the node has the code, the page may show that one alone.
+    # If another status of the node has the code, the page may show only that status.
     codes = {code for _, code in case.expected.signs}
     own = any(
         change.name == f"/{case.target}" or change.what.partition(" ")[2] in codes
@@ -269,7 +268,7 @@ def test_alarm(pages: Pages, case: Case) -> None:
 
 
 def _table(changes: list[Change]) -> str:
-    """Return how many changes were followed, and the latest of those shown and gone (s)."""
+    """Return the number of compared changes, and the largest delay of those shown and gone (s)."""
     text = f"{len(changes)} changes compared"
     for what, times in (
         ("shown", [change.after for change in changes if change.what]),

@@ -1,7 +1,7 @@
-"""What nodes say is wrong on /diagnostics, by rules of its own: the page is compared with it.
+"""What nodes report as wrong on /diagnostics, by independent rules, to compare the page with.
 
-Of a node's part that is what it says itself. Of a node it is that it ended with a failure, is not
-heard for as long as bringup's own limit, is there twice, waits for others, or refuses values.
+A part of a node reports what is wrong itself. A node is wrong if it ended with a failure, was
+silent for longer than bringup's limit, is there twice, waits for others, or refuses values.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.supervision import ENDED, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 
-# A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.
+# A node reports four times a second; bringup holds the pump after 2 s (doc/explanation/live.md).
 SILENT_S = 2.0
-# A node that waits for another one for longer says so as an alarm (s).
+# A node that waits for another one for longer than this reports an alarm (s).
 _WAITS_S = 5.0
 _LOOK_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
@@ -43,14 +43,13 @@ class _Node:
 
 
 class Diagnosed:
-    """Hears /diagnostics in a node that somebody spins. Times are of `time.monotonic` (s).
+    """Hears /diagnostics in a node that a caller spins. Times are of `time.monotonic` (s).
 
     Attributes:
-        said: by the name of a status its changes: when, and what is wrong since, as its level and
-            its code; empty for nothing.
-        restarts: when another process came under the name of a node, and the name.
+        said: changes by the name of a status: the time, and what is wrong from then on, as level
+            and code; empty if nothing is.
+        restarts: when a new process appeared under the name of a node, and the name.
     """
-
     def __init__(self, node: Node) -> None:
         self.said: dict[str, list[tuple[float, str]]] = {}
         self.restarts: list[tuple[float, str]] = []
@@ -62,7 +61,7 @@ class Diagnosed:
     @property
     def stands(self) -> dict[str, str]:
         """What is wrong now, by the name of its status."""
-        said = list(self.said.items())  # it grows in another thread
+        said = list(self.said.items())  # another thread adds to it
         return {name: changes[-1][1] for name, changes in said if changes[-1][1]}
 
     def _hear(self, message: Any) -> None:
@@ -74,7 +73,7 @@ class Diagnosed:
                 code = next((entry.value for entry in status.values if entry.key == "code"), "")
                 values = self._nodes[name].values
                 if part == "pump" and level and not values["stands"]:
-                    if values["speed"] is None:  # nobody knows whether it turns
+                    if values["speed"] is None:  # it is unknown whether the pump turns
                         level, code = "error", code if code in _LATCHED else "stands_unknown"
                     elif values["stop"] and code not in _LATCHED:
                         code = "stop_not_followed"
@@ -120,7 +119,7 @@ class Diagnosed:
 
 
 def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
-    """Return what is wrong with a node, by the name of the status that the page gives it."""
+    """Return what is wrong with a node, by the name of the status that the page shows."""
     if node.state == ENDED:
         return {name: "error node_failed"} if node.values.get("failure") else {}
     silent = "stale not_heard"

@@ -1,7 +1,7 @@
 """What a watcher costs a run: ``python tools/watch/disturbance.py [--turns N]``.
 
-In one run at full speed, turns of some seconds with a watcher and a reader of its page, and
-without: the ratio of the medians of the time of a tick.
+One run at full speed has turns of some seconds with a watcher and a reader of its page, and turns
+without. The result is the ratio of the median times of a tick.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TURN_S = 6.0
 
 @contextmanager
 def watched(domain: int, cwd: Path) -> Iterator[None]:
-    """Have a watcher, and read its page's stream as a browser does."""
+    """Run a watcher, and read its page's stream as a browser does."""
     port, count, ended = free_ports(1)[0], [0], threading.Event()
     process = Process(domain, "watch", "--port", str(port), cwd=cwd)
     wait_for(process.stdout, 60, "an address")
@@ -45,7 +45,7 @@ def watched(domain: int, cwd: Path) -> Iterator[None]:
 
     threading.Thread(target=read, daemon=True).start()
     wait_for(lambda: count[0], 30, "what the page is sent")
-    time.sleep(10)  # it has read what was recorded before
+    time.sleep(10)  # until it has read what was recorded before
     yield
     ended.set()
     process.process.terminate()
@@ -53,7 +53,7 @@ def watched(domain: int, cwd: Path) -> Iterator[None]:
 
 
 class Ticks:
-    """Hears by /diagnostics alone at which tick a run is, in both kinds of turns."""
+    """Learns a run's tick from /diagnostics alone, in the same way in both kinds of turns."""
 
     def __init__(self, domain: int) -> None:
         self.newest: tuple[float, int] | None = None
@@ -72,7 +72,7 @@ class Ticks:
                 self.newest = (came_ns / 1e9, int(status.values["tick"]))
 
     def measure(self) -> float:
-        """Return the time of a tick over a turn (s)."""
+        """Return the mean time of a tick over a turn (s)."""
         before = self._next()
         time.sleep(TURN_S)
         after = self._next()
@@ -86,7 +86,7 @@ class Ticks:
 
 
 def main() -> None:
-    """Measure, in turns in one run."""
+    """Measure in turns, all in one run."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

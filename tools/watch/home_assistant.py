@@ -1,8 +1,8 @@
 """The site in Home Assistant itself: ``python tools/watch/home_assistant.py HASS``.
 
-``HASS`` is Home Assistant's program ``hass``. It discovers a site in the loop through a broker:
-each entity once, with its unit. Its button stops the pump, and all is unavailable when the bridge
-is killed. Otherwise it ends with the reason.
+``HASS`` is Home Assistant's program ``hass``. It must discover a simulated live site through a
+broker, with each entity once and with its unit. Its button must stop the pump, and all entities
+must become unavailable when the bridge is killed. If not, this tool ends with the reason.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from graphs import Process, free_ports, own_domain, wait_for
 from test_bridge import phone, running_pump
 
 _OF_SITE = "green_roof_site1_"
-# Of each number its unit and class.
+# Unit and device class of each number.
 _NUMBERS = {
     "roof_level": ("mm", "distance"), "cistern_level": ("mm", "distance"),
     "rain": ("mm/h", "precipitation_intensity"), "pump_flow": ("L/min", "volume_flow_rate"),
@@ -39,10 +39,10 @@ _NUMBERS = {
 
 
 class HomeAssistant:
-    """The program, without its pages, asked over its REST interface."""
+    """The program, used only through its REST interface."""
 
     def __init__(self, program: str, directory: Path) -> None:
-        """Start it."""
+        """Start the program."""
         (port,) = free_ports(1)
         directory.mkdir()
         (directory / "configuration.yaml").write_text(
@@ -55,7 +55,7 @@ class HomeAssistant:
             )
 
     def ask(self, path: str, content: dict[str, Any] | None = None) -> Any:
-        """Post what is given, otherwise get."""
+        """Post the content if there is any, otherwise get; return the answer."""
         data, kind = None, "application/json"
         if content is not None:
             data = json.dumps(content).encode()
@@ -66,13 +66,13 @@ class HomeAssistant:
             return json.load(answer)
 
     def there(self) -> bool:
-        """Whether it answers."""
+        """Return whether it answers."""
         with suppress(OSError):
             return bool(self.ask("/api/onboarding"))
         return False
 
     def set_up(self, broker_port: int) -> None:
-        """Make its user, and add the integration MQTT, as its pages do."""
+        """Create a user and add the integration MQTT, as the program's pages do."""
         wait_for(self.there, 600, "Home Assistant")
         user = {"name": "a", "username": "a", "password": "a", "language": "en"}
         client = f"{self._at}/"
@@ -86,7 +86,7 @@ class HomeAssistant:
         assert done["type"] == "create_entry", done
 
     def states(self) -> dict[str, dict[str, Any]]:
-        """Return the site's entities, by their names without its own."""
+        """Return the site's entities, by their names without the site's prefix."""
         entities = {state["entity_id"]: state for state in self.ask("/api/states")}
         return {
             name.replace(_OF_SITE, ""): state for name, state in entities.items()
@@ -95,7 +95,7 @@ class HomeAssistant:
 
 
 def check(program: str, place: Path, domain: int) -> None:
-    """Have it show a site whose pump runs, and stop that pump."""
+    """Check that it shows a site whose pump runs, and stops that pump."""
     with (
         mosquitto(place) as broker, phone(broker.address) as heard, running_pump(domain, place),
     ):
@@ -139,7 +139,7 @@ def check(program: str, place: Path, domain: int) -> None:
             home.process.wait(60)
     log = (place / "home" / "log").read_text(encoding="utf-8")
     said = [line for line in log.splitlines() if re.search(r"(WARNING|ERROR).*mqtt", line)]
-    # Releases of early 2024 have no unknown time: they say so, and show it as unknown.
+    # Releases of early 2024 cannot show an unknown time: they log this, and show it as unknown.
     wrong = [line for line in said if "Invalid state message" not in line]
     assert not wrong, wrong
 

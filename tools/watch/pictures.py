@@ -1,9 +1,9 @@
-"""The page and the terminal in each of their states: ``python tools/watch/pictures.py DIRECTORY``.
+"""Pictures of page and terminal in each state: ``python tools/watch/pictures.py DIRECTORY``.
 
-Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts sees
-coming, a live site whose drive has a fault, one whose roof sensor is silent, one whose pump was
-stopped on the page and one where it was released there, a run that ended before the page's eyes,
-and the recording of a run. The page is taken in Chromium, at three widths, light and dark; the
+Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts
+predicts, a live site whose drive has a fault, one with a silent roof sensor, one whose pump was
+stopped on the page and one where it was released there, a run that ended while the page was open,
+and the recording of a run. The page is captured in Chromium, at three widths, light and dark; the
 terminal as text.
 """
 
@@ -32,14 +32,14 @@ from rich.console import Console
 from greenroof_ros.watch.terminal import pages
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
-# A storm of 23 mm begins some hours later.
+# A storm of 23 mm begins some hours after this time.
 _BEFORE_STORM = "2021-07-08T04:00"
 _DRAWN = "html[data-drawn=yes]"
 
 
 @contextmanager
 def watcher(domain: int, cwd: Path, *options: str) -> Iterator[str]:
-    """Start one and yield its page's address; end it."""
+    """Start a watcher and yield its page's address; end it afterwards."""
     process = Process(domain, "watch", "--port", str(free_ports(1)[0]), *options, cwd=cwd)
     try:
         yield wait_for(lambda: _address(process), 60, "an address")
@@ -54,12 +54,12 @@ def _address(process: Process) -> str:
 
 
 class Watched(NamedTuple):
-    """A graph to be looked at.
+    """A graph to be captured.
 
     Attributes:
         options: of ``watch``.
-        clicks: what a person clicks on the page, one after the other.
-        end: ends the graph while it is looked at; None for what goes on.
+        clicks: what a person clicks on the page, in order.
+        end: ends the graph while the page is open; None if it keeps running.
     """
 
     options: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ _NO_CLICKS = Watched()
 
 @contextmanager
 def full_speed(domain: int, place: Path) -> Iterator[Watched]:
-    """A simulation at full speed, some hours after its begin."""
+    """A simulation at full speed, some hours after its start."""
     run = Process(
         domain, "bringup", "--controller", "mpc", "--weather",
         str(DATA / "en_climate_hourly_07-2021.csv"), "--evapotranspiration", "fao56",
@@ -86,7 +86,7 @@ def full_speed(domain: int, place: Path) -> Iterator[Watched]:
 
 @contextmanager
 def storm(domain: int, place: Path) -> Iterator[Watched]:
-    """A storm that an ensemble of forecasts sees coming."""
+    """A storm that an ensemble of forecasts predicts."""
     run = Process(
         domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
         "--start", _BEFORE_STORM, "--forecast", "ensemble", "--speed", "60", "--initial", "low-low",
@@ -104,7 +104,7 @@ def site_with(
     domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None],
     watched: Watched = _NO_CLICKS,
 ) -> Iterator[Watched]:
-    """A live site whose pump ran, and which has this trouble since some seconds."""
+    """A live site whose pump ran, and which has had this trouble for some seconds."""
     with SiteRig(place, domain, drive) as rig:
         rig.until_running(seconds=120, steady_s=10.0)
         trouble(rig)
@@ -112,7 +112,7 @@ def site_with(
 
 
 def fault(domain: int, place: Path) -> Any:
-    """Its drive reports a fault."""
+    """A site whose drive reports a fault."""
 
     def trouble(rig: SiteRig) -> None:
         rig.truth.inject_drive("drive_fault")
@@ -123,7 +123,7 @@ def fault(domain: int, place: Path) -> Any:
 
 
 def stale(domain: int, place: Path) -> Any:
-    """Its roof sensor is silent."""
+    """A site with a silent roof sensor."""
 
     def trouble(rig: SiteRig) -> None:
         rig.truth.inject_site("roof_silent")
@@ -133,13 +133,13 @@ def stale(domain: int, place: Path) -> Any:
 
 
 def stopped(domain: int, place: Path) -> Any:
-    """A person stopped its pump on the page."""
+    """A site whose pump a person stopped on the page."""
     watched = Watched(("--allow-release",), ("#stop-button", "#ask-yes"))
     return site_with(domain, place, "danfoss_fc202", lambda _: None, watched)
 
 
 def released(domain: int, place: Path) -> Any:
-    """And released it there."""
+    """A site whose pump a person stopped and released on the page."""
     clicks = ("#stop-button", "#ask-yes", "#release-button", "#ask-yes")
     watched = Watched(("--allow-release",), clicks)
     return site_with(domain, place, "danfoss_fc202", lambda _: None, watched)
@@ -147,7 +147,7 @@ def released(domain: int, place: Path) -> Any:
 
 @contextmanager
 def ended(domain: int, place: Path) -> Iterator[Watched]:
-    """A run that ends while it is looked at."""
+    """A run that ends while the page is open."""
     run = Process(
         domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
         "--speed", "600", "--output", "run", cwd=place,
@@ -158,7 +158,7 @@ def ended(domain: int, place: Path) -> Iterator[Watched]:
 
 @contextmanager
 def recording(domain: int, place: Path) -> Iterator[Watched]:
-    """The bag of a run."""
+    """The recording of a run."""
     bring_up(domain, place, "--controller", "lookahead", "--horizon", "12", "--hours", "24",
              "--start", "2021-07-08")
     yield Watched(("--bag", "run/bag"))
@@ -171,7 +171,7 @@ STATES: dict[str, Callable[[int, Path], Any]] = {
 
 
 def _sent(address: str, name: str) -> dict[str, Any]:
-    """Return what the page is sent under a name, from its stream."""
+    """Return an event that the page receives, by its name in the stream."""
     place, _, token = address.partition("#token=")
     request = urllib.request.Request(
         f"{place}events?hours=12", headers={"Authorization": f"Bearer {token}"}
@@ -185,7 +185,7 @@ def _sent(address: str, name: str) -> dict[str, Any]:
 
 
 def click(address: str, selectors: tuple[str, ...]) -> None:
-    """Click on the page, as a person does who reads what appears."""
+    """Click on the page as slowly as a person who reads what appears."""
     with started_browser() as browser:
         page = browser.new_page()
         page.goto(address)
@@ -195,7 +195,7 @@ def click(address: str, selectors: tuple[str, ...]) -> None:
 
 
 def take(state: str, address: str, directory: Path) -> None:
-    """Take the pictures of a state."""
+    """Capture the pictures of a state."""
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
         console.print(pages(_sent(address, "state"), _sent(address, "series"), console, 24)[0])
@@ -213,7 +213,7 @@ def take(state: str, address: str, directory: Path) -> None:
 
 
 def main() -> None:
-    """Take those that are asked for."""
+    """Capture the states that are asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("directory", type=Path)

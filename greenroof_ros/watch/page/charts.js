@@ -1,16 +1,16 @@
-// The charts: levels, pump, rain over one time axis, drawn by uPlot. Times are those of the site, as if
-// they were UTC: a reader's browser may stand elsewhere.
+// The charts: levels, pump, rain over one time axis, drawn by uPlot. They use the site's local time as if
+// it were UTC, since the browser may be in another time zone.
 
 const { uPlot } = window;
 
 const HOUR = 3600_000;
 const AHEAD = 12; // hours
-const AXIS = 64; // what an axis and its title take (px), so that all charts have the same time above one another
-const FEWEST = 60_000; // ms: what a zoom shows at least
+const AXIS = 64; // width of an axis and its title (px), the same for all charts: their times line up
+const FEWEST = 60_000; // ms: the least that a zoom shows
 
-// What each chart shows: its lines, by the names of the series, on the axis of the one that 'shown'
-// names; those with 'right' have an axis of their own. 'steps' hold from a time until the next. A 'range'
-// is of the stretch that ends at the time of its row ('past'), or of the step that begins there.
+// The lines of each chart, by the names of the series. They are on the axis of the line 'shown'; lines
+// with 'right' have an axis of their own. 'steps' hold from a time until the next. A 'range' is over the
+// stretch that ends at the time of its row ('past'), or over the step that begins there.
 const CHARTS = [
   {
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
@@ -54,7 +54,7 @@ const atText = (ms) => {
   const at = new Date(ms);
   return `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())} ${clock(at, true)}`;
 };
-// A time of the axis: the day at midnight, else the time.
+// A time on the axis: the day at midnight, else the time.
 const tickText = (ms) => {
   const at = new Date(ms);
   if (ms % (24 * HOUR) === 0) return `${DAYS[at.getUTCDay()]} ${two(at.getUTCDate())} ${MONTHS[at.getUTCMonth()]}`;
@@ -68,7 +68,7 @@ export const element = (tag, name, text) => {
   return made;
 };
 
-// A short piece of a line, as in the chart; of a range a block.
+// A short piece of a line as in the chart; for a range, a block.
 const swatch = ({ colour: stroke, dash, block }) => {
   const space = "http://www.w3.org/2000/svg";
   const drawn = document.createElementNS(space, "svg");
@@ -83,8 +83,8 @@ const swatch = ({ colour: stroke, dash, block }) => {
   return drawn;
 };
 
-// Where the lines and words of some references stand on an axis, from the lowest on: beyond its ends in
-// one line together, and between two lines that are near to one another each word on its own side.
+// The places of the lines and words of references on an axis, from the lowest up. References beyond an
+// end of the axis share one line of words; the words of two lines that are close go on opposite sides.
 const placed = (named, unit, low, high, height) => {
   const beyond = (some, v, arrow) => some.length
     ? [{ v, inside: false, above: v === high, text: `${some.map(({ text }) => text).join(", ")} ${unit} ${arrow}` }] : [];
@@ -101,8 +101,8 @@ const placed = (named, unit, low, high, height) => {
 };
 
 export class Charts {
-  // 'box' takes the charts; 'changed' is called when the zoom has changed, 'speak' with what a
-  // reader of the page cannot see.
+  // 'box' holds the charts; 'changed' is called when the zoom has changed, 'speak' with text for
+  // readers who do not see the page.
   constructor(box, changed, speak) {
     this.box = box;
     this.changed = changed;
@@ -244,7 +244,7 @@ export class Charts {
     };
   }
 
-  // What lies ahead, and what counts as good.
+  // The background: the time ahead, and the band that counts as good.
   drawBehind(plot, { band }) {
     const { ctx, bbox } = plot;
     const x = Math.min(bbox.left + bbox.width, Math.max(bbox.left, plot.valToPos(this.time, "x", true)));
@@ -256,7 +256,7 @@ export class Charts {
     ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
   }
 
-  // Now, and the references with their words.
+  // The present time, and the references with their words.
   drawMarks(plot, { marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
@@ -284,7 +284,7 @@ export class Charts {
     ctx.restore();
   }
 
-  // Series as the charts' rows: SI units become the shown ones, and what ends has a row there.
+  // The series as rows of the charts, in the shown units instead of SI; the end of a line has a row.
   rowsOf(series) {
     const rows = {};
     const now = this.ms(series.now);
@@ -317,7 +317,7 @@ export class Charts {
 
   rangeRows(line) { return this.rows[line.range === "past" ? `${line.name}_range` : line.name]; }
 
-  // From the first value, or as far back as was chosen, to the end of what lies ahead.
+  // From the first value, or from the chosen time back, to the end of the forecast and the plan.
   whole() {
     const { now, from } = this.series;
     const lines = Object.values(this.rows);
@@ -328,7 +328,7 @@ export class Charts {
     return [start, Math.max(end, this.ms(now), start + FEWEST)];
   }
 
-  // The range of an axis: of what is seen, with the references that are near it.
+  // The range of an axis: from the visible values, and the references that are near them.
   range(chart, right, [from, to], marks) {
     let [low, high] = [Infinity, -Infinity];
     const take = (value) => {
@@ -356,7 +356,7 @@ export class Charts {
 
   draw() {
     const whole = this.whole();
-    // Of another run, or scrolled out on the left.
+    // The zoom is from another run, or has scrolled out on the left.
     if (this.zoomed && (this.zoomed[0] >= whole[1] || this.zoomed[1] <= whole[0])) this.zoomed = null;
     const seen = this.zoomed ?? whole;
     const known = this.series.marks;
@@ -381,8 +381,8 @@ export class Charts {
     this.changed();
   }
 
-  // The rows of a chart as uPlot has them: all times, and of each series its values there. What has no
-  // value at a time goes on (undefined); from where nothing is known (null) to its next value a line has a gap.
+  // The rows of a chart for uPlot: all times, and the values of each series there. A line without a value
+  // at a time goes on (undefined); it has a gap from an unknown value (null) to its next value.
   table(chart) {
     const parts = chart.lines.flatMap((line) => {
       const column = (rows, key) => [rows.map(({ t }) => t), rows.map((row) => row[key])];
@@ -402,7 +402,7 @@ export class Charts {
     if (!paused) this.drawWaiting();
   }
 
-  // Show from one time to another; without times everything.
+  // Show from one time to another; without a range, everything.
   zoom(range) {
     if (!this.series) return;
     if (range) {
@@ -416,7 +416,7 @@ export class Charts {
     this.draw();
   }
 
-  // Zoom in (below 1) or out about the middle, or about what is pointed at.
+  // Zoom in (below 1) or out around the middle, or around the time that is pointed at.
   scale(by) {
     if (!this.series) return;
     const [from, to] = this.zoomed ?? this.whole();
@@ -448,7 +448,7 @@ export class Charts {
     });
   }
 
-  // Show the values at a time: a line through all charts, the numbers beside the one pointed at.
+  // Show the values at a time: a line through all charts, and the numbers in the one pointed at.
   point({ chart, frame, tip }, plot) {
     const { left } = plot.cursor;
     const own = left >= 0 && (this.keyed ? this.keyed === frame : frame.matches(":hover"));
@@ -493,11 +493,11 @@ export class Charts {
   }
 }
 
-// Of a time at which a value is not known.
+// The values at a time when they are not known.
 const NOTHING = { v: null, low: null, high: null };
 
-// Rows with one of no values where nothing came for longer than 'gap' (ms). What holds until the next
-// message holds for no longer than that, until it is not known any more, and until now at most.
+// Adds a row without values to each gap of more than 'gap' (ms). A value that holds until the next one
+// holds for 'gap' at most, not beyond a time when it is not known, and not beyond now.
 const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
   const next = rows[i + 1];
   if (next && next.v !== null && next.t - row.t <= gap) return [row];
@@ -506,7 +506,7 @@ const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
   return next && row.v !== null && next.v !== null ? [...end, { t: t + 1, ...NOTHING }] : end;
 });
 
-// How far a value went beyond its line, from row to row: what merely rises or falls has no band.
+// How far a value went beyond its line, from row to row; a value that only rises or falls has no band.
 const beyond = (rows, holds) => rows.flatMap((row, i) => {
   const before = rows[i - 1];
   if (row.v === null) return [row];

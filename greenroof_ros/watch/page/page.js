@@ -1,22 +1,22 @@
 // The page: takes the document and the series from the server and shows them. Every text is set as
-// text, never as HTML: some of it comes from other devices.
+// text, never as HTML, since some texts come from other devices.
 
 import { Charts, element } from "/charts.js";
 
 const SILENT = 12_000; // ms: the server sends something every 5 s
-const LONGEST_WAIT = 8_000; // ms, between two tries to connect
+const LONGEST_WAIT = 8_000; // ms, between two attempts to connect
 const WORDS = { error: "Alarm", warn: "Warning", stale: "Not heard" };
 const TILES = ["roof", "cistern", "pump", "rain", "controller"];
-// Of each state of a tile: its word, its shape and its tone.
+// For each state of a tile: its word, its shape and its tone.
 const STATES = {
   good: ["good", "ok", "ok"], low: ["too low", "low", "warn"], high: ["too high", "high", "warn"],
   alarm: ["alarm", "error", "error"], unknown: ["not known", "stale", "none"],
-  // Of the pump, whose word is its value.
+  // States of the pump; the value of its tile is the word.
   off: ["", "off", "none"], starting: ["", "running", "ok"], running: ["", "running", "ok"],
   stopping: ["", "off", "none"], held: ["", "held", "warn"], fault: ["", "error", "error"],
 };
 
-// Rain is neither good nor bad, and of a controller one says otherwise that all is well.
+// Rain is neither good nor bad, and a controller that is well "works".
 const OTHERWISE = { rain: { good: ["", null, "none"] }, controller: { good: ["works", "ok", "ok"] } };
 
 const byId = (id) => document.getElementById(id);
@@ -36,8 +36,8 @@ const shape = (name) => {
 };
 const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href", `#shape-${name}`);
 
-// Make the children of a list those of the rows: each keeps its element, and so the focus. Rows of
-// one key, such as two equal events of a moment, are numbered.
+// Make the children of a list follow the rows: each row keeps its element, and with it the focus.
+// Rows of the same key, such as two equal events at the same time, are numbered.
 const keep = (list, rows, keyOf, make, fill) => {
   const known = new Map([...list.children].map((node) => [node.dataset.key, node]));
   const times = new Map();
@@ -57,7 +57,7 @@ const keep = (list, rows, keyOf, make, fill) => {
   wanted.forEach((node, i) => {
     if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null);
   });
-  // What is moved loses it.
+  // An element that was moved has lost the focus.
   if (list.contains(focused)) focused.focus({ preventScroll: true });
 };
 
@@ -120,7 +120,7 @@ const fillGauge = (gauge, data) => {
     }
     gauge.replaceChildren(track);
     const marks = (data.marks ?? []).filter(({ at }) => Number.isFinite(at));
-    // The lowest of three stands in a second line, where its mark crosses no other words.
+    // The lowest of three is labelled in a second line: there its mark crosses no other words.
     const sides = marks.length > 2 ? ["below second", "below", "above"] : ["below", "above"];
     if (marks.length > 2) marks.sort((a, b) => a.at - b.at);
     gauge.classList.toggle("three", marks.length > 2);
@@ -167,7 +167,7 @@ const fillAlarm = (row, alarm) => {
   if (what.parentNode.firstChild !== order[0]) what.parentNode.prepend(...order);
   setText(what, alarm.what);
   setText(todo, alarm.do);
-  // What to do about it stands at its cause.
+  // What to do about an alarm that follows is shown with its cause.
   todo.hidden = Boolean(alarm.follows);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
@@ -236,7 +236,7 @@ const show = (document_) => {
   announce(`${summary.word} ${summary.sentence}`);
 };
 
-// For a screen reader: what the summary says, when it changes, and not more often than it can be read.
+// For a screen reader: the summary when it changes, but not more often than it can be read.
 const announce = (text) => {
   if (text === announced.text || performance.now() - announced.at < 5000) return;
   announced = { text, at: performance.now() };
@@ -264,12 +264,12 @@ const showStop = (stop) => {
   byId("dose-label").hidden = byId("dose-button").hidden = !stop.dose_here;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
-  // An answer is of its time: it goes when the pump was released, or stands at last.
+  // An answer becomes old: it goes when the pump is released, or at last stands.
   const place = byId("answer");
   const unsure = place.classList.contains("failed") || stopBefore.warning;
   if (stop.stopped !== stopBefore.stopped && (!stop.stopped || unsure)) place.hidden = true;
   stopBefore = stop;
-  // So is a question, but for whether to stop, which is right whatever else has changed.
+  // So does a question, except whether to stop, which stays right whatever else has changed.
   const still = stop[`${asked}_here`] && stop[ACTIONS[asked].then] === byId("ask-sentence").textContent;
   if (byId("ask").open && asked !== "stop" && !still) {
     byId("ask").close();
@@ -301,7 +301,7 @@ const post = async (path, body) => {
   return { ok: false, sentence: `Nothing was done: ${said.sentence}.` };
 };
 
-// Each asks once, and says what came of it.
+// Each action asks once, and then shows the result.
 const ACTIONS = {
   stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump stops" },
   release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump is released" },
@@ -313,7 +313,7 @@ const act = async (name, body) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
   answer("The pump node is asked ...", false);
-  // A browser has six connections to a server, and each open page holds one: this page's is given up.
+  // A browser has six connections to a server, and each open page holds one: release this page's.
   stream.close();
   try {
     const { ok, sentence } = await post(`/${name}`, body);
@@ -383,7 +383,7 @@ byId("pause").addEventListener("click", () => {
 });
 for (const button of document.querySelectorAll("[data-hours]")) {
   button.addEventListener("click", () => {
-    for (const button of document.querySelectorAll("[data-hours]")) button.setAttribute("aria-pressed", String(button === button));
+    for (const other of document.querySelectorAll("[data-hours]")) other.setAttribute("aria-pressed", String(other === button));
     charts.setHours(Number(button.dataset.hours));
     stream.close();
     stream.open();
@@ -428,7 +428,7 @@ const stream = {
   },
 
   async read(controller) {
-    // By the time of day: it goes on while the computer sleeps.
+    // By the time of day, which goes on while the computer sleeps.
     let heard = Date.now();
     const watchdog = setInterval(() => {
       if (Date.now() - heard > SILENT) controller.abort();
@@ -470,7 +470,7 @@ const stream = {
     else takeSeries(taken);
   },
 
-  // Until the next event, what is shown is old.
+  // Until the next event, the page shows old values.
   lost(why) {
     const of = shown ? `what is shown is of ${shown.time.text}.` : "there is nothing to show yet.";
     setText(byId("lost"), `Not connected: ${of}${why} Trying again ...`);
@@ -486,7 +486,7 @@ const stream = {
   },
 };
 
-// A page that nobody sees hears of alarms alone, for its title; what it shows is then of before.
+// A hidden page gets only the summary, for its title; everything else on it is then old.
 document.addEventListener("visibilitychange", () => {
   stream.close();
   if (document.hidden) document.body.classList.add("lost-link");
