@@ -473,7 +473,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
         bench.until_said(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
         assert bench.now.state is State.STOPPING
     wait(lambda: re.search(f"{left_for}.*so nothing is sent for 1.2 s", bench.now.problem))
-    assert "two connections" not in bench.now.problem
+    assert "two successive connections" not in bench.now.problem
     assert not bench.now.connected and bench.now.status is None
     assert bench.drive.written[-1] in (OFF, (1, 0))
     bench.drive.written.clear()
