@@ -11,6 +11,8 @@ over time, and writes ``worth.csv``, from which the README's figure is drawn.
 - **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
   and a drier half. Each is dressed by the rain of the other, and judged by itself. No storm is in
   both, because no issue within the length of a member and five days of another dresses it.
+- **with its own numbers**: the half that dresses also chooses the numbers of dressing
+  (``numbers.py``).
 - **used ideally**: an ensemble that knows as much as a service, and is reliable (``ideal.py``).
 - **the hour as forecast**: in the present hour only the rain in this minute is known.
 
@@ -38,6 +40,7 @@ from real_seasons.runs import (
     CROSSED,
     DRESSED,
     IDEAL,
+    NESTED,
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
@@ -77,6 +80,8 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
         yield Case(roof, period, source)
         if period is YEAR:
             yield Case(roof, period, source, CROSSED)
+            if roof == "measured" and source != "placebo":
+                yield Case(roof, period, source, NESTED)
         if source == SOURCES[0]:
             yield Case(roof, period, PERFECT, trusts=False)
     for source in SOURCES:

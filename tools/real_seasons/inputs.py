@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from dressing.__main__ import together
 from numpy.typing import NDArray
+from real_seasons.numbers import PACKAGE, chosen, used
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
@@ -136,17 +137,23 @@ class Inputs:
         archive = self.issued[source]
         return dress(archive, learn(archive, self.record, ROOFS[roof].hours))
 
-    def crossed(self, roof: str, source: str, period: Period) -> Archive:
+    def crossed(self, roof: str, source: str, period: Period, own_numbers: bool) -> Archive:
         """Return an archive with each half of a period dressed by the other half.
 
-        Issues outside the period are dressed by the wetter half.
+        Issues outside the period are dressed by the wetter half. With their own numbers the halves
+        choose those of dressing, too.
         """
         archive, by = self.issued[source], self.by_half(roof, source, period)
-        issues = tuple(
-            dress_issue(issue, by[not self.is_wet(period, issue.issued)])
-            for issue in archive.issues
-        )
-        return replace(archive, issues=issues)
+        numbers = {
+            wet: chosen(archive, dressing) if own_numbers else PACKAGE
+            for wet, dressing in by.items()
+        }
+        issues = []
+        for issue in archive.issues:
+            half = not self.is_wet(period, issue.issued)
+            with used(numbers[half]):
+                issues.append(dress_issue(issue, by[half]))
+        return replace(archive, issues=tuple(issues))
 
     def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
         """Return dressings by the drier half of a period (False) and by the wetter half (True)."""

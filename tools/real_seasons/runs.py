@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 # A twentieth of the flow pumps in a tick of a minute what on/off pumps in three seconds.
 ONOFF = {"fraction": 0.05}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
+NESTED = "dressed by the other half with its own numbers"
 IDEAL = "used ideally"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
 SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
@@ -143,6 +144,6 @@ def _archive(case: Case, inputs: Inputs) -> Archive | None:
         return None
     if case.form == DRESSED:
         return inputs.dressed(case.roof, case.source)
-    if case.form == CROSSED:
-        return inputs.crossed(case.roof, case.source, case.period)
+    if case.form in (CROSSED, NESTED):
+        return inputs.crossed(case.roof, case.source, case.period, case.form == NESTED)
     return inputs.issued[case.source]

@@ -15,6 +15,7 @@ from real_seasons.runs import (
     DRESSED,
     IDEAL,
     ISSUED,
+    NESTED,
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
@@ -136,10 +137,11 @@ def of_period(results: Results) -> Iterator[str]:
 def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
     """Yield the table of each half, with forecasts dressed by the other half."""
     weeks = _weeks(results)
-    if any(case.form == CROSSED for case in weeks):
+    forms = [form for form in (CROSSED, NESTED) if any(case.form == form for case in weeks)]
+    if forms:
         for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
             yield f"\n{words}, {chosen.sum()} weeks: "
-            yield from _rows(weeks, (ISSUED, CROSSED), chosen)
+            yield from _rows(weeks, (ISSUED, *forms), chosen)
 
 
 def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
@@ -208,7 +210,7 @@ def of_owner(results: Results) -> Iterator[str]:
     """Yield the table of what an owner sees, with intervals from blocks of weeks."""
     yield from _head(["forecast", *OWNERS, *STORMS.values()])
     for case, result in results.items():
-        if case.form == IDEAL:
+        if case.form in (IDEAL, NESTED):
             continue
         sums = _weekly_sums(result)
         cells = []
