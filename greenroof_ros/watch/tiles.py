@@ -235,13 +235,13 @@ def _to_come(store: Store) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
-    # A forecast is named by its time of issue, if known; its age counts from its first step.
+    # A forecast is as old as its issue, if known; it is too old only if it is no longer published.
     made_at = forecast.at if forecast.issued is None else forecast.issued
-    age, made = now - forecast.at, store.hour(made_at)
+    age, made = now - made_at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
         return f"no forecast is known: the one of {made} is over"
-    if age > OLD_S and not store.ended:
+    if now - forecast.at > OLD_S and not store.ended:
         return f"the forecast is too old, of {made}: {_amount(amount, ended=True)}"
     sentence = _amount(amount, ended=store.ended)
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"

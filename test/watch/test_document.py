@@ -878,6 +878,17 @@ def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     assert tile_of(graph, "rain")["sentence"] == sentence
 
 
+def test_a_published_forecast_is_as_old_as_its_issue() -> None:
+    """A live one begins again with each message; the weather node withholds old issues."""
+    graph, now = watched(), 7 * 3600
+    rain = np.full(len(growing_steps(48)) - 1, 1e-7)
+    forecast(graph, START + now * SECOND, rain, 48, issued=START / 1e9)
+    hear(graph, now, now + 1, QUIET)
+    assert tile_of(graph, "rain")["sentence"] == (
+        "4.3 mm expected in the next 12 h, by the forecast of 00:00"
+    )
+
+
 def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
     """The forecast moves on with each tick; that is not worth a line."""
     graph = watched()
