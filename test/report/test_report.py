@@ -285,6 +285,29 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
     assert totals == {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
 
 
+@pytest.mark.parametrize(("old", "new", "there"), [
+    ("latitude: 43.63", "latitude: 45.5", True),
+    ("g: 9.81", "mains_level: 1.0\nmains_flow: 0.001\ng: 9.81", False),
+    ("g: 9.81", "low_outlet_level: 1.0\nlow_outlet_radius: 0.02\ng: 9.81", False),
+    ("g: 9.81", "runoff_coefficient: 0.9\ng: 9.81", False),
+    ("g: 9.81", 'quiet_hours: ["01:00-02:00"]\ntime_zone: America/Toronto\ng: 9.81', False),
+])
+def test_published_totals_are_of_the_papers_site_alone(
+    tmp_path: Path, old: str, new: str, there: bool
+) -> None:
+    """It may be elsewhere, since the weather is given; but nothing that Table I lacks is added."""
+    row = {**simulate("onoff", "0.5", "low-low").row, "hours": 12.0}
+    study = write_study(tmp_path / "study", [
+        ({**row, "parameter:fraction": fraction}, None) for fraction in ("0.2", "0.5")
+    ])
+    site = study / "configuration" / "site.yaml"
+    text = site.read_text(encoding="utf-8")
+    assert text.count(f"\n{old}") == 1
+    site.write_text(text.replace(f"\n{old}", f"\n{new}"), encoding="utf-8")
+    data = figures_of(report_of(study))["total-deviation-1"].data
+    assert ("published-1-onoff" in data) == there
+
+
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     """Controllers and parameters that this package does not know yet, numbers and words."""
     example = simulate("mpc", "0.001", "low-low")
