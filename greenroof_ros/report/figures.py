@@ -378,7 +378,7 @@ def forecast_errors(report: Report) -> Figure:
     count = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
     caption = (
         f"Total deviation of {count} seeds of errors each, over the skill of the forecasts. "
-        "Colours: controllers; shapes: their settings. Filled marks on full lines: the mean; "
+        "Colours: controllers; shapes: their settings. Filled marks on solid lines: the mean; "
         "hollow ones on dashed lines: the mean of the worst tenth of the runs. The panels' axes do "
         "not begin at 0."
     )
@@ -523,8 +523,8 @@ def comparison_figure(report: Report) -> Figure:
         panels.append(Panel(alt.layer(line, intervals, marks), place, height=_HEIGHT))
     return Figure(
         "season-comparisons", "Deviation relative to on/off",
-        "Total deviation of all seasons over on/off's in the same seasons, and its 95 % "
-        "interval, each for one comparison alone. One across the line contains 1.",
+        "Total deviation of all seasons over on/off's in the same seasons, and its 95 % interval, "
+        "each for one comparison alone. An interval that crosses the line contains 1.",
         tuple(panels), 1, data,
     )
 

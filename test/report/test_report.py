@@ -108,7 +108,7 @@ def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     first, second = report.single
     assert first["near_target_hours"] == near_hours(PAPER_SITE, kept, 0.2)
     assert second["near_target_hours"] is None
-    assert "the time near the target is of samples every 60 s" in report.runs["001"].notes[-1].text
+    assert "time near the target is from samples every 60 s" in report.runs["001"].notes[-1].text
     for usual in report_of(path, band=NEAR_TARGET).single:
         assert usual["near_target_hours"] == example.row["near_target_hours"]
 
@@ -150,7 +150,7 @@ def test_frost_is_shaded(tmp_path: Path) -> None:
     path = write_study(tmp_path / "study", [({**row, "frost_hours": 3 / 3600}, trajectory)])
     report = report_of(path)
     assert "Grey: frost" in figures_of(report)["weather-1"].caption
-    assert "There was frost; nothing was pumped in it." in page_of(report)
+    assert "There was frost; nothing was pumped during it." in page_of(report)
 
 
 def test_pump_curve(study: Path, tmp_path: Path) -> None:
@@ -422,9 +422,9 @@ def test_seeds_page(seeds: Report) -> None:
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
     ]
     assert "Results of each run" not in text
-    assert "They are judged together" in text
+    assert "They are one case" in text
     # 25 different numbers of ticks are one note.
-    assert text.count("found no answer in some ticks") == 1
+    assert text.count("found no solution in some ticks") == 1
     assert (
         "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
         "ensemble members 10 skill real, 25 seeds"
@@ -478,20 +478,20 @@ def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:
-    """Neither a report, unless it is to be, nor what is no report's."""
+    """Neither a report, unless it is to be, nor what does not belong to a report."""
     (tmp_path / "figures").mkdir()
     files = [tmp_path / "report.html", tmp_path / "figures" / "energy-1.svg"]
     for file in files:
         file.touch()
     assert _former_report(tmp_path, is_figure, force=True) == files
     assert _former_report(tmp_path / "new", is_figure, force=False) == []
-    with pytest.raises(ConfigurationError, match="--force replaces it"):
+    with pytest.raises(ConfigurationError, match="replace it with --force"):
         _former_report(tmp_path, is_figure, force=False)
     for name in ("notes.txt", "figures/mine.svg", "figures/energy-2.svg/x"):
         foreign = tmp_path / name
         foreign.parent.mkdir(exist_ok=True)
         foreign.touch()
-        with pytest.raises(ConfigurationError, match=f"{name.removesuffix('/x')} is no report's"):
+        with pytest.raises(ConfigurationError, match=f"{name.removesuffix('/x')} does not belong"):
             _former_report(tmp_path, is_figure, force=True)
         foreign.unlink()
 
