@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from dressing.__main__ import together
 from numpy.typing import NDArray
+from real_seasons.numbers import PACKAGE, chosen, used
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
@@ -25,6 +26,8 @@ from greenroof_ros.weather.reading import read_weather
 Array = NDArray[np.float64]
 
 SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
+# The fifth day of GFS holds half the water of its fourth: an error of the archive.
+HOURS_OF = {"GFS": 96}
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class Inputs:
 
     def __init__(self, archives: Path, scratch: Path) -> None:
         """Take the directory of the archives, and one for the files that a run reads."""
-        self._archives, self._scratch = archives, scratch
+        self.archives, self.scratch = archives, scratch
         self._sites = {roof: self._write_site(roof) for roof in ROOFS}
         gauge = scratch / "gauge.csv"
         site = read_site(self.site_file("measured"))
@@ -96,7 +99,7 @@ class Inputs:
 
     def site_file(self, roof: str) -> Path:
         """Return the file of a roof's site, with ticks of a minute and with mains."""
-        return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
+        return self.scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
 
     def _write_site(self, roof: str) -> Site:
         file = shared_directory() / "config" / ROOFS[roof].file
@@ -111,12 +114,14 @@ class Inputs:
         site = self._sites["measured"]
         services = {
             short: replace(
-                read_archive(self._archives / f"{name}_previous_runs.csv", site),
+                read_archive(self.archives / f"{name}_previous_runs.csv", site),
                 delay=SERVICE_DELAY_H,
             )
             for short, name in SERVICES.items()
         }
-        services["GFS"] = _shortened(services["GFS"], 96)
+        services |= {
+            source: _shortened(services[source], hours) for source, hours in HOURS_OF.items()
+        }
         gem = services["GEM"]
         return {
             "three": together(list(services.values())),
@@ -132,17 +137,23 @@ class Inputs:
         archive = self.issued[source]
         return dress(archive, learn(archive, self.record, ROOFS[roof].hours))
 
-    def crossed(self, roof: str, source: str, period: Period) -> Archive:
+    def crossed(self, roof: str, source: str, period: Period, own_numbers: bool) -> Archive:
         """Return an archive with each half of a period dressed by the other half.
 
-        Issues outside the period are dressed by the wetter half.
+        Issues outside the period are dressed by the wetter half. With their own numbers the halves
+        choose those of dressing, too.
         """
         archive, by = self.issued[source], self.by_half(roof, source, period)
-        issues = tuple(
-            dress_issue(issue, by[not self.is_wet(period, issue.issued)])
-            for issue in archive.issues
-        )
-        return replace(archive, issues=issues)
+        numbers = {
+            wet: chosen(archive, dressing) if own_numbers else PACKAGE
+            for wet, dressing in by.items()
+        }
+        issues = []
+        for issue in archive.issues:
+            half = not self.is_wet(period, issue.issued)
+            with used(numbers[half]):
+                issues.append(dress_issue(issue, by[half]))
+        return replace(archive, issues=tuple(issues))
 
     def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
         """Return dressings by the drier half of a period (False) and by the wetter half (True)."""
