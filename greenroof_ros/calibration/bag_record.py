@@ -45,7 +45,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
     steps = int(seen.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(
-            f"is {seen.time[-1]:g} s long; it must have two steps of {_STEP_S:g} s at least",
+            f"is {seen.time[-1]:g} s long; it must have at least two steps of {_STEP_S:g} s",
             file=bag,
         )
     edges = _STEP_S * np.arange(steps + 1)
@@ -70,8 +70,8 @@ def read_bag_record(bag: Path, site: Site) -> Record:
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):
         raise ConfigurationError(
-            "is not in the bag, or 0 throughout: it must be there, or nothing of how the roof "
-            "dries can be fitted", file=bag, key="/weather/evapotranspiration",
+            "is not in the bag, or is 0 throughout: how the roof dries cannot be fitted without "
+            "it", file=bag, key="/weather/evapotranspiration",
         )
     beyond = summed((seen.command > 1).astype(np.float64)) > 0
     command = summed(np.where(seen.pump_flow > 0, seen.command, 0.0)) / _STEP_S

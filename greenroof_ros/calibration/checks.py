@@ -51,7 +51,7 @@ def check_record(record: Record, site: Site) -> list[Finding]:
         there = int(np.count_nonzero(~np.isnan(values)))
         if there < _FEWEST_VALUES:
             raise ConfigurationError(
-                f"has {there} values; it must have {_FEWEST_VALUES} at least", file=record.source,
+                f"has {there} values; it must have at least {_FEWEST_VALUES}", file=record.source,
                 key=column,
             )
     findings = [
@@ -423,8 +423,7 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
 # If the volume of runoff is wrong by more than this share, the fit is poor.
 _VOLUME_OFF = 0.5
 _LOOK_AT = (
-    "Look at units, at clocks that are shifted, at sensors that are stuck or blocked, and at a2 "
-    "and z_soil of the site."
+    "Check the units, the clocks, the sensors (stuck or blocked?), and the site's a2 and z_soil."
 )
 
 
@@ -454,7 +453,7 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
         return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
     if not worse and not off:
         return []
-    verdict = "worse than the mean of what was measured" if worse else "wrong by much"
+    verdict = "worse than the mean of what was measured" if worse else "far off"
     why = ", ".join(worse + off)
     return [FINDINGS.make("poor-fit", "poor", "fit", what=verdict, why=why, look=_LOOK_AT)]
 

@@ -121,7 +121,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     )
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
-            f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
+            f"has {len(times)} rows; a record must have at least {_FEWEST_ROWS}", file=file
         )
     steps, step_s = steps_of_rows(table, times)
     rows = _Rows(table, times, steps)
@@ -156,7 +156,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
     columns: dict[str, tuple[str, str]] = {}
     for name, quantity, unit in table.quantities("rain [mm]"):
         if quantity in columns:
-            raise table.refuse(f"there is a column of {quantity} before this one", name)
+            raise table.refuse(f"there is a column of {quantity} already", name)
         if quantity not in _QUANTITIES:
             raise table.refuse(
                 f"is not a known column; choose from {', '.join(_QUANTITIES)}, each with its unit "
@@ -253,15 +253,15 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise table.refuse(
-            f"the rows are {time_name(step_s)} apart; they must be a day apart at most", TIME, 1
+            f"the rows are {time_name(step_s)} apart; they must be at most a day apart", TIME, 1
         )
     counts = np.maximum(1.0, np.round(spacing / step_s))
     off = np.flatnonzero(np.abs(spacing / step_s - counts) > _LOOSENESS)
     if len(off) > _MOST_OFF * len(spacing):
         raise table.refuse(
             f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-            f"{spacing[off[0]]:g} s; so are {len(off)} of {len(times)} rows, more than clocks that "
-            "were set explain: write rows a regular step apart", TIME, int(off[0]) + 1,
+            f"{spacing[off[0]]:g} s; {len(off)} of {len(times)} rows are like this, too many for a "
+            "clock that was set: write rows at a regular step", TIME, int(off[0]) + 1,
         )
     return np.floor(since / step_s + 0.5).astype(np.int64), step_s
 
@@ -289,7 +289,7 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
     column = record.reference_column
     if not np.any(values > 0):
         raise ConfigurationError(
-            "is 0 throughout: it must be there, or nothing of how the roof dries can be fitted",
+            "is 0 throughout: how the roof dries cannot be fitted without it",
             file=record.source, key=column,
         )
     missing = np.isnan(values)
@@ -303,10 +303,10 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
             empty = rows.steps[row] == low
             reason = "is empty" if empty else f"there is no row of {record.times[low]}"
             raise ConfigurationError(
-                f"{reason}, and none has a value for {time_name(gap_s)}: it may be missing for an "
-                "hour at most, as a roof dries in gaps of the sensors, too; write a day's value "
-                "into each of its rows, and add missing rows with time and this value, their other "
-                "cells empty", file=record.source, line=rows.table.lines[row], key=column,
+                f"{reason}, and no row has a value for {time_name(gap_s)}: at most an hour may be "
+                "missing, since a roof also dries while sensors have gaps; write a day's value "
+                "into each of its rows, and add missing rows with the time and this value, their "
+                "other cells empty", file=record.source, line=rows.table.lines[row], key=column,
             )
     steps = np.arange(len(values))
     return np.interp(steps, steps[~missing], values[~missing])
@@ -343,9 +343,9 @@ def _from_temperatures(
         )
     if _COURSE in numbers and record.step_s > _LONGEST_STEP_S:
         raise ConfigurationError(
-            f"its rows are {time_name(record.step_s)} apart, and show a day's extremes where they "
-            "are three hours apart at most; write columns 'least temperature [degC]' and 'greatest "
-            "temperature [degC]' instead", file=record.source, key=_COURSE,
+            f"its rows are {time_name(record.step_s)} apart, but show a day's extremes only if "
+            "they are at most three hours apart; write columns 'least temperature [degC]' and "
+            "'greatest temperature [degC]' instead", file=record.source, key=_COURSE,
         )
     enough = _ENOUGH * DAY_S / record.step_s if _COURSE in numbers else 1.0
     dates, day = np.unique(
@@ -373,8 +373,8 @@ def _from_temperatures(
     if far.any():
         raise ConfigurationError(
             f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
-            "which evapotranspiration is computed; add a row of each day without, its temperatures "
-            "in it and the other cells empty, or leave its month out with --months",
+            "which evapotranspiration is computed; add a row for each day without them, with its "
+            "temperatures and the other cells empty, or leave its month out with --months",
             file=record.source,
         )
     lines = []

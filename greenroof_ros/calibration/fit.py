@@ -306,7 +306,7 @@ def fit(
     parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
     if record.step_s > _TELLS_DRAINAGE_S:
         assert site.drainage_time is not None
-        words = f"steps of {time_name(record.step_s)} are too long to tell it"
+        words = f"steps of {time_name(record.step_s)} are too long to identify it"
         parameters.insert(3, Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words))
     fitted, shown = simulated(at, least)
     tell("done", 1.0)
@@ -394,7 +394,7 @@ def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
     low, high = (parameter.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
     words = ""
     if not _END < share < 1 - _END:
-        words = f"at the end of what it may be ({parameter.low:.3g} to {parameter.high:.3g})"
+        words = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
     elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
         words = "the data hardly constrain it"
     return Parameter(parameter.name, value, low, high, words)

@@ -102,10 +102,10 @@ def _figure(
     ends = (0.0 if adds_up else min(values), max(values))
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
-        f"Above: {'sums' if adds_up else 'means'} of days, and what is simulated too much "
-        "of them. The dashed line parts fit and validation; what was not measured is left out. "
-        f"Below: simulated over measured, each point of {time_name(over_s)}; a perfect fit lies on "
-        "the line."
+        f"Above: {'sums' if adds_up else 'means'} of days, and the residuals (simulated less "
+        "measured). The dashed line separates fit and validation; what was not measured is left "
+        f"out. Below: simulated over measured, each point of {time_name(over_s)}; a perfect fit "
+        "lies on the line."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
     rule = alt.Chart(alt.InlineData(boundary)).mark_rule(
@@ -116,7 +116,7 @@ def _figure(
     for chart, title, value, field, names, label, zero in (
         (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "Measured and simulated",
          "v", "series", [MEASURED, SIMULATED], axis, adds_up),
-        (data, "Residuals", "error", "part", [*halves], f"too much {axis}", True),
+        (data, "Residuals", "error", "part", [*halves], f"simulated less measured, {axis}", True),
     ):
         lines = chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
             x=_TIME, y=alt.Y(f"{value}:Q", title=label, scale=alt.Scale(zero=zero)),

@@ -16,13 +16,13 @@ from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml
 
 CROP_NOTE = (
-    "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
-    "weather file's own column"
+    "counts if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a weather "
+    "file has it"
 )
 """Where a crop coefficient has an effect."""
 INTERVAL_NOTE = (
-    "The intervals allow for what the record cannot tell apart, wherever it lies in its range. All "
-    "else is as the site file has it."
+    "The intervals include the effect of parameters that the record cannot distinguish, anywhere "
+    "in their ranges. All other parameters have the site file's values."
 )
 """What the intervals of fitted parameters cover."""
 
@@ -53,10 +53,10 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
         target: target depth on the roof (m) in the original site file.
         sheet: pump curve that was fitted to the data sheet before.
     """
-    entries: Entries = {name: (getattr(fit.site, name), "as it was, not fitted") for name in _ROOF}
+    entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
     entries |= {} if sheet is None else sheet_entries(sheet)
     for parameter in fit.parameters:
-        words = f"as it was: {parameter.words}"
+        words = f"unchanged: {parameter.words}"
         if parameter.interval:
             interval = f"fitted, {parameter.interval} (95 %)"
             words = f"{interval}; {parameter.words}" if parameter.words else interval
@@ -104,7 +104,7 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
             read_site(written)
         except ConfigurationError as error:
             raise ConfigurationError(
-                f"with what was fitted it is no site, and nothing is written: {error.wrong}",
+                f"the fitted values do not make a valid site; nothing is written: {error.wrong}",
                 file=file,
             ) from error
     return text

@@ -153,7 +153,7 @@ class Kept:
     @property
     def problem(self) -> str:
         """Why the last value is not written; empty if it is, or soon will be."""
-        return "the disk takes nothing" if DISK.late else self._newest.problem
+        return "the disk does not respond" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:
         """Return the numbers in the file; an empty mapping if there is no file.

@@ -206,7 +206,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
             f"is not valid YAML: {error.problem}", file=path, line=line
         ) from error
     except RecursionError as error:
-        raise ConfigurationError("is not valid YAML: a value holds itself", file=path) from error
+        raise ConfigurationError("is not valid YAML: a value contains itself", file=path) from error
     except (yaml.YAMLError, ValueError) as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
     if not isinstance(content, YamlMapping):

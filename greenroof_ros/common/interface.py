@@ -142,8 +142,7 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     for name in outputs:
         if name not in topics:
             raise ConfigurationError(
-                f"is no output of a controller; in msg_defs/topics.yaml they are "
-                f"{', '.join(topics)}",
+                f"is not an output of a controller; msg_defs/topics.yaml has {', '.join(topics)}",
                 key="outputs", value=name,
             )
     return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
@@ -189,7 +188,7 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
-            "must be of one graph, but holds the topics of namespaces "
+            "must be of one graph, but has topics of the namespaces "
             + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )

@@ -76,7 +76,7 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
     tls = match["scheme"] == "mqtts"
     if authority and not tls:
         raise ConfigurationError(
-            "certificates are for mqtts://HOST[:PORT] alone", key=key, value=text
+            "certificates can be used only with mqtts://HOST[:PORT]", key=key, value=text
         )
     return Broker(
         match["host"].strip("[]"), port or (_TLS_PORT if tls else _PORT), tls,
@@ -160,7 +160,7 @@ def make_client(
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
         nonlocal refused
         if not refused:  # otherwise the reason was already reported
-            on_disconnect("it broke off" if code.value == _UNSPECIFIED else str(code))
+            on_disconnect("the connection was lost" if code.value == _UNSPECIFIED else str(code))
         refused = False
 
     client.on_connect = connected
@@ -180,5 +180,5 @@ def _read_login(file: Path) -> tuple[str, str]:
     login = read_yaml(file)
     for name in ("username", "password"):
         if not isinstance(login.get(name), str):
-            raise ConfigurationError("must be a text", file=file, key=name)
+            raise ConfigurationError("must be text", file=file, key=name)
     return login["username"], login["password"]

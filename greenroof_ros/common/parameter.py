@@ -272,7 +272,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         return value
     if kind is str:
         if not isinstance(value, str) or not (value.strip() or value in entry.among):
-            raise _Wrong(parts, "must be a text", value)
+            raise _Wrong(parts, "must be text", value)
         if entry.among and value not in entry.among:
             raise _Wrong(parts, f"must be one of {', '.join(filter(None, entry.among))}", value)
         return " ".join(value.split())

@@ -65,7 +65,7 @@ class LockedError(Exception):
     """
 
     def __init__(self, path: Path, holder: int | None) -> None:
-        super().__init__(f"process {holder or 'unknown'} has the lock {path}")
+        super().__init__(f"process {holder or 'unknown'} holds the lock {path}")
         self.holder = holder
 
 

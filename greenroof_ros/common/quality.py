@@ -88,7 +88,7 @@ def accept(findings: Sequence[Finding], accepted: Collection[str], file: Path) -
         codes = " ".join(dict.fromkeys(finding.code for finding in refused))
         lines = [f"{finding.text} [{finding.code}]" for finding in refused]
         raise ConfigurationError(
-            "\n  ".join([*lines, f"where this is right all the same: --accept {codes}"]), file=file
+            "\n  ".join([*lines, f"if the data are right anyway: --accept {codes}"]), file=file
         )
     return [
         replace(

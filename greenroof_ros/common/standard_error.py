@@ -76,7 +76,7 @@ class Lines:
                 text = self._waiting.popleft()
                 dropped, self._dropped = self._dropped, 0
             if dropped:
-                text = f"{dropped} lines were dropped: standard error took nothing\n{text}"
+                text = f"{dropped} lines were dropped: standard error was blocked\n{text}"
             data = text.encode(errors="backslashreplace")
             try:
                 while data:

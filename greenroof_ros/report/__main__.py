@@ -64,7 +64,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--force", action="store_true",
-        help="replace the report that the output holds; never anything else",
+        help="replace an earlier report in the output directory; other files are never replaced",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -85,7 +85,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--currency", default="CAD", metavar="NAME",
-        help="of the prices (default: %(default)s)",
+        help="currency of the prices (default: %(default)s)",
     )
     group.add_argument(
         "--band", type=within(0, 1), default=NEAR_TARGET, metavar="SHARE",
@@ -117,11 +117,11 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
     wrong = ""
     if foreign:
         wrong = (
-            f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} "
-            "is no report's, and never written over; name another directory"
+            f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} does "
+            "not belong to a report and is never overwritten; choose another directory"
         )
     elif there and not force:
-        wrong = "holds a report already; --force replaces it, or name another directory"
+        wrong = "already holds a report; replace it with --force, or choose another directory"
     if wrong:
         raise ConfigurationError(wrong, key="--output", value=str(directory))
     return there
@@ -181,7 +181,7 @@ def _show(report: Report) -> None:
     for name, run in report.runs.items():
         for there, text in (
             (run.incidents, f"{name}: {run.ended}; the report lists them"),
-            (run.ending, f"{name} {run.ending}; what follows is of the part that was recorded"),
+            (run.ending, f"{name} {run.ending}; all results are for the recorded part only"),
         ):
             if there:
                 console.print(text, style="bold", soft_wrap=True, markup=False)

@@ -213,9 +213,9 @@ def notes_of(row: Row) -> list[Note]:
     for column, text in (
         ("weather_notes", "{}"),
         ("suspicious", "suspicious, and not changed: {}"),
-        ("fallbacks", "the controller's solver found no answer in {:g} ticks"),
+        ("fallbacks", "the controller's solver found no solution in {:g} ticks"),
         ("limited_steps", "a tank ran empty in {:g} ticks, and what left it was limited"),
-        ("forecast_repeats_from", "a forecast ends at {}, and what follows is assumed"),
+        ("forecast_repeats_from", "a forecast ends at {}; later values are assumed"),
     ):
         if row.get(column):
             of_many = text.replace("{:g}", "some") if "{:g}" in text else ""
@@ -330,8 +330,8 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
     ]
     exact_sensor = not (errors.get("roof_noise") or errors.get("roof_offset"))
     if not exact_sensor:
-        of = "the results are of the true one" if "total_deviation_m3" in row else (
-            "and so is what is worked out from it"
+        of = "the results are of the true level" if "total_deviation_m3" in row else (
+            "the results are computed from it"
         )
         named = labels(row)["sensor and pump errors"]
         notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))

@@ -10,7 +10,7 @@ import csv
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ import altair as alt
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import PLACE, Site, read_site
 from greenroof_ros.report.about import NO_ERRORS, Row, controller_name
 from greenroof_ros.report.drawing import (
     COLOURS,
@@ -275,13 +275,14 @@ def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
     """Return the authors' values if a window is the paper's, or else none."""
     row, config = rows[0], shared_directory() / "config"
     site, papers = report.runs[row["run"]].site, read_site(config / "site.yaml")
-    # Table I's parameters, which have no default; optional ones are not compared.
-    table = [parameter.name for parameter in fields(Site) if parameter.default is MISSING]
+    # All but the place, with its climate and clock, which published evapotranspiration replaces.
+    place = {*PLACE, "monthly_evapotranspiration", "time_zone"}
+    compared = [parameter.name for parameter in fields(Site) if parameter.name not in place]
     if (
         row["evapotranspiration"] != "published"
         or not _is_time(row["start"], _PAPER_START) or row["hours"] != _PAPER_HOURS
         or row["forecast"] != PERFECT or row["sensor and pump errors"] != NO_ERRORS
-        or any(getattr(site, name) != getattr(papers, name) for name in table)
+        or any(getattr(site, name) != getattr(papers, name) for name in compared)
     ):
         return []
     with (config / "paper" / "totals.csv").open(encoding="utf-8", newline="") as stream:
@@ -377,7 +378,7 @@ def forecast_errors(report: Report) -> Figure:
     count = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
     caption = (
         f"Total deviation of {count} seeds of errors each, over the skill of the forecasts. "
-        "Colours: controllers; shapes: their settings. Filled marks on full lines: the mean; "
+        "Colours: controllers; shapes: their settings. Filled marks on solid lines: the mean; "
         "hollow ones on dashed lines: the mean of the worst tenth of the runs. The panels' axes do "
         "not begin at 0."
     )
@@ -522,8 +523,8 @@ def comparison_figure(report: Report) -> Figure:
         panels.append(Panel(alt.layer(line, intervals, marks), place, height=_HEIGHT))
     return Figure(
         "season-comparisons", "Deviation relative to on/off",
-        "Total deviation of all seasons over on/off's in the same seasons, and its 95 % "
-        "interval, each for one comparison alone. One across the line contains 1.",
+        "Total deviation of all seasons over on/off's in the same seasons, and its 95 % interval, "
+        "each for one comparison alone. An interval that crosses the line contains 1.",
         tuple(panels), 1, data,
     )
 

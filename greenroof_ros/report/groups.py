@@ -246,8 +246,8 @@ class Report:
                 spacing = float(np.diff(happened.time).max())
                 if run.bound is None and spacing > 1.5 * run.site.tau:
                     notes.append(Note(
-                        f"the time near the target is of samples every {spacing:g} s, which is "
-                        "what was kept"
+                        f"the time near the target is from samples every {spacing:g} s, the only "
+                        "ones kept"
                     ))
         return replace(run, row=row, notes=tuple(notes))
 

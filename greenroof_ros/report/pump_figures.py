@@ -141,9 +141,9 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
         )
         panels.append(Panel(chart, title, toggle="model"))
     caption = (
-        f"The pumps' flow at command {command:g} in the exact model, which the plant steps, and "
-        f"in the smooth one, which serves only to linearise (epsilon = {site.epsilon:g}). Where "
-        "they differ the predictive controller is mistaken about what its pumps do."
+        f"The pumps' flow at command {command:g} in the exact model, which the plant steps, and in "
+        f"the smooth one, which serves only to linearise (epsilon = {site.epsilon:g}). Where they "
+        "differ, the predictive controller predicts the wrong pump flow."
     )
     return Figure(
         f"pump-smoothing-{number}", f"Exact and smooth pump flow{of}", caption, tuple(panels), 3,

@@ -181,7 +181,7 @@ def read_results(file: Path) -> pl.DataFrame:
         table = pl.read_csv(io.StringIO(text), infer_schema=False)
     except pl.exceptions.PolarsError as error:
         reason = str(error).partition("\n")[0]
-        raise ConfigurationError(f"is no table of a study: {reason}", file=file) from error
+        raise ConfigurationError(f"is not the table of a study: {reason}", file=file) from error
     missing = [column for column in _NEEDED if column not in table.columns]
     if missing:
         raise ConfigurationError(
@@ -190,7 +190,7 @@ def read_results(file: Path) -> pl.DataFrame:
         )
     if not text.endswith("\n"):
         raise ConfigurationError(
-            "ends within a line, as a copy that was cut short; copy it again",
+            "ends in the middle of a line, as if a copy was cut short; copy it again",
             file=file, line=text.count("\n") + 1,
         )
     rows = csv.reader(io.StringIO(text))
@@ -254,5 +254,5 @@ def _load(path: Path) -> Recorded:
     """Read the trajectory of a run in a study."""
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
-        raise ConfigurationError("must have two samples or more, in the order of time", file=path)
+        raise ConfigurationError("must have two or more samples, in order of time", file=path)
     return Recorded(trajectory)

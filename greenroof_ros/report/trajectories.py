@@ -12,7 +12,7 @@ from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_pa
 from greenroof_ros.report.groups import SKY, Report, unique
 
 _GREY = "#555555"
-_FULL_FLOW = "full flow; above it is beyond the pump"
+_FULL_FLOW = "full flow; the pump cannot deliver more"
 # Runs longer than this (h) have days on their axis.
 _MOST_HOURS = 72.0
 
@@ -73,9 +73,9 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 legend=named, below=_reference_layers(domain, references, scale), zoom=True,
             ))
     caption = (
-        "Command and volumes over time, one line a setting. The command's axis is logarithmic "
-        "above 0.001; in the shaded part a command asks for more than the pumps have. A reference "
-        "that lies outside a panel is named at its edge."
+        "Command and volumes over time, one line for each setting. The command's axis is "
+        "logarithmic above 0.001; in the shaded part a command exceeds the pumps' maximum flow. A "
+        "reference that lies outside a panel is named at its edge."
     )
     return Figure(
         f"trajectories-{number}-{index}",
@@ -202,7 +202,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         "the roof holds. Each value holds from its time to the next."
     )
     if frozen:
-        caption += " Grey: frost, in which nothing is to be pumped."
+        caption += " Grey: frost, when nothing should be pumped."
     return Figure(
         f"weather-{number}",
         f"Weather: {report.heading(rows[0], SKY)}",

@@ -198,7 +198,7 @@ def _of_seeds(report: Report) -> list[str]:
     return [
         _runs(report, windows(report), list(dict.fromkeys(row["from"] for row in cases))),
         second,
-        f"Luck counts most for {named(worst)}: {_deviation(worst[TOTAL])} in the mean, "
+        f"The seed matters most for {named(worst)}: {_deviation(worst[TOTAL])} on average, "
         f"{_deviation(worst['worst_tenth_m3'])} in the worst tenth.",
     ]
 
@@ -274,9 +274,9 @@ def cautions(report: Report) -> list[str]:
     hurt = [run.incident_count for run in runs if run.incidents]
     of = f" in {len(hurt)} of {total} runs" if total > 1 else ""
     return [text for there, text in (
-        (broken, f"this run {''.join(broken)}: what follows is of what was recorded" if total == 1
-         else f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
-         "recorded"),
+        (broken, f"this run {''.join(broken)}: all results are for the recorded part only"
+         if total == 1 else f"{len(broken)} of {total} runs are not complete: their results are "
+         "for the recorded part only"),
         (report.failed, f"{counted(len(report.failed), 'run')} failed or did not run, and left "
          "nothing to show"),
         (hurt, f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"),
@@ -296,10 +296,10 @@ def _too_few(report: Report) -> dict[str, str]:
 
 
 _TOGETHER = {
-    SEEDS: "these runs differ only in the seed of their forecasts' errors from others. They are "
-    "judged together: the tables of single runs and the figures of weather, trajectories and "
-    "balances leave them out",
-    SEASONS: "these runs are the same season of several years. They are judged together",
+    SEEDS: "these runs differ from others only in the seed of their forecasts' errors. They are "
+    "one case, and are left out of the tables of single runs and the figures of weather, "
+    "trajectories and balances",
+    SEASONS: "these runs are the same season of several years. They are one case",
 }
 
 
@@ -322,13 +322,13 @@ def _of_results(row: Row, run: Run) -> list[str]:
     pumped = (row["frost_pumped_m3"] or 0) > 0
     above_1 = (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0
     return [text for there, text in (
-        (run.ending, f"{run.ending}; what follows is of what was recorded"),
-        (above_1, "the command was above 1, which asks for more than the pumps have: no real pump "
-         "can follow it"),
+        (run.ending, f"{run.ending}; all results are for the recorded part only"),
+        (above_1, "the command was above 1, which is more than the pumps' maximum flow: no real "
+         "pump can follow it"),
         (row["excess_starts"], f"the pumps started more than {run.site.starts_per_hour:g} times in "
-         "an hour, which is all that they may (starts_per_hour of the site file)"),
-        (row["frost_hours"], "there was frost, and in it something was pumped" if pumped
-         else "there was frost; nothing was pumped in it"),
+         "an hour, the limit set by starts_per_hour in the site file"),
+        (row["frost_hours"], "water was pumped during frost" if pumped
+         else "there was frost; nothing was pumped during it"),
         (run.incidents, f"{run.ended}: something was lost while the run went on; the table of "
          "incidents says what, when and why"),
     ) if there]

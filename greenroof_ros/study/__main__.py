@@ -39,11 +39,11 @@ _NOTES = {
 _DESCRIPTION = """\
 Run every combination of a grid - sites, weather windows, initial states, controllers and their
 parameters - in parallel, and put the results in one table, results.csv. The paper's 30 runs, unless
-another grid is given. Interrupted or killed, the same command goes on where it was.
+another grid is given. After an interruption or a kill, run the same command again to continue.
 """
 _EPILOG = """\
-exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster went (go on with the
-same command), 2 bad usage or configuration, 130 interrupted
+exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster is gone (run
+the same command to continue), 2 bad usage or configuration, 130 interrupted
 
 examples:
   greenroof study                              the paper's 30 runs
@@ -68,7 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the study, new or its own (default: studies/ and the grid's name)",
+        help="directory of the study, new or begun before (default: studies/ and the grid's name)",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
@@ -77,7 +77,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--jobs", type=within(1, 1024, int), metavar="N",
-        help="runs at a time (default: one a core; with --engine ros, one every two cores)",
+        help="runs at a time (default: one per core; with --engine ros, one per two cores)",
     )
     parser.add_argument(
         "--engine", choices=ENGINES, default="inprocess",
@@ -92,13 +92,13 @@ def make_parser() -> argparse.ArgumentParser:
     kept = parser.add_mutually_exclusive_group()
     kept.add_argument(
         "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
-        help="keep a sample of each run every S seconds, in whole ticks: a tick each second of "
-        "half a year takes a gigabyte of memory (default: every tick)",
+        help="keep a sample of each run every S seconds, in whole ticks: half a year in ticks of a "
+        "second takes a gigabyte of memory (default: every tick)",
     )
     kept.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep the table only, for thousands of runs; a report then has no figures of "
-        "weather, commands and volumes",
+        help="keep only the table, for thousands of runs; a report then has no figures of weather, "
+        "commands and volumes",
     )
     return parser
 
@@ -115,7 +115,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
-            "is not an option with --scheduler: the cluster knows how many", key="--jobs"
+            "cannot be used with --scheduler: the cluster sets how many", key="--jobs"
         )
     if arguments.weather is not None and not arguments.weather.is_dir():
         raise ConfigurationError(
@@ -135,7 +135,7 @@ def main() -> int:
     }
     console = Console(stderr=True)
     if store.outcomes:
-        console.print(f"{len(store.outcomes)} of {len(cases)} runs are there already")
+        console.print(f"{len(store.outcomes)} of {len(cases)} runs are stored already")
     try:
         if open_cases or unbounded:
             cores = len(os.sched_getaffinity(0))
@@ -148,12 +148,12 @@ def main() -> int:
             with those as workers:
                 _run(store, open_cases, list(unbounded.values()), workers, console)
     except BrokenExecutor:
-        console.print("error: the process that starts the others was killed; begin again")
+        console.print("error: the process that starts workers was killed; repeat the command")
         return EXIT_FAILED
     except WorkersGoneError as error:
         print(
             f"error: {error}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same "
-            "command again, it goes on", file=sys.stderr,
+            "command again to continue", file=sys.stderr,
         )
         return EXIT_FAILED
     finally:

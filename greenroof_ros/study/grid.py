@@ -55,16 +55,16 @@ _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
 _TIMES = ("year", "start", "hours", "evapotranspiration")
 # Error messages that say what each block must be.
 _SITE = (
-    "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, or a list of such"
+    "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, or a list of these"
 )
 _WINDOW = "must be a list of windows, each with 'file:', 'start:' and 'hours:'"
 _FORECAST = "{model: errors, skill: real, seed: [1, 2]}"
-_ERRORS = "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of such"
+_ERRORS = "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of these"
 _STATE = (
     f"must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
     "{name: dry, cistern: 60.0, roof: 1.0} in m3"
 )
-_SETTINGS = "must hold parameters, a list of such, or nothing"
+_SETTINGS = "must hold parameters, a list of these, or nothing"
 # Keys for the digests of a case's forecast files in the data of its identity.
 _DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
 # Names that the directory of a study uses itself.
@@ -513,7 +513,7 @@ class _Grid:
             given = [name for name in (key, f"{key}_level") if name in state]
             if len(given) != 1:
                 raise self._refuse(
-                    self._mapping, "initial", f"a state has no {key}, or two of one"
+                    self._mapping, "initial", f"a state must give either {key} or {key}_level"
                 )
             volume = number(self._path, state, given[0]) * (1.0 if key in state else area)
             if not volume >= 0:
@@ -622,7 +622,7 @@ class _Grid:
 
     def _text(self, mapping: YamlMapping, key: str) -> str:
         if not isinstance(mapping[key], str):
-            raise self._refuse(mapping, key, "must be a text")
+            raise self._refuse(mapping, key, "must be text")
         return str(mapping[key])
 
     def _keys(

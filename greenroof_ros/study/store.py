@@ -100,7 +100,7 @@ class Store:
         killed = _LOCK in there and there <= {_LOCK, configuration.name}
         if there and not killed and not file.is_file():
             raise ConfigurationError(
-                "exists, is not empty and no study; nothing is written over",
+                "exists, is not empty and is not a study; nothing is overwritten",
                 key="--output", value=str(self.directory),
             )
         self._lock()
@@ -137,11 +137,11 @@ class Store:
             ("runs", "another grid, or other files"),
             ("engine", "another engine"),
             ("trajectory_every", "other trajectories, or none"),
-            ("numbers", "other versions of what makes the numbers"),
+            ("numbers", "other versions of the code or its packages"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
-                    f"holds a study begun with {what}; go on with those, or give another directory",
+                    f"holds a study begun with {what}; use those, or give another directory",
                     key="--output", value=str(self.directory),
                 )
 
@@ -242,7 +242,7 @@ def _read(file: Path) -> Any:
         return None
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be read: {error.strerror}; nothing of the study was changed", file=file
+            f"cannot be read: {error.strerror}; the study was not changed", file=file
         ) from error
 
 

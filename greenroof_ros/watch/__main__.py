@@ -23,22 +23,23 @@ _GIVE_WAY = 10
 _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
 alarms and what to do, the water account. It shows any graph that runs in this ROS domain,
-simulated, with a drive in the loop or live, or a run that has ended. It may start late, stop, and
-be many: no run waits for it. The pump can be stopped there, and released where that was allowed.
+simulated, with a drive in the loop or live, or a run that has ended. Any number of watchers may
+start and stop at any time: no run waits for them. The pump can be stopped on the page, and released
+if that was allowed.
 
-The address is printed. Only this machine reaches it; from another one, by an ssh tunnel:
+The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE        and there, http://localhost:8080
 """
 _EPILOG = """\
 examples:
   greenroof watch                       whatever runs here
-  greenroof watch --terminal            the same in this terminal, over ssh too
+  greenroof watch --terminal            the same in this terminal, also over ssh
   greenroof watch --bag runs/a/bag      a run that has ended
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
   greenroof run --watch                 a run, and its page beside it
 
-It goes on when a run ends, and shows the next one. Ctrl-C ends it.
+When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
 
 exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
@@ -55,7 +56,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as bringup was given it (default: none)",
+        help="namespace of the graph, as passed to bringup (default: none)",
     )
     parser.add_argument(
         "--bag", type=Path, metavar="DIR",
@@ -69,20 +70,19 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--terminal", action="store_true",
-        help="in this terminal instead of a page; the space bar turns its pages, q ends it",
+        help="show it in this terminal instead of on a page; the space bar turns pages, q quits",
     )
     parser.add_argument(
         "--allow-release", action="store_true",
-        help="allow the page to release what was stopped there or over MQTT, and to clear the "
-        "fault speed_not_followed once in 24 h; if the site file allows it, also to ask for a "
-        "dose. The page then needs its token on this machine, too",
+        help="allow the page to release the pump if it was stopped there or over MQTT, and to "
+        "clear the fault speed_not_followed once in 24 h; if the site file allows it, also to ask "
+        "for a dose. The page then needs its token on this machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
-        help="address of this machine for the page, for other machines, which may then look and "
-        "stop the pump; 0.0.0.0 is all of its addresses. Any but this machine's own 127.0.0.1 "
-        "needs a token, which is printed with the address; nothing is encrypted "
-        f"(default: {LOOPBACK})",
+        help="address of this machine on which other machines reach the page, to look and to stop "
+        "the pump; 0.0.0.0 means all addresses. Any address except 127.0.0.1 needs a token, which "
+        f"is printed with the address; the connection is not encrypted (default: {LOOPBACK})",
     )
     parser.add_argument(
         "--port", type=within(1, 65535, int), metavar="N",
@@ -101,7 +101,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     if arguments.terminal:
         for key in ("host", "port"):
             if getattr(arguments, key) is not None:
-                raise ConfigurationError("is of the page, not of --terminal", key=f"--{key}")
+                raise ConfigurationError("applies to the page, not to --terminal", key=f"--{key}")
     bag: Path | None = arguments.bag
     if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
         raise ConfigurationError(
@@ -114,16 +114,16 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
 def _say_address(url: str, host: str, port: int | None, *, release: bool) -> None:
     """Print the page's address, and what other people may do with it."""
     if port is None and f":{PORTS[0]}/" not in url:
-        print(f"port {PORTS[0]} is taken, by another watcher perhaps", file=sys.stderr)
+        print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):
         print(
-            "whoever has the address with its token may look, and stop the pump; what is sent is "
-            "not encrypted", file=sys.stderr,
+            "anybody who has the address with its token may look, and stop the pump; the "
+            "connection is not encrypted", file=sys.stderr,
         )
     if release:
         print(
-            "whoever has the address with its token may release the pump, and ask for a dose where "
-            "the site file allows it", file=sys.stderr,
+            "anybody who has the address with its token may release the pump, and ask for a dose "
+            "if the site file allows it", file=sys.stderr,
         )
     print(url, flush=True)
 
@@ -147,7 +147,7 @@ def main() -> int:
         from greenroof_ros.watch.server import serve
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal needs it not"
+            f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal does not need it"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.

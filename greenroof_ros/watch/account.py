@@ -53,15 +53,15 @@ class Entry(NamedTuple):
 ENTRIES = {
     "stress": Entry("Water stress of the plants", "stress_hours", (_ROOF,), "h", 1),
     "evapotranspiration_ratio": Entry(
-        "Evapotranspired, of what plants ask for", "evapotranspiration_ratio",
+        "Evapotranspiration, share of the plants' demand", "evapotranspiration_ratio",
         (_EVAPORATED, _ROOF), "%", 0, 100.0,
     ),
     "kept": Entry("Rain kept on the roof", "rain_kept_share", _OF_RAIN, "%", 0, 100.0),
     "kept_hour": Entry(
-        "Rain kept of storms above 20 mm/h", "rain_kept_share_hour", _OF_RAIN, "%", 0, 100.0
+        "Rain kept in storms above 20 mm/h", "rain_kept_share_hour", _OF_RAIN, "%", 0, 100.0
     ),
     "kept_day": Entry(
-        "Rain kept of storms above 10 mm in 24 h", "rain_kept_share_day", _OF_RAIN, "%", 0, 100.0
+        "Rain kept in storms above 10 mm in 24 h", "rain_kept_share_day", _OF_RAIN, "%", 0, 100.0
     ),
     "deviation": Entry("Mean deviation from the target", "mean_deviation_mm", (_ROOF,), "mm", 1),
     "rain": Entry("Rain on the roof", "rain_roof_m3", (_RAIN,)),

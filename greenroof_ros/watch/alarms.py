@@ -28,8 +28,8 @@ _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
 # Advice for unknown codes, and for other devices, about which nothing is known here.
-OTHER = "Nothing is known about this here; read the log of the node that says so."
-FOREIGN = "Another device or program says so, not the green roof: see its own instructions."
+OTHER = "There is no advice for this; read the log of the node that reports it."
+FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 
 # With such a code the pump's state needs somebody at the pump, whatever caused it.
 _NEEDS_A_HAND = {

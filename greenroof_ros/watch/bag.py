@@ -100,7 +100,7 @@ class _File:
     def note(self, damage: Exception) -> None:
         """Note that a part of the file is damaged."""
         why = str(damage) or type(damage).__name__
-        self.problem = f"A part of the recording {self.path} is damaged, and left out ({why})."
+        self.problem = f"Part of the recording {self.path} is damaged and left out ({why})."
 
 
 class Recorded:
@@ -185,12 +185,12 @@ class Recorded:
             stream.seek(file.offset)
             data = stream.read(min(_BATCH, file.size - file.offset))
             if not data.startswith(_MAGIC[:min(start, len(data))]):
-                raise ValueError("it is no mcap file")
+                raise ValueError("it is not an MCAP file")
             if len(data) < start + _HEAD.size:
                 return False
             _, length = _HEAD.unpack_from(data, start)
             if length > _LONGEST:
-                raise ValueError(f"a record says that it has {length} bytes")
+                raise ValueError(f"a record claims to have {length} bytes")
             needed = start + _HEAD.size + int(length)
             if file.offset + needed > file.size:
                 return False  # it is not fully written yet
@@ -234,7 +234,7 @@ class Recorded:
                 elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
                     file.over = True
                 elif not 0 < opcode < 0x80:
-                    raise ValueError(f"there is no record {opcode:#x}")
+                    raise ValueError(f"there is no record type {opcode:#x}")
                 at = end
         finally:
             if small:
@@ -247,10 +247,10 @@ class Recorded:
     ) -> None:
         chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         if chunk.uncompressed_size > _LONGEST:
-            raise ValueError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
+            raise ValueError(f"a chunk claims to have {chunk.uncompressed_size} bytes")
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         if self._take(file, stream.read(length), 0, batch, numbers) < length:
-            raise ValueError("a chunk ends in a record")
+            raise ValueError("a chunk ends in the middle of a record")
 
     def _name(self, file: _File, channel: int) -> str:
         """Return the interface's name of a channel's topic; empty for a topic of another graph."""
@@ -337,7 +337,7 @@ class FollowedBag:
                     self._on_batch(self, batch)
                 except Exception as error:  # whatever the error, it is shown
                     self.read = replace(self.read, more=False, problem=(
-                        "The recording is not read any more, and what it has of later is missing "
+                        "The recording is no longer read; later values are missing "
                         f"({type(error).__name__}{f': {error}' if str(error) else ''})."
                     ))
                     break

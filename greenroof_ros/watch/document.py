@@ -176,7 +176,7 @@ def _level(
 def _sentence(store: Store, shown: dict[str, Tile], waits: str) -> str:
     """Return how roof and pump are, and what is expected."""
     if store.mode == "none":
-        return "no run and no site is found."
+        return "no run or site is found."
     roof, verb = shown["roof"], "was" if store.ended else "is"
     if roof["state"] in ("unknown", "alarm"):
         said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
@@ -193,9 +193,9 @@ def _sentence(store: Store, shown: dict[str, Tile], waits: str) -> str:
 def _pump_clause(pump: Tile, verb: str) -> str:
     state, why = pump["state"], pump["why"]
     if pump["alarm"]:
-        return f"whether the pump {'stood' if verb == 'was' else 'stands'} is not known"
+        return f"it is not known whether the pump {verb} at rest"
     if state == "unknown":
-        return "what the pump does is not known"
+        return "it is not known what the pump does"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump {verb} {state}"
         return f"{clause} at {tiles.flow(pump['number'])}" if pump["number"] else clause
@@ -212,18 +212,18 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     runs = pump["state"] in ("starting", "running")
     if store.mode == "none":
         return (
-            "Start a run or a site; where one runs, see that this watcher has its ROS_DOMAIN_ID "
-            "and --namespace."
+            "Start a run or a site; if one is running, check that this watcher has its "
+            "ROS_DOMAIN_ID and --namespace."
         )
     if store.mode == "ended":
-        return "This was recorded: what is now is not shown."
+        return "This is a recording: it does not show the present."
     if {roof, pump["state"]} & {"unknown", "alarm"}:
         return (
-            "Nothing is reported as wrong, but not all is known: see whether sensors and programs "
-            "run."
+            "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
+            "programs run."
         )
     if roof == "high" and runs:
-        return "The roof has enough, and the pump runs: see whether it should."
+        return "The roof has enough water, and the pump runs: check whether it should."
     if roof == "high":
         return "Nothing to do: the roof drains and dries by itself."
     if roof != "low" or waits:
@@ -237,11 +237,11 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
 
 
 LOCK_OUT = (
-    "Whoever works on the pump locks it out at the pump itself: nothing on this page does that."
+    "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
 _THEN = (
     "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
-    "but not sooner than it may after its last run. "
+    "but not before the required pause after its last run. "
 )
 
 
@@ -264,8 +264,8 @@ def _stop(store: Store) -> dict[str, Any]:
     stopped, warning = asked and stands, two
     if asked and not stands and not gone:
         warning = (
-            "Stop was accepted, but the pump still turns, or it is not known whether it stands. "
-            "Stop it at its drive's panel if it does not stand within seconds."
+            "Stop was accepted, but the pump still turns, or it is not known whether it is at "
+            "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
     state = "" if node is None else (store.pump_says or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
@@ -299,7 +299,7 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         "" if node is None else node.text(key) for key in ("fault", "page_may_not_clear", "no_dose")
     )
     others = " and ".join(owner for owner in owners if owner != "page")
-    stays = f"It stays off for all that: it is held off by {others}, too. "
+    stays = f"It stays off all the same: it is also held off by {others}. "
     doses = isinstance(greatest, (int, float))
     return {
         "release_here": "page" in owners and stands,
@@ -311,7 +311,7 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
-        "but not above the roof's target. It ends early where anything keeps the pump off. "
+        "but not above the roof's target. It ends early if anything keeps the pump off. "
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }

@@ -187,7 +187,7 @@ class Feed:
         except FutureTimeoutError:
             what = "the pump node was not asked, and nothing was done"
             if not asked.cancel():
-                what = "whether the pump node did that is not known"
+                what = "it is not known whether the pump node did that"
             raise StopFailedError(f"The watcher is busy: {what}.") from None
 
     def _drop_before_stop(self) -> None:
@@ -195,7 +195,7 @@ class Feed:
         for action, _, before in self._asked:
             if action != "stop" and before.set_running_or_notify_cancel():
                 before.set_exception(StopFailedError(
-                    "Nothing was done: somebody asks to stop the pump."
+                    "Nothing was done: somebody is asking to stop the pump."
                 ))
         self._asked = [request for request in self._asked if request[0] == "stop"]
 
@@ -224,7 +224,7 @@ class Feed:
             act()
         except Exception as error:  # whatever the error, the others go on
             self._problem = (
-                f"Something could not be shown; all else goes on ({type(error).__name__}: {error})."
+                f"Something could not be shown; the rest goes on ({type(error).__name__}: {error})."
             )
             self._problem_until = time.monotonic() + _SHOWN_S
             return True
@@ -332,7 +332,7 @@ class Feed:
         except ConfigurationError as error:
             if path is None or path == self._site_file:
                 raise
-            note = f"The site file cannot be read, and levels are judged by the paper's: {error}"
+            note = f"The site file cannot be read, so levels are judged by the paper's: {error}"
             site = read_site(papers_site())
         another = site != self._store.site
         self._store.set_site(site, note)

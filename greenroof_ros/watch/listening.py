@@ -44,7 +44,7 @@ def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
         known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         raise ConfigurationError(
-            "is no address or name of this machine, such as 0.0.0.0 for all of its addresses",
+            "is not an address or name of this machine; 0.0.0.0 means all addresses",
             key="--host", value=host,
         ) from error
     return [(family, str(address[0])) for family, _, _, _, address in known]

@@ -402,8 +402,8 @@ class Registry:
             return ""
         two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
         return plain(
-            f"Two nodes say that they are the pump's, {two}: which one has it is not known. Stop "
-            "the pump at its drive's panel, and end the node that should not run.", _TEXT,
+            f"Two nodes claim to be the pump node, {two}; which one controls the pump is unknown. "
+            "Stop the pump at its drive's panel, and end the node that should not run.", _TEXT,
         )
 
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:

@@ -273,14 +273,14 @@ class _Site:
         page of this server (DNS rebinding).
         """
         if self._names is not None and _host_of(request) not in self._names:
-            raise web.HTTPForbidden(reason="this host is not known here; ask for localhost")
+            raise web.HTTPForbidden(reason="this host name is not known here; use localhost")
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
                 given.encode(errors="replace"), f"Bearer {self._token}".encode()
             ):
                 raise web.HTTPUnauthorized(
-                    reason="the address needs its token: open it as it was printed"
+                    reason="the address needs its token: open it exactly as printed"
                 )
             own = request.method == "GET" or request.headers.get("X-Greenroof") == "1"
             if not own or _of_another_page(request):
@@ -293,7 +293,7 @@ class _Site:
         """Push messages to one browser until it disconnects, or does not read."""
         hours = _hours(request.query.get("hours", _HOURS))
         if self.news.readers >= _MOST_STREAMS:
-            raise web.HTTPServiceUnavailable(reason="too many pages look on; close one")
+            raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
         answer = web.StreamResponse(headers={
             **_HEADERS,
@@ -319,9 +319,9 @@ class _Site:
     async def _acknowledge(self, request: web.Request) -> web.Response:
         identity = (await _body(request)).get("id")
         if not isinstance(identity, str):
-            raise web.HTTPBadRequest(reason="id must be a text")
+            raise web.HTTPBadRequest(reason="id must be text")
         known = await asyncio.to_thread(self._store.acknowledge, identity)
-        return _said(known, "" if known else "This alarm is not listed any more.")
+        return _said(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
         """Act on the pump; the same request, made again meanwhile, gets the same answer.
@@ -430,7 +430,7 @@ async def _body(request: web.Request) -> dict[str, Any]:
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
     except asyncio.TimeoutError:
-        raise web.HTTPRequestTimeout(reason="the request did not come to its end") from None
+        raise web.HTTPRequestTimeout(reason="the request ended early") from None
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None
     if not isinstance(content, dict):

@@ -84,7 +84,7 @@ def pages(
     begins, drawn = range(0, len(lines), fit), []
     for number, begin in enumerate(begins, 1):
         seen = lines[begin:begin + fit]
-        keys = f"page {number} of {len(begins)}; space turns it, q ends"
+        keys = f"page {number} of {len(begins)}; space turns the page, q quits"
         filled = [*seen, *[[]] * (fit - len(seen)), [Segment(keys, Style.parse(_DIM))]]
         drawn.append(SegmentLines(filled, new_lines=True))
     return drawn
@@ -356,7 +356,7 @@ class _Release:
                 if key.lower() != b"y":
                     continue
                 if self._question(asked, stop) != before:
-                    self.asks = "Nothing was done: what was asked about has changed meanwhile."
+                    self.asks = "Nothing was done: the situation has changed meanwhile."
                     continue
                 try:
                     self.asks = self._feed.ask(self._KEYS[asked][0])

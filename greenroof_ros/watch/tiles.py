@@ -47,9 +47,9 @@ def _tile(
     if number is not None:
         text, (state, sentence) = words.value_of(topic, number), judged(number)
     elif newest is None:
-        text, state, sentence = words.UNKNOWN, "unknown", "nothing was heard of it yet"
+        text, state, sentence = words.UNKNOWN, "unknown", "nothing heard from it yet"
     else:
-        text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor says what cannot be"
+        text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor's value is impossible"
     stale = newest is not None and newest.stale
     if newest is not None and newest.stale:
         sentence = f"{text} when last heard at {store.time_of_day(newest.time_ns / 1e9)}"
@@ -146,10 +146,10 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     state, why = _state(store, said)
     parts = []
     if may_turn:
-        parts.append("whether it stands is not known")
+        parts.append("it is not known whether it is at rest")
         state, why = "unknown", why if said is not None else ""
     elif not heard:
-        parts.append("its drive is not heard: it stood then, or its own timeout has stopped it")
+        parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
     elif not flow_known and not may_turn:
@@ -164,7 +164,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
     if not parts and state == "unknown":
-        parts.append("nothing was heard of it yet")
+        parts.append("nothing heard from it yet")
     if stale and state != words.UNKNOWN:
         parts.insert(0, f"{state} when last heard")
     name = "" if node is None else node.name
@@ -184,7 +184,7 @@ def _commanded(share: float | None) -> str:
         return f"the command is {words.NOT_PLAUSIBLE}"
     if not share:
         return "nothing is commanded"
-    return f"commanded {words.command(share)} of its greatest flow"
+    return f"commanded {words.command(share)} of its maximum flow"
 
 
 def _state(store: Store, said: str | None) -> tuple[str, str]:
@@ -235,14 +235,14 @@ def _to_come(store: Store) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
-    # A forecast is named by its time of issue, if known; its age counts from its first step.
+    # A forecast is as old as its issue, if known; it is too old only if it is no longer published.
     made_at = forecast.at if forecast.issued is None else forecast.issued
-    age, made = now - forecast.at, store.hour(made_at)
+    age, made = now - made_at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
-        return f"no forecast is known: the one of {made} is over"
-    if age > OLD_S and not store.ended:
-        return f"the forecast is too old, of {made}: {_amount(amount, ended=True)}"
+        return f"no forecast is known: the one of {made} has ended"
+    if now - forecast.at > OLD_S and not store.ended:
+        return f"the forecast of {made} is too old: {_amount(amount, ended=True)}"
     sentence = _amount(amount, ended=store.ended)
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
@@ -250,7 +250,7 @@ def _to_come(store: Store) -> str:
 def _amount(amount: Amount, *, ended: bool) -> str:
     reach = words.horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
-        return f"no forecast of the next hours: it reaches {reach} ahead"
+        return f"no forecast for the next hours: it reaches only {reach} ahead"
     sentence = f"{words.rain(amount.mean)} {'were ' if ended else ''}expected in the next {reach}"
     return sentence + _range(amount)
 
@@ -290,7 +290,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif command is None or command.value is None:
         sentence = "its command is unknown"
     elif command.value:
-        sentence = f"commands {words.command(command.value)} of the pump's greatest flow"
+        sentence = f"commands {words.command(command.value)} of the pump's maximum flow"
     else:
         sentence = "commands no pumping now"
     if not alarm and not store.ended:
@@ -324,10 +324,10 @@ def _trusted(store: Store) -> str:
     if share == 1:
         return "trusts the forecast"
     if share == 0:
-        return "does not trust the forecast: of late a roof without one would have done better"
+        return "does not trust the forecast: lately a roof without one would have done better"
     return (
         f"leaves {words.value_of('/controller/trust', share)} of the room that the forecast asks "
-        "for: of late that would have done best"
+        "for: lately that would have done best"
     )
 
 

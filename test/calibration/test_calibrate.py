@@ -63,7 +63,7 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert "# runoff, validation: NSE " in text
     top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
     for note in (
-        "intervals allow for what the record cannot tell apart",
+        "intervals include the effect of parameters that the record cannot distinguish",
         "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m", "months: 4-6 are", "target: z_veg was ",
         "level sensor: noise ", "pumps: 5",  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
     ):
@@ -82,8 +82,8 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert high - low < 6.0
     assert low < site.c_hat < high
     assert lines["crop_coefficient"].endswith(
-        "; counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with "
-        "a weather file's own column"
+        "; counts if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
+        "weather file has it"
     )
     assert site.z_pump == 0.15  # a value that was not fitted stays, with its comment
     assert "# m       elevation of the pumps above the cistern's base [T1]" in text
@@ -142,8 +142,8 @@ def test_all_else_in_a_site_file_stays() -> None:
     now = edited_site_file(PAPER, NEW, ["Why."]).splitlines()
     steep = {"a_hat": (-4.1e17, "steep")}
     assert refusal(edited_site_file, PAPER, steep, []).startswith(
-        f"{PAPER}: with what was fitted it is no site, and nothing is written: a_hat = -4.1e+17: "
-        "must be from"
+        f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
+        "a_hat = -4.1e+17: must be from"
     )
     assert now[:2] == ["# Why.", ""]
     gone = [line for line in was if line not in now]
@@ -203,7 +203,7 @@ def test_a_finding_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -
     assert refused.stderr.startswith("error: stuck.csv: level: is 0.03 m for ")
     assert "[sensor-stuck]\n" in refused.stderr
     assert list(tmp_path.iterdir()) == [file]
-    accepted = re.search(r"where this is right all the same: --accept (.*)", refused.stderr)[1]
+    accepted = re.search(r"if the data are right anyway: --accept (.*)", refused.stderr)[1]
     done = calibrate(tmp_path, *arguments, "--accept", *accepted.split())
     assert done.returncode == 0, done.stderr
     warning = "level (sensor-stuck, accepted): is 0.03 m for "
@@ -221,5 +221,5 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert [note.split(":")[0] for note in notes] == [
             "data sheet", "months", "target", "level sensor", "pumps", "pumps"
         ]
-        assert "The crop_coefficient counts where evapotranspiration is computed" in words
+        assert "The crop_coefficient counts if evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8

@@ -113,7 +113,7 @@ def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> Non
 
 def test_a_column_of_nothing_is_refused() -> None:
     nothing = changed(twin(30), "level", fixed(np.nan, 0))
-    refusal(cases, nothing, match="level: has 0 values; it must have 100 at least")
+    refusal(cases, nothing, match="level: has 0 values; it must have at least 100")
 
 
 def test_what_is_wrong_in_other_months_does_not_count() -> None:
@@ -163,7 +163,7 @@ def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
     ]
     assert first.severity is Severity.REFUSAL
     assert first.figures["came"] == pytest.approx(27 * 15 + 10)
-    assert first.text == "runoff: is 0 in all, of 415 mm that came: is the sensor dead?"
+    assert first.text == "runoff: is 0 in total, although 415 mm came: is the sensor dead?"
 
 
 # --- evapotranspiration ---------------------------------------------------------------------------
@@ -240,9 +240,9 @@ def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
     for fitted, judged, step_s, code, text in (
         (OPPOSITE, OPPOSITE, 3600.0, "no-fit",
          "no roof fits this record: NSE of runoff, fit: -3.00 (1 h) and -3.00 (1 day); run"),
-        (GOOD, OPPOSITE, 3600.0, "poor-fit", f"{worse}off -3.00 (1 day)): do not use it. Look"),
+        (GOOD, OPPOSITE, 3600.0, "poor-fit", f"{worse}off -3.00 (1 day)): do not use it. Check"),
         (GOOD, HALF_MORE, 3600.0, "poor-fit",
-         "wrong by much in the half that it has not seen (volume of runoff +60 %)"),
+         "far off in the half that it has not seen (volume of runoff +60 %)"),
         (OPPOSITE, OPPOSITE, 86400.0, "no-fit",
          "no roof fits this record: NSE of runoff, fit: -3.00 (1 day); "),
         (GOOD, OPPOSITE, 86400.0, "poor-fit", worse),

@@ -116,11 +116,11 @@ WRONG = {
     "unknown unit": (RAIN, "rain [inch]", "'rain [inch]': the unit of rain must be one like"),
     "rain in litres": (RAIN, "rain [l]", "the unit of rain must be one like [mm]"),
     "unknown quantity": (RUNOFF, "flow [mm]", "'flow [mm]': is not a known column"),
-    "a quantity twice": (RUNOFF, "rain [mm/h]", "there is a column of rain before this one"),
+    "a quantity twice": (RUNOFF, "rain [mm/h]", "there is a column of rain already"),
     "a pump state alone": (RUNOFF, "pump state [1]", "'cistern level [m]', on which"),
     "no time": ("2021-06-01T00:40", "noon", "line 10: time = 'noon': must be a time such as"),
     "too short": (
-        "\n".join(LINES[40:]), "", "has 39 rows; a record must have 100 at least"),
+        "\n".join(LINES[40:]), "", "has 39 rows; a record must have at least 100"),
     "rain in micrometres": (
         "T00:30,0.1", "T00:30,159", "line 8: rain [mm] = '159': must be a number from 0 to "
         "158.333 mm, or empty; is the unit of the column right?",
@@ -154,14 +154,14 @@ def steps(since: np.ndarray) -> tuple[list[int], float]:
     ("since", "message"),
     [
         (2 * 86400.0 * np.arange(120),
-         "line 3: time = '2021-04-03T00:03:00+00:00': the rows are 2 days apart; they must be a "
-         "day apart at most"),
+         "line 3: time = '2021-04-03T00:03:00+00:00': the rows are 2 days apart; they must be "
+         "at most a day apart"),
         (300.0 * np.concatenate((np.arange(60), np.arange(48, 120))),
          "line 62: time = '2021-04-01T04:03:00+00:00': must be later than the time of the row "
          "before"),
         (np.cumsum(np.resize([300.0, 300.0, 420.0], 200)),
          "line 4: time = '2021-04-01T00:20:00+00:00': must be 300 s after the row before, or a "
-         "whole number of such steps, not 420 s; so are 66 of 200 rows"),
+         "whole number of such steps, not 420 s; 66 of 200 rows are like this"),
     ],
 )
 def test_rows_that_are_on_no_clock_are_refused(since: np.ndarray, message: str) -> None:

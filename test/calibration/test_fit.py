@@ -145,7 +145,7 @@ def test_of_daily_sums_the_soil_is_found() -> None:
     assert values["crop_coefficient"] == pytest.approx(TWIN.crop_coefficient, rel=0.15)
     drainage = next(row for row in fitted.parameters if row.name == "drainage_time")
     assert not drainage.interval
-    assert drainage.words == "steps of 1 day are too long to tell it"
+    assert drainage.words == "steps of 1 day are too long to identify it"
     assert drainage.value == fitted.site.drainage_time == ELSEWHERE.drainage_time
     # Twelve days of runoff give at most four sums of four days, but the roof has five parameters
     # that could be fitted.

@@ -45,8 +45,8 @@ def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
 
     assert without(12).reference == pytest.approx(values / 288)
     assert refusal(without, 13).startswith(
-        f"{file}, line 32: {NAME}: {what}, and none has a value for 65 min: it may be missing "
-        "for an hour at most"
+        f"{file}, line 32: {NAME}: {what}, and no row has a value for 65 min: at most "
+        "an hour may be missing"
     )
 
 
@@ -59,7 +59,7 @@ def test_at_the_ends_an_hour_may_be_missing_too(tmp_path: Path) -> None:
         longer = [*cells[:more], "", *cells[more + 1:]]
         refusal(
             read, tmp_path / "record.csv", 5 * np.arange(120), longer,
-            match="is empty, and none has a value for 65 min",
+            match="is empty, and no row has a value for 65 min",
         )
     nothing = ["0"] * 120
     refusal(read, tmp_path / "record.csv", 5 * np.arange(120), nothing, match="is 0 throughout")
@@ -104,7 +104,7 @@ def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
     assert np.all(read_csv_record(file, TWIN, "5-6").reference >= 0)
     refusal(
         read, file, 360 * np.arange(120), ["12"] * 120, 6, "temperature [degC]",
-        match="temperature: its rows are 6 h apart, and show a",
+        match="temperature: its rows are 6 h apart, but show a",
     )
 
 

@@ -87,7 +87,7 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     numbers.close()
     assert time.monotonic() - began < 5.0
     time.sleep(max(0.0, began + 2.5 - time.monotonic()))
-    assert numbers.problem == "the disk takes nothing"
+    assert numbers.problem == "the disk does not respond"
     woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
     with woken.open() as pipe:  # the disk works again
         assert '"a": ' in pipe.read()

@@ -96,7 +96,7 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
         ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text"),
         ("a: 1\nb: !!python/name:os.system\n", ", line 2: is not valid YAML"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
-        ("a: &x {b: *x}\n", ": is not valid YAML: a value holds itself"),
+        ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:

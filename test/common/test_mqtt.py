@@ -36,7 +36,7 @@ def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
     login = tmp_path / "login.yaml"
     login.write_text("username: roof\npassword: 12\n")
     broker = parse_broker("mqtt://127.0.0.1", "broker", str(login))
-    with pytest.raises(ConfigurationError, match=r"login\.yaml.*password: must be a text"):
+    with pytest.raises(ConfigurationError, match=r"login\.yaml.*password: must be text"):
         make_client(broker, "a", lambda: None, lambda *message: None)
 
 

@@ -41,7 +41,7 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
         while not printed.endswith(b"line 1089\n"):
             printed += os.read(reading, 1 << 20)
     assert printed.lstrip(b"\0").decode().splitlines() == [
-        "first", "90 lines were dropped: standard error took nothing",
+        "first", "90 lines were dropped: standard error was blocked",
         *(f"line {number}" for number in range(90, 1090)),
     ]
 

@@ -57,7 +57,7 @@ BROKEN = [
     ),
     (
         (HEAD, f'    outputs = {{"/pump/command": "gain"}}\n{HEAD}'), OUTPUTS,
-        "outputs = '/pump/command': is no output of a controller",
+        "outputs = '/pump/command': is not an output of a controller",
     ),
     (
         (

@@ -338,7 +338,7 @@ def test_the_shipped_file_is_read() -> None:
         ("cistern/status ", "cistern/sensor/level/state ", 17, "must differ from the topic"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
-        ("# login:", "authority: /ca.pem #", 10, "certificates are for mqtts://"),
+        ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
         ("counts: true ", "period: 1.0 #", 32, "rain_gauge.period = 1.0: is not a key here"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 42, "thermometer.counts = True: is "
          "for a flow meter or a rain gauge"),

@@ -472,5 +472,5 @@ def test_addresses_and_logins(tmp_path: Path) -> None:
         place_drive(find_drive_file("abb_acs880"), "tcp://127.0.0.1", "at", "login.yaml")
     (tmp_path / "login.yaml").write_text("username: roof\n")
     wrong = place_drive(file, "mqtt://127.0.0.1/roof", "at", str(tmp_path / "login.yaml"))
-    with pytest.raises(ConfigurationError, match=r"login.yaml.*password: must be a text"):
+    with pytest.raises(ConfigurationError, match=r"login.yaml.*password: must be text"):
         DriveExchange(wrong)

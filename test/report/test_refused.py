@@ -82,7 +82,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     ),
     "row-cut": (
         study(lambda text: text[: text.index("\n") + 60]),
-        ("results.csv, line 2", "ends within a line", "copy it again"),
+        ("results.csv, line 2", "ends in the middle of a line", "copy it again"),
     ),
     "row-too-short": (
         study(lambda text: text[: text.index("\n") + 60] + "\n"), ("line 2", "must have", "cells")
@@ -150,7 +150,7 @@ def test_pump_data(tmp_path: Path) -> None:
 COMMANDS = {
     "": "in: has no metadata.yaml: it is being recorded, or was cut off; greenroof recover in",
     "--pump-data nowhere.csv": "nowhere.csv: cannot be read: No such file",
-    "--output mine": "--output = 'mine': exists and is not empty: x is no report's, and never wri",
+    "--output mine": "--output = 'mine': exists and is not empty: x does not belong to a repor",
 }
 
 

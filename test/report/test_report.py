@@ -108,7 +108,7 @@ def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     first, second = report.single
     assert first["near_target_hours"] == near_hours(PAPER_SITE, kept, 0.2)
     assert second["near_target_hours"] is None
-    assert "the time near the target is of samples every 60 s" in report.runs["001"].notes[-1].text
+    assert "time near the target is from samples every 60 s" in report.runs["001"].notes[-1].text
     for usual in report_of(path, band=NEAR_TARGET).single:
         assert usual["near_target_hours"] == example.row["near_target_hours"]
 
@@ -150,7 +150,7 @@ def test_frost_is_shaded(tmp_path: Path) -> None:
     path = write_study(tmp_path / "study", [({**row, "frost_hours": 3 / 3600}, trajectory)])
     report = report_of(path)
     assert "Grey: frost" in figures_of(report)["weather-1"].caption
-    assert "There was frost; nothing was pumped in it." in page_of(report)
+    assert "There was frost; nothing was pumped during it." in page_of(report)
 
 
 def test_pump_curve(study: Path, tmp_path: Path) -> None:
@@ -285,6 +285,29 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
     assert totals == {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
 
 
+@pytest.mark.parametrize(("old", "new", "there"), [
+    ("latitude: 43.63", "latitude: 45.5", True),
+    ("g: 9.81", "mains_level: 1.0\nmains_flow: 0.001\ng: 9.81", False),
+    ("g: 9.81", "low_outlet_level: 1.0\nlow_outlet_radius: 0.02\ng: 9.81", False),
+    ("g: 9.81", "runoff_coefficient: 0.9\ng: 9.81", False),
+    ("g: 9.81", 'quiet_hours: ["01:00-02:00"]\ntime_zone: America/Toronto\ng: 9.81', False),
+])
+def test_published_totals_are_of_the_papers_site_alone(
+    tmp_path: Path, old: str, new: str, there: bool
+) -> None:
+    """It may be elsewhere, since the weather is given; but nothing that Table I lacks is added."""
+    row = {**simulate("onoff", "0.5", "low-low").row, "hours": 12.0}
+    study = write_study(tmp_path / "study", [
+        ({**row, "parameter:fraction": fraction}, None) for fraction in ("0.2", "0.5")
+    ])
+    site = study / "configuration" / "site.yaml"
+    text = site.read_text(encoding="utf-8")
+    assert text.count(f"\n{old}") == 1
+    site.write_text(text.replace(f"\n{old}", f"\n{new}"), encoding="utf-8")
+    data = figures_of(report_of(study))["total-deviation-1"].data
+    assert ("published-1-onoff" in data) == there
+
+
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     """Controllers and parameters that this package does not know, with numbers and words."""
     example = simulate("mpc", "0.001", "low-low")
@@ -399,9 +422,9 @@ def test_seeds_page(seeds: Report) -> None:
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
     ]
     assert "Results of each run" not in text
-    assert "They are judged together" in text
+    assert "They are one case" in text
     # 25 different numbers of ticks give one note.
-    assert text.count("found no answer in some ticks") == 1
+    assert text.count("found no solution in some ticks") == 1
     assert (
         "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
         "ensemble members 10 skill real, 25 seeds"
@@ -462,13 +485,13 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
         file.touch()
     assert _former_report(tmp_path, is_figure, force=True) == files
     assert _former_report(tmp_path / "new", is_figure, force=False) == []
-    with pytest.raises(ConfigurationError, match="--force replaces it"):
+    with pytest.raises(ConfigurationError, match="replace it with --force"):
         _former_report(tmp_path, is_figure, force=False)
     for name in ("notes.txt", "figures/mine.svg", "figures/energy-2.svg/x"):
         foreign = tmp_path / name
         foreign.parent.mkdir(exist_ok=True)
         foreign.touch()
-        with pytest.raises(ConfigurationError, match=f"{name.removesuffix('/x')} is no report's"):
+        with pytest.raises(ConfigurationError, match=f"{name.removesuffix('/x')} does not belong"):
             _former_report(tmp_path, is_figure, force=True)
         foreign.unlink()
 

@@ -106,7 +106,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) ->
             assert row[name] == pytest.approx(example.row[name], rel=1e-12)
         assert (row["controller"], row["from"]) == ("unknown", "as recorded")
         assert any("the paper's, config/site.yaml" in note.text for note in run.notes)
-    with pytest.raises(ConfigurationError, match=r"of one graph, but holds .* /, /site1"):
+    with pytest.raises(ConfigurationError, match=r"of one graph, but has .* /, /site1"):
         report_of(tmp_path / "both")
 
 
@@ -247,7 +247,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     (row,) = report.single
     assert {name: row[name] for name in results} == results
     assert row["bound_m3"] is None
-    sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true one"
+    sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true level"
     assert sensor in page_of(report)
     # Nor if the rain in the bag is not that in the file.
     rain = example.trajectory.precipitation + 1e-7
@@ -268,8 +268,8 @@ def test_a_run_directorys_notes(tmp_path: Path) -> None:
     )
     report = report_of(path)
     assert {note.text for note in report.runs["run"].notes} == {
-        "the controller's solver found no answer in 3 ticks",
-        "a forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed",
+        "the controller's solver found no solution in 3 ticks",
+        "a forecast ends at 2021-07-31T23:00-05:00; later values are assumed",
         "a tank ran empty in 4 ticks, and what left it was limited",
         "rain was moved an hour back",
         "1 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled in",
@@ -453,11 +453,11 @@ def test_a_run_that_is_not_done_says_it_first(tmp_path: Path, status: str) -> No
     known, sentence, short = ENDINGS[status]
     path = ended_run(tmp_path / "broken", status, **known)
     lead = page_of(path).partition('<section id="results">')[0]
-    assert f"<strong>Mind:</strong> this run {sentence}: what follows is of what was rec" in lead
+    assert f"<strong>Caution:</strong> this run {sentence}: all results are for the rec" in lead
     html = page_of(ended_run(tmp_path / "whole"), path)
     box = html.partition('class="cautions"')[2].partition("</p>")[0]
-    assert "1 of 2 runs are not done" in box and 'href="#warnings"' in box
-    warned = html.partition(f"{sentence[0].upper()}{sentence[1:]}; what follows")[2]
+    assert "1 of 2 runs are not complete" in box and 'href="#warnings"' in box
+    warned = html.partition(f"{sentence[0].upper()}{sentence[1:]}; all results")[2]
     assert "</summary>broken</details>" in warned.partition("</li>")[0]
     for ended in (f'class="text warning">{short}</td>', ">done</td>"):
         assert html.count(ended) >= 2
@@ -565,7 +565,7 @@ def test_what_the_terminal_says_of_how_runs_ended(
     _show(report_of(lossy, broken, nothing, silent))
     said = " ".join(capsys.readouterr().out.split())
     assert "lossy: done, with 2 incidents; the report lists them" in said
-    assert f"broken {sentence}; what follows is of the part" in said
+    assert f"broken {sentence}; all results are for the recorded part" in said
     page = page_of(lossy, broken, nothing, silent)
     assert "2 runs failed or did not run" in page
     assert '<th scope="row">nothing</th><td>mpc</td><td>failed: no start within 30 s' in page

@@ -130,7 +130,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
     there = outcomes()
     result = study(killed, name, "--output", "out")
     assert result.returncode == 0, result.stderr
-    (kept,) = re.findall(r"(\d+) of 12 runs are there already", result.stderr)
+    (kept,) = re.findall(r"(\d+) of 12 runs are stored already", result.stderr)
     assert int(kept) >= len(there) >= 3
     assert there.items() <= outcomes().items()  # its timings would differ if it had run again
     assert not list((killed / "out" / "runs").glob("*.part"))
@@ -144,7 +144,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
     (killed / "out" / "bounds.json").write_text("{")
     again = study(killed, name, "--output", "out")
     assert again.returncode == 0, again.stderr
-    assert "9 of 12 runs are there already" in again.stderr
+    assert "9 of 12 runs are stored already" in again.stderr
     assert (killed / "out" / "results.csv").read_bytes() == whole
     assert again.stdout == result.stdout == (finished / "printed").read_text()
 
@@ -178,7 +178,7 @@ def test_killed_while_it_began(tmp_path: Path) -> None:
         grid(directory)
         (directory / "out" / other).touch()
         (directory / "out" / "notes.txt").touch()
-        assert "exists, is not empty and no study" in refusal(directory)
+        assert "exists, is not empty and is not a study" in refusal(directory)
 
 
 def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None:
@@ -196,7 +196,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None
     grid(finished)
     file = finished / "out" / "configuration" / "study.json"
     file.write_text(file.read_text().replace('"osqp": "', '"osqp": "0.'))
-    assert "begun with other versions of what makes the numbers" in refusal(finished)
+    assert "begun with other versions of the code or its packages" in refusal(finished)
     file.write_text("{")
     assert "study.json: is not valid JSON" in refusal(finished)
     assert (finished / "out" / "results.csv").read_bytes() == before
@@ -230,7 +230,7 @@ def test_what_decides_whether_a_run_still_counts(
         assert len(store_of(finished).outcomes) == 12, file
     with monkeypatch.context() as patch:
         patch.setattr(store_module, "read_skill", lambda _: "other constants")
-        assert "other versions of what makes the numbers" in refusal(finished)
+        assert "other versions of the code or its packages" in refusal(finished)
     with (package / "model" / "plant.py").open("a") as stream:
         stream.write("A = 1\n")
-    assert "other versions of what makes the numbers" in refusal(finished)
+    assert "other versions of the code or its packages" in refusal(finished)

@@ -99,7 +99,7 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     assert all(row["total_deviation_m3"] for row in rows if row["status"] == "done")
     result = study(tmp_path, "grid.yaml", "--output", "out")
     assert result.returncode == 0
-    assert "2 of 3 runs are there already" in result.stderr
+    assert "2 of 3 runs are stored already" in result.stderr
     assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
 
 
@@ -330,11 +330,11 @@ def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what:
     """Check a study's end without its cluster: exit code 1, the progress bar, and a sentence."""
     shown, errors = process.communicate(timeout=60)
     *there, bar, said = errors.splitlines()
-    assert all(line.endswith("of 12 runs are there already") for line in there)
+    assert all(line.endswith("of 12 runs are stored already") for line in there)
     assert bar.startswith("study ")
     assert said == (
         f"error: {what}: {len(stored(directory))} of 12 cases are stored; run the same command "
-        "again, it goes on"
+        "again to continue"
     )
     assert (process.returncode, shown) == (1, "")
     status = [row["status"] for row in rows_of(directory / "out" / "results.csv")]
@@ -378,7 +378,7 @@ def test_dask(tmp_path: Path) -> None:
         )
         process = study_on(cluster, tmp_path, lambda: True)
         assert process.stderr is not None
-        assert "of 12 runs are there already" in process.stderr.readline()
+        assert "of 12 runs are stored already" in process.stderr.readline()
         connected = "Receive client connection"
         wait_for(lambda: cluster.log_file.read_text().count(connected) == 2, 60, "its client")
         process.send_signal(signal.SIGINT)
@@ -407,7 +407,7 @@ def test_dask(tmp_path: Path) -> None:
     try:
         result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
         assert result.returncode == 0, result.stderr
-        assert f"{len(before)} of 12 runs are there already" in result.stderr
+        assert f"{len(before)} of 12 runs are stored already" in result.stderr
         assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
         here, there = (tmp_path / name / "results.csv" for name in ("here", "out"))
         assert here.read_bytes() == there.read_bytes()

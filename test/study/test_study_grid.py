@@ -55,7 +55,7 @@ WRONG = {
         edited("cistern: 40.0", "cistern: [40, 41]"), "cistern = [40, 41]: must be a number"
     ),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
-    "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
+    "half-state": (edited(", roof: 0.5", ""), "initial: a state must give either roof or roof_"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
     "deep": (
         edited("cistern: 40.0", "cistern: 4.0e+6"),
@@ -110,7 +110,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
-        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: cannot be used with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
 )

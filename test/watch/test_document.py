@@ -147,7 +147,7 @@ def test_the_simulated_pump_says_why_it_stands(
     tile = tile_of(watched(**values), "pump")
     assert (tile["value"], tile["state"], tile["why"]) == (state, state, why)
     flow = "12.3 L/min" if "pump_flow" in values else "0.0 L/min"
-    command = "commanded 40 % of its greatest flow" if values else "nothing is commanded"
+    command = "commanded 40 % of its maximum flow" if values else "nothing is commanded"
     assert tile["sentence"] == f"{flow}; {command}"
 
 
@@ -195,7 +195,7 @@ def test_rain_and_what_is_to_come() -> None:
     graph, front = watched(), np.array([math.nan, *range(1, 11)])
     graph.add_forecast(MINUTE, np.full(10, 1e-7), front)
     assert tile_of(graph, "rain")["sentence"] == (
-        "no forecast of the next hours: it reaches 10 s ahead"
+        "no forecast for the next hours: it reaches only 10 s ahead"
     )
 
 
@@ -209,7 +209,8 @@ def test_rain_and_what_is_to_come() -> None:
      "The roof is not watered, since the pump is off: there is frost."),
     ({"roof_level": 0.05}, "warn", "Nothing to do: the roof drains and dries by itself."),
     ({"roof_level": -1.0}, "warn",
-     "Nothing is reported as wrong, but not all is known: see whether sensors and programs run."),
+     "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
+     "programs run."),
 ])
 def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
     values: dict[str, float], level: str, advice: str
@@ -598,7 +599,7 @@ def test_what_may_be_released_here(
     stop = shown(graph)["stop"]
     assert (stop["release_here"], stop["clear_here"]) == (release, clear)
     assert then in stop["release_then"]
-    assert "locks it out at the pump itself" in stop["release_then"]
+    assert "must lock it out at the pump itself" in stop["release_then"]
     assert bool(stop["no_clear"]) == ("fault" in said and not clear)
 
 
@@ -630,7 +631,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert document["stop"]["sentence"].startswith("It was held off when last heard.")
     assert document["tiles"]["pump"]["value"] == "unknown"
     assert document["tiles"]["pump"]["sentence"].startswith("held when last heard")
-    assert "what the pump does is not known" in document["tiles"]["summary"]["sentence"]
+    assert "it is not known what the pump does" in document["tiles"]["summary"]["sentence"]
 
 
 def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
@@ -653,9 +654,9 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)
     assert tile["number"] is None and "L/min" not in tile["sentence"]
-    assert tile["sentence"].startswith("whether it stands is not known; commanded 100 %")
+    assert tile["sentence"].startswith("it is not known whether it is at rest; commanded 100")
     assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
-    assert summary["sentence"].endswith("whether the pump stands is not known.")
+    assert summary["sentence"].endswith("it is not known whether the pump is at rest.")
     first = document["alarms"][0]
     assert (first["id"], first["level"]) == ("/pump: pump", "error")
     assert "Go and see" in document["advice"]
@@ -684,7 +685,7 @@ def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
         flow=0.0,
     )["tiles"]["pump"]
     assert (tile["value"], tile["number"], tile["alarm"]) == ("off", None, False)
-    assert tile["sentence"].startswith("its drive is not heard: it stood then, or its own timeout")
+    assert tile["sentence"].startswith("its drive is not heard: at rest when last heard, or")
 
 
 def test_a_flow_that_is_not_known_is_a_gap() -> None:
@@ -838,7 +839,7 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     assert (summary["word"], summary["level"]) == ("Alarms are not known.", level)
     assert document["notes"] == ["A recording does not tell which alarms there were."]
     assert (document["alarms_known"], shown(watched())["alarms_known"]) == (False, True)
-    assert document["advice"] == "This was recorded: what is now is not shown."
+    assert document["advice"] == "This is a recording: it does not show the present."
 
 
 def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
@@ -868,14 +869,25 @@ def test_a_plan_goes_with_its_controller() -> None:
 @pytest.mark.parametrize(("hours", "sentence"), [
     (0.9, "4.3 mm expected in the next 12 h"),
     (2.0, "4.3 mm expected in the next 12 h, by the forecast of 00:00"),
-    (7.0, "the forecast is too old, of 00:00: 4.3 mm were expected in the next 12 h"),
-    (49.0, "no forecast is known: the one of 20 Jul 00:00 is over"),
+    (7.0, "the forecast of 00:00 is too old: 4.3 mm were expected in the next 12 h"),
+    (49.0, "no forecast is known: the one of 20 Jul 00:00 has ended"),
 ])
 def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     graph = watched()
     forecast(graph, START, np.full(len(growing_steps(48)) - 1, 1e-7), 48)
     hear(graph, round(hours * 3600), round(hours * 3600) + 1, QUIET)
     assert tile_of(graph, "rain")["sentence"] == sentence
+
+
+def test_a_published_forecast_is_as_old_as_its_issue() -> None:
+    """A live one begins again with each message; the weather node withholds old issues."""
+    graph, now = watched(), 7 * 3600
+    rain = np.full(len(growing_steps(48)) - 1, 1e-7)
+    forecast(graph, START + now * SECOND, rain, 48, issued=START / 1e9)
+    hear(graph, now, now + 1, QUIET)
+    assert tile_of(graph, "rain")["sentence"] == (
+        "4.3 mm expected in the next 12 h, by the forecast of 00:00"
+    )
 
 
 def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:

@@ -341,4 +341,4 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     wait_for(lambda: len(answers) == 2, 10, "the end of what came before a stop")
     assert [action for action, *_ in feed._asked] == ["stop", "stop", "release"]
     assert answers.keys() == {0, 2}
-    assert {*answers.values()} == {"Nothing was done: somebody asks to stop the pump."}
+    assert {*answers.values()} == {"Nothing was done: somebody is asking to stop the pump."}

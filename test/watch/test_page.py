@@ -498,7 +498,7 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     watched.alarms = Alarms()  # of another graph
     page.wait_for_selector(".alarm", state="detached")
     button.evaluate("(one) => one.click()")
-    until_shown(page, "#answer.failed", "This alarm is not listed any more.")
+    until_shown(page, "#answer.failed", "This alarm is no longer listed.")
 
 
 def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
@@ -564,7 +564,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert not page.locator("#lost").is_visible()
         assert page.context.cookies() == []
         page.said.clear()
-        until_shown(page, "#release", "locks it out at the pump itself")
+        until_shown(page, "#release", "must lock it out at the pump itself")
         assert not page.locator("#release-ros").is_visible()
         page.locator("#release-button").click()
         until_shown(page, "#ask", "starts by itself when the controller asks for it")
@@ -576,7 +576,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert posted(page) == ["release"]
         page.locator("#release-button").click()
         said[:] = pump("held: stopped", stop="stopped", stopped_by=["page", "service"])
-        until_shown(page, "#answer.failed", "what was asked about has changed")
+        until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#ask").is_visible()
         said[:] = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
         page.wait_for_selector("#dose-button", state="visible")
@@ -597,7 +597,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         page.locator("#dose-button").click()
         said[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
         until_shown(page, "#dose", "No dose now: the pump may not run: frost.")
-        until_shown(page, "#answer.failed", "what was asked about has changed")
+        until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#dose-button").is_visible()
         assert page.said == []
 
@@ -622,7 +622,7 @@ def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
             assert page.evaluate(hide, False)  # visible again, but no update yet
             page.wait_for_selector("body:not(.lost-link)")
             at = document_of(watched)["time"]["text"]
-        until_shown(page, "#lost", f"Not connected: what is shown is of {at}.")
+        until_shown(page, "#lost", f"Not connected: what is shown is from {at}.")
         assert page.locator(".tile[data-key=roof] .value").is_visible()
         later(watched, 0.05)
         with served(watched, port=port):

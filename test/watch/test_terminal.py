@@ -207,7 +207,7 @@ def test_all_of_it_by_turning_pages() -> None:
         assert " ".join(sentence.split()) in text, sentence
     whole = " ".join(" ".join(drawn(graph, height=None)).split())
     assert text.startswith(whole[:5000])
-    assert "space turns it" not in whole
+    assert "space turns the page" not in whole
 
 
 def chart(lines: list[str], label: str) -> str:

@@ -93,7 +93,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
     assert taken.returncode == 2
     assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
-        assert ("port 8080 is taken" in process.stderr()) == (port != 8080)
+        assert ("port 8080 is in use" in process.stderr()) == (port != 8080)
         assert document(port)["mode"] == "none"
         pid = process.process.pid
         assert tcp_addresses_of(pid) == {"0100007F"}
@@ -108,7 +108,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
 
 @pytest.mark.parametrize(("arguments", "message"), [
     (("--bag", "nowhere"), "--bag = 'nowhere': must be the directory of a bag"),
-    (("--terminal", "--port", "8080"), "--port: is of the page, not of --terminal"),
+    (("--terminal", "--port", "8080"), "--port: applies to the page, not to --terminal"),
     (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be used"),
 ])
 def test_wrong_input_is_one_message(
@@ -129,7 +129,7 @@ def test_other_wrong_input_and_help(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             make_parser().parse_args(arguments)
         assert message in capsys.readouterr().err
-    with pytest.raises(ConfigurationError, match="is no address or name"):
+    with pytest.raises(ConfigurationError, match="is not an address or name"):
         listen("no.such.host.invalid", 0)
     for word in ("ssh -L", "--bag runs/", "Ctrl-C", "exit codes", "with a token"):
         assert word in make_parser().format_help()
@@ -169,7 +169,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
         token = re.fullmatch(rf"http://[^/]+:{port}/#token=([\w-]{{32}})\n", url)
         assert token, url
         tokens.add(token[1])
-        assert f"whoever has the address with its token {warning}" in process.stderr()
+        assert f"anybody who has the address with its token {warning}" in process.stderr()
         for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
             assert request(
                 port, "POST", "/acknowledge", b'{"id": "x"}',

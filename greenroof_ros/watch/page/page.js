@@ -273,7 +273,7 @@ const showStop = (stop) => {
   const still = stop[`${asked}_here`] && stop[ACTIONS[asked].then] === byId("ask-sentence").textContent;
   if (byId("ask").open && asked !== "stop" && !still) {
     byId("ask").close();
-    answer("Nothing was done: what was asked about has changed meanwhile.", true);
+    answer("Nothing was done: the situation has changed meanwhile.", true);
   }
 };
 
@@ -312,7 +312,7 @@ const ACTIONS = {
 const act = async (name, body) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
-  answer("The pump node is asked ...", false);
+  answer("Asking the pump node ...", false);
   // A browser has six connections to a server, and each open page holds one: release this page's.
   stream.close();
   try {
@@ -378,8 +378,8 @@ byId("pause").addEventListener("click", () => {
   const paused = !charts.paused;
   charts.pause(paused);
   byId("pause").setAttribute("aria-pressed", String(paused));
-  setText(byId("pause"), paused ? "Go on" : "Pause");
-  setText(byId("charts-note"), paused ? "The charts stand still." : "");
+  setText(byId("pause"), paused ? "Resume" : "Pause");
+  setText(byId("charts-note"), paused ? "The charts are paused." : "");
 });
 for (const button of document.querySelectorAll("[data-hours]")) {
   button.addEventListener("click", () => {
@@ -472,7 +472,7 @@ const stream = {
 
   // Until the next event, the page shows old values.
   lost(why) {
-    const of = shown ? `what is shown is of ${shown.time.text}.` : "there is nothing to show yet.";
+    const of = shown ? `what is shown is from ${shown.time.text}.` : "there is nothing to show yet.";
     setText(byId("lost"), `Not connected: ${of}${why} Trying again ...`);
     byId("lost").hidden = false;
     document.body.classList.add("lost-link");
