@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import accumulate
 from typing import Any
@@ -239,6 +239,8 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
+# Who holds the pump off, by the pump node's name.
+_OWNERS = {"page": "a stop on this page", "service": "a stop by the service ~/stop"}
 _THEN = (
     "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
     "but not before the required pause after its last run. "
@@ -298,14 +300,13 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
     fault, refusal, no_dose = (
         "" if node is None else node.text(key) for key in ("fault", "page_may_not_clear", "no_dose")
     )
-    others = " and ".join(owner for owner in owners if owner != "page")
-    stays = f"It stays off all the same: it is also held off by {others}. "
+    others = [owner for owner in owners if owner != "page"]
     doses = isinstance(greatest, (int, float))
     return {
         "release_here": "page" in owners and stands,
-        "release_then": (stays if others else _THEN) + LOCK_OUT,
+        "release_then": _then(others) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and stands,
-        "clear_then": f"The fault is cleared: {fault}. " + (stays if owners else _THEN) + LOCK_OUT,
+        "clear_then": f"The fault is cleared: {fault}. " + _then(owners) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "greatest_dose": greatest if doses else None,
         "dose_here": doses and not no_dose,
@@ -315,6 +316,14 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }
+
+
+def _then(owners: Sequence[str]) -> str:
+    """Return what the pump does if these owners of a stop remain."""
+    if not owners:
+        return _THEN
+    by = " and ".join(_OWNERS.get(owner, owner) for owner in owners)
+    return f"It stays off all the same: it is also held off by {by}. "
 
 
 # --- the water account ----------------------------------------------------------------------------

@@ -575,6 +575,16 @@ def test_what_stop_does_as_the_pump_is(
     )
 
 
+def test_a_fault_is_cleared_and_the_stop_of_the_page_stays() -> None:
+    graph = watched()
+    graph.allow_release = True
+    pump_says(graph, 100.0, "held: stopped", stop="stopped", stopped_by=["page"], stands=True,
+              fault="slow", page_may_not_clear="")
+    stop = shown(graph)["stop"]
+    assert "also held off by a stop on this page." in stop["clear_then"]
+    assert "starts by itself" in stop["release_then"]
+
+
 LEAK = {"fault": "a leak", "page_may_not_clear": "somebody has to look"}
 
 
