@@ -12,7 +12,7 @@ over time, and writes ``worth.csv``, from which the README's figure is drawn.
   and a drier half. Each is dressed by the rain of the other, and judged by itself. No storm is in
   both, because no issue within the length of a member and five days of another dresses it.
 - **with its own numbers**: the half that dresses also chooses the numbers of dressing
-  (``numbers.py``).
+  (``own_numbers.py``).
 - **used ideally**: an ensemble that knows as much as a service, and is reliable (``ideal.py``).
 - **the hour as forecast**: in the present hour only the rain in this minute is known.
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from dressing.__main__ import together
 from numpy.typing import NDArray
-from real_seasons.numbers import PACKAGE, chosen, used
+from real_seasons.own_numbers import PACKAGE, chosen, used
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.dressing import Dressing, dress, dress_issue, learn
